@@ -1,0 +1,78 @@
+"""How a computation ended, and what is said when it could not be done.
+
+Every answer leaves with an `Outcome`, whose value is the advice. Every refusal is a `PeriluneError` that says *what* is
+wrong, what was *got*, what was *expected* and what to *try*.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Outcome(Enum):
+    """How a solve ended; the value is the advice to the reader."""
+
+    PROVED = "every check of the requested verification level passed"
+    SOLVED = "the optimality conditions hold; not verified yet: run verify"
+    NOT_PROVED = "solved, but at least one check failed: read the failed checks before using it"
+    NOT_CONVERGED = "no solution found: the residual report names the condition and what to try"
+    INFEASIBLE = "physics forbids it: the message names the limit and by how much it is exceeded"
+    INTERRUPTED = "stopped by the user: what was computed so far is kept"
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command line for this outcome."""
+        return _EXIT_CODES[self.name]
+
+
+_EXIT_CODES = {
+    "PROVED": 0,
+    "SOLVED": 5,
+    "NOT_PROVED": 5,
+    "NOT_CONVERGED": 4,
+    "INFEASIBLE": 3,
+    "INTERRUPTED": 130,
+}
+
+
+class PeriluneError(ValueError):
+    """A refusal in four parts: what, got, expected, try.
+
+    Parameters
+    ----------
+    what
+        What is wrong, in the user's words.
+    got, expected
+        The offending value and what would be right; either may be empty.
+    advice
+        What to try.
+    """
+
+    exit_code = 2
+
+    def __init__(self, what: str, *, got: str = "", expected: str = "", advice: str = "") -> None:
+        self.what, self.got, self.expected, self.advice = what, got, expected, advice
+        parts = [what]
+        parts += [f"{word}: {text}" for word, text in (("got", got), ("expected", expected), ("try", advice)) if text]
+        super().__init__("\n  ".join(parts))
+
+
+class InfeasibleError(PeriluneError):
+    """Physics forbids what was asked; the message says which limit and by how much."""
+
+    exit_code = 3
+
+
+class NotConvergedError(PeriluneError):
+    """Every rung of the ladder failed.
+
+    `partial` carries what was computed before: the best iterate's residuals in physical units and the rungs tried.
+    """
+
+    exit_code = 4
+
+    def __init__(
+        self, what: str, *, got: str = "", expected: str = "", advice: str = "", partial: dict | None = None
+    ) -> None:
+        super().__init__(what, got=got, expected=expected, advice=advice)
+        self.partial = partial or {}

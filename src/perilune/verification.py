@@ -1,0 +1,75 @@
+"""The record of a proof: checks, each with a value, a limit and a meaning, and the level they reach.
+
+Levels: 0 unverified; 1 feasible; 2 extremal; 3 locally optimal; 4 cross-checked by another method. A level is reached
+when every check of it and of the levels below passed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One test of a solution.
+
+    Parameters
+    ----------
+    name, meaning
+        Short name, and what the check shows, in a sentence.
+    level
+        The level (1-4) that needs it.
+    value, limit
+        The check passes when ``value <= limit`` (a NaN fails).
+    unit
+        Unit of both.
+    """
+
+    name: str
+    level: int
+    value: float
+    limit: float
+    unit: str
+    meaning: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within the limit; NaN never is."""
+        return bool(self.value <= self.limit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """All checks made of one solution."""
+
+    checks: tuple[Check, ...] = ()
+
+    @property
+    def level(self) -> int:
+        """Highest level such that it has checks and all checks up to it passed."""
+        reached = 0
+        for level in range(1, len(LEVEL_NAMES)):
+            here = [c for c in self.checks if c.level == level]
+            if not here or not all(c.passed for c in here):
+                break
+            reached = level
+        return reached
+
+    @property
+    def passed(self) -> bool:
+        """Whether checks were made and none failed."""
+        return bool(self.checks) and all(c.passed for c in self.checks)
+
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """The checks that did not pass."""
+        return tuple(c for c in self.checks if not c.passed)
+
+    def __str__(self) -> str:
+        lines = [f"level {self.level} ({LEVEL_NAMES[self.level]})"]
+        for c in self.checks:
+            mark = "ok  " if c.passed else "FAIL"
+            lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} (limit {c.limit:.3g}) {c.unit}")
+        return "\n".join(lines)

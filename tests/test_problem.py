@@ -1,0 +1,105 @@
+"""The record of a problem refuses what it cannot mean."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from perilune.outcome import PeriluneError
+from perilune.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+
+
+def slider(**changes: Any) -> Problem:
+    """A cart pushed by a steerable force, in metres and seconds."""
+    phase = Phase(
+        name="slide",
+        states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
+        controls=(Direction(names=("along", "across")),),
+        dynamics=lambda x, u, p, m: (x.v, p.push * u.along),
+        duration="time",
+        end=lambda x, p, m: (x.x - p.distance, x.v),
+        end_conditions=(Variable(name="distance", unit="m"), Variable(name="speed", unit="m/s")),
+    )
+    settings: dict[str, Any] = {
+        "name": "slider",
+        "phases": (phase,),
+        "start": lambda p, m: (0.0, 0.0),
+        "given": {"push": Given(value=2.0, unit="m/s^2"), "distance": Given(value=8.0, unit="m")},
+        "free": (Free(name="time", unit="s", lower=0.0, typical=4.0),),
+        "objective": lambda x, p, m: p.time,
+        "objective_unit": "s",
+    }
+    return Problem(**{**settings, **changes})
+
+
+def test_a_sound_problem_is_accepted() -> None:
+    """And says its names."""
+    problem = slider()
+    assert problem.free_names == ("time",)
+    assert problem.unit_of("distance") == "m"
+
+
+def test_a_hidden_constant_is_found() -> None:
+    """A dimensional number typed into the physics would be wrong in canonical units."""
+    phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v, p.push * u.along - 9.81))
+    with pytest.raises(PeriluneError, match=r"not dimensionally homogeneous: dynamics of slide, v"):
+        slider(phases=(phase,))
+
+
+def test_wrong_number_of_rates() -> None:
+    """Named, with what is expected."""
+    phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v,))
+    with pytest.raises(PeriluneError, match=r"dynamics of slide returns the wrong number(.|\n)*got: 1(.|\n)*2: x, v"):
+        slider(phases=(phase,))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"phases": ()}, "at least one phase"),
+        ({"links": (lambda x, p, m: (),)}, "needs a link"),
+        ({"free": (Free(name="push", unit="m/s^2"), Free(name="time", unit="s"))}, "given and free at once: *|got: push"),
+        ({"given": {"push": Given(value=float("nan"), unit="m/s^2")}}, "value of push is not finite"),
+        ({"free": (Free(name="time", unit="s", lower=2.0, upper=1.0),)}, "bounds of time are empty"),
+        ({"free": (Free(name="tme", unit="s"),)}, "did you mean 'tme'"),
+    ],
+)
+def test_inconsistent_problems(changes: dict[str, Any], words: str) -> None:
+    """Each is refused in the user's words."""
+    with pytest.raises(PeriluneError, match=words):
+        slider(**changes)
+
+
+def test_unknown_parameter_offers_the_nearest() -> None:
+    """A typo in a sweep."""
+    with pytest.raises(PeriluneError, match="did you mean 'distance'"):
+        slider().with_given(distanse=3.0)
+
+
+def test_given_fixes_a_free_parameter() -> None:
+    """And the values are the problem's own afterwards."""
+    fixed = slider().with_given(time=3.0)
+    assert fixed.free == ()
+    assert fixed.given["time"] == Given(value=3.0, unit="s")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Variable(name="2x"), "identifier"),
+        (lambda: Variable(name="x", unit="furlong"), "not a unit"),
+        (lambda: Variable(name="x", lower=1.0, upper=1.0), "bounds of x are empty"),
+        (lambda: Direction(names=("a",)), "two or three"),
+    ],
+)
+def test_inconsistent_parts(make: Any, words: str) -> None:
+    """Variables and controls check themselves."""
+    with pytest.raises(PeriluneError, match=words):
+        make()
+
+
+def test_bounded_control_has_one_name() -> None:
+    """As a component of u."""
+    assert Bounded(name="throttle", lower=0.1, upper=1.0).names == ("throttle",)
