@@ -1,0 +1,284 @@
+"""First-order optimality conditions of a `Problem`, derived by automatic differentiation alone.
+
+Sign convention (the tests assert it: lambda(t0) = dJ*/dx0):
+
+    H = lambda . f(x, u, p), the control minimises H                             Cho et al. 2015 (11), (14)
+    lambda' = -dH/dx                                                             (12), which prints H_r for H_x
+    lambda(T) = dJ/dx + nu . dpsi/dx at the last end                             (18), (19)
+    lambda_k(T) = (dlink/dx)^T lambda_{k+1}(0) + nu_k . dpsi_k/dx at an inner end
+
+and for each free parameter q, which may move the initial state, the ends, the links or a duration,
+
+    dJ/dq + nu . dpsi/dq + lambda_1(0) . dstart/dq + lambda_{k+1}(0) . dlink_k/dq + (H_k(T_k) if q is T_k) = 0.
+
+For the retro burn this last line is Cho et al. (19), "lambda_u(0) + lambda_m(0) M/c exp(...) = 0", and H_f = 0. A free
+parameter in the dynamics becomes a constant state, whose costate collects the integral of dH/dq.
+
+Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all in canonical units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+
+from perilune.outcome import PeriluneError
+from perilune.problem import Direction, Phase, Problem
+from perilune.symbolic import (
+    SYMBOLIC,
+    Parameters,
+    column,
+    elements,
+    trace_at_end,
+    trace_parameters,
+    trace_rates,
+)
+from perilune.units import quotient
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhaseExtremal:
+    """The canonical equations of one phase, z = (x, constant states, lambda) in canonical units.
+
+    Parameters
+    ----------
+    rhs
+        (z, p) -> z'.
+    report
+        (z, p) -> (u, u', H): the minimising control, its rate along the extremal, the Hamiltonian.
+    state_count
+        Number of x's own components; z has 2 (state_count + constants) components.
+    constants
+        Indices of the free parameters that were made constant states.
+    """
+
+    rhs: ca.Function
+    report: ca.Function
+    state_count: int
+    constants: tuple[int, ...]
+
+    @property
+    def half(self) -> int:
+        """Length of lambda."""
+        return self.state_count + len(self.constants)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Conditions:
+    """The boundary value problem of a `Problem`.
+
+    Parameters
+    ----------
+    phases
+        Canonical equations of each phase.
+    starts
+        For each phase (y, z_before, p) -> (z0, duration), with its Jacobians by y and z_before; the first phase takes
+        an empty z_before.
+    residual
+        (y, all end z stacked, p) -> residual, Jacobian by y, Jacobian by the ends.
+    unknowns, residuals
+        (name, unit) of each component, units in SI.
+    free_at, costate_at
+        Slices of y: the free parameters, and each phase's lambda(0).
+    stationarity_at
+        Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals.
+    """
+
+    phases: tuple[PhaseExtremal, ...]
+    starts: tuple[ca.Function, ...]
+    residual: ca.Function
+    unknowns: tuple[tuple[str, str], ...]
+    residuals: tuple[tuple[str, str], ...]
+    free_at: slice
+    costate_at: tuple[slice, ...]
+    stationarity_at: slice
+
+
+def minimising_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX) -> ca.SX:
+    """The control that minimises H, from H's own derivatives.
+
+    A `Direction` d enters H linearly, H = a + g . d, so the minimum on the circle or sphere is d = -g/|g|; for planar
+    thrust that is Cho et al. (15) with both signs right, beta = atan2(-lambda_v, -lambda_u).
+
+    Raises
+    ------
+    PeriluneError
+        If H is not of a form whose minimum is known in closed form.
+    """
+    law, at = [], 0
+    for control in phase.controls:
+        width = len(control.names)
+        part = u[at : at + width]
+        at += width
+        gradient = ca.gradient(hamiltonian, part)
+        if not isinstance(control, Direction) or ca.depends_on(gradient, part):
+            raise PeriluneError(
+                f"the indirect method has no closed-form control law for {', '.join(control.names)}",
+                got="a Hamiltonian that is not linear in it" if isinstance(control, Direction) else "a bounded scalar",
+                expected="a direction that enters the dynamics linearly",
+                advice="use the direct method: solve(problem, Pseudospectral())",
+            )
+        law.append(-gradient / ca.norm_2(gradient))
+    return ca.vertcat(ca.SX(0, 1), *law)
+
+
+def _phase_extremal(phase: Phase, p: Parameters, free_names: tuple[str, ...]) -> PhaseExtremal:
+    n = len(phase.states)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
+    f = trace_rates(phase, x, u, p.record)
+    constants = tuple(
+        i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(f, p.free[i])
+    )
+    if phase.duration in free_names and ca.depends_on(f, p.free[free_names.index(phase.duration)]):
+        raise PeriluneError(
+            f"the dynamics of {phase.name} depend on the phase's own duration",
+            advice="make time a state with rate 1",
+        )
+    q = ca.vertcat(ca.SX(0, 1), *[p.free[i] for i in constants])
+    lam = ca.SX.sym("lam", n + len(constants))
+    hamiltonian = ca.dot(lam[:n], f)
+    law = minimising_control(phase, hamiltonian, u)
+    # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
+    lam_rate = -ca.substitute(ca.gradient(hamiltonian, ca.vertcat(x, q)), u, law)
+    rate = ca.vertcat(ca.substitute(f, u, law), ca.SX.zeros(len(constants), 1), lam_rate)
+    z = ca.vertcat(x, q, lam)
+    law_rate = ca.jtimes(law, z, rate)
+    expressions = [rate, law, law_rate, ca.substitute(hamiltonian, u, law)]
+    # The constant states are symbols of p.free; as entries of z they need symbols of their own.
+    symbol = ca.SX.sym("z", z.numel())
+    rate, law, law_rate, value = ca.cse([ca.substitute(e, z, symbol) for e in expressions])
+    return PhaseExtremal(
+        rhs=ca.Function("rhs", [symbol, p.given], [rate], ["z", "p"], ["rate"]),
+        report=ca.Function("report", [symbol, p.given], [law, law_rate, value], ["z", "p"], ["u", "u_rate", "H"]),
+        state_count=n,
+        constants=constants,
+    )
+
+
+def derive(problem: Problem) -> Conditions:
+    """Derive the boundary value problem of a `Problem`.
+
+    Values and bounds do not enter the expressions, so problems that differ only in them share one derivation.
+
+    Raises
+    ------
+    PeriluneError
+        If a control's minimum of H is not known in closed form.
+    """
+    return _derive(_Structure(problem))
+
+
+class _Structure:
+    """A problem, hashed by everything but its numbers."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        units = tuple((name, g.unit) for name, g in problem.given.items())
+        free = tuple((f.name, f.unit) for f in problem.free)
+        self.key = (problem.phases, problem.start, problem.links, problem.objective, problem.objective_unit, units, free)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Structure) and self.key == other.key
+
+
+@lru_cache(maxsize=64)
+def _derive(structure: _Structure) -> Conditions:
+    problem = structure.problem
+    p = trace_parameters(problem)
+    phases = tuple(_phase_extremal(phase, p, problem.free_names) for phase in problem.phases)
+    lam0 = [ca.SX.sym(f"lam0_{k}", e.half) for k, e in enumerate(phases)]
+    nu = [ca.SX.sym(f"nu_{k}", len(phase.end_conditions)) for k, phase in enumerate(problem.phases)]
+    y = ca.vertcat(*lam0, p.free, *nu)
+    ends = [ca.SX.sym(f"zf_{k}", 2 * e.half) for k, e in enumerate(phases)]
+
+    starts, initial_states = _starts(problem, p, phases, lam0, y)
+    conditions, costates = [], []
+    last = problem.phases[-1]
+    cost = ca.SX(problem.objective(last.state_record(*elements(ends[-1][: len(last.states)])), p.record, SYMBOLIC))
+    lagrangian = cost  # its derivative by q collects every way a free parameter acts at the boundaries
+    for k, (phase, extremal, zf) in enumerate(zip(problem.phases, phases, ends, strict=True)):
+        x_end, lam_end = zf[: extremal.half], zf[extremal.half :]
+        psi = trace_at_end(phase, zf[: extremal.state_count], p.record)
+        conditions.append(psi)
+        boundary = ca.dot(nu[k], psi)
+        if phase is last:
+            boundary += cost
+        else:  # the link carries the next phase's costate back to this end
+            boundary += ca.dot(lam0[k + 1], initial_states[k + 1](zf))
+        costates.append(lam_end - ca.gradient(boundary, x_end))
+        lagrangian += ca.dot(nu[k], psi) + ca.dot(lam0[k], initial_states[k](ends[k - 1] if k else ca.SX(0, 1)))
+    stationarity = ca.gradient(lagrangian, p.free)
+    for phase, extremal, zf in zip(problem.phases, phases, ends, strict=True):
+        if phase.duration in problem.free_names:
+            stationarity[problem.free_names.index(phase.duration)] += extremal.report(zf, p.given)[2]
+    residual = ca.vertcat(*conditions, *costates, stationarity)
+    zf = ca.vertcat(*ends)
+    count = sum(e.half for e in phases)
+    unknowns, residuals = _names(problem, phases)
+    return Conditions(
+        phases=phases,
+        starts=starts,
+        residual=ca.Function(
+            "residual", [y, zf, p.given], ca.cse([residual, ca.jacobian(residual, y), ca.jacobian(residual, zf)])
+        ),
+        unknowns=unknowns,
+        residuals=residuals,
+        free_at=slice(count, count + len(problem.free)),
+        costate_at=_slices([e.half for e in phases]),
+        stationarity_at=slice(residual.numel() - len(problem.free), residual.numel()),
+    )
+
+
+def _starts(
+    problem: Problem, p: Parameters, phases: tuple[PhaseExtremal, ...], lam0: list[ca.SX], y: ca.SX
+) -> tuple[tuple[ca.Function, ...], list[Callable[[ca.SX], ca.SX]]]:
+    """Functions for the start of each phase, and the start's states as callables of the end before."""
+    starts, states = [], []
+    for k, (phase, extremal) in enumerate(zip(problem.phases, phases, strict=True)):
+        constants = [p.free[i] for i in extremal.constants]
+
+        def state(before: ca.SX, k: int = k, constants: list[ca.SX] = constants) -> ca.SX:
+            if k == 0:
+                return ca.vertcat(column(problem.start(p.record, SYMBOLIC)), *constants)
+            previous = problem.phases[k - 1]
+            record = previous.state_record(*elements(before[: len(previous.states)]))
+            return ca.vertcat(column(problem.links[k - 1](record, p.record, SYMBOLIC)), *constants)
+
+        states.append(state)
+        before = ca.SX.sym("before", 2 * phases[k - 1].half if k else 0)
+        z0 = ca.vertcat(state(before), lam0[k])
+        duration = getattr(p.record, phase.duration)
+        outputs = [z0, duration, ca.jacobian(z0, y), ca.jacobian(z0, before), ca.jacobian(duration, y)]
+        starts.append(ca.Function(f"start_{k}", [y, before, p.given], ca.cse([ca.SX(o) for o in outputs])))
+    return tuple(starts), states
+
+
+def _slices(lengths: list[int]) -> tuple[slice, ...]:
+    ends = [sum(lengths[: i + 1]) for i in range(len(lengths))]
+    return tuple(slice(end - length, end) for end, length in zip(ends, lengths, strict=True))
+
+
+Names = tuple[tuple[str, str], ...]
+
+
+def _names(problem: Problem, phases: tuple[PhaseExtremal, ...]) -> tuple[Names, Names]:
+    """(name, unit) of each unknown and of each residual."""
+    cost = problem.objective_unit
+    lam, nu, psi, transversality = [], [], [], []
+    for phase, extremal in zip(problem.phases, phases, strict=True):
+        promoted = [(problem.free[i].name, problem.free[i].unit) for i in extremal.constants]
+        for name, unit in [*((s.name, s.unit) for s in phase.states), *promoted]:
+            lam.append((f"{phase.name}.lambda_{name}(0)", quotient(cost, unit)))
+            transversality.append((f"{phase.name}: transversality of {name} at the end", quotient(cost, unit)))
+        for c in phase.end_conditions:
+            nu.append((f"{phase.name}.nu_{c.name}", quotient(cost, c.unit)))
+            psi.append((f"{phase.name}: {c.name}", c.unit))
+    free = [(f.name, f.unit) for f in problem.free]
+    stationarity = [(f"stationarity in {f.name}", quotient(cost, f.unit)) for f in problem.free]
+    return (*lam, *free, *nu), (*psi, *transversality, *stationarity)

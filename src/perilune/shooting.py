@@ -1,0 +1,158 @@
+"""The shooting function of a boundary value problem and its Jacobian by the state-transition matrix.
+
+Single shooting as in Cho et al. 2015 (20)-(24): fly every phase from its start, evaluate the residual at the ends.
+With several segments to a phase, the states at the joints are further unknowns and continuity is a further residual
+(multiple shooting), for arcs on which errors grow too much.
+
+The derivative of an arc's end by all unknowns is carried from arc to arc: S(T) dz0 + z'(T) dT.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from perilune.pontryagin import Conditions
+from perilune.propagate import ArcStatus, propagator
+from perilune.rootfind import Root, Watch, damped_newton
+from perilune.types import Matrix, Vector
+
+
+class Shooting:
+    """Shooting function of `conditions` over Y = (y, states at the joints).
+
+    Parameters
+    ----------
+    conditions
+        The boundary value problem.
+    segments
+        Arcs for each phase; 1 is single shooting.
+    rtol
+        Tolerance of the arcs.
+
+    Attributes
+    ----------
+    arcs
+        How many arcs were flown so far.
+    """
+
+    def __init__(self, conditions: Conditions, segments: int = 1, rtol: float = 1e-12) -> None:
+        self.conditions, self.segments, self.rtol, self.arcs = conditions, segments, rtol, 0
+        self._size = len(conditions.unknowns)
+
+    def __call__(self, Y: Vector, p: Vector, held: Mapping[int, float], jacobian: bool = True) -> tuple[Vector, Matrix]:
+        """Residual and Jacobian.
+
+        Parameters
+        ----------
+        Y
+            Unknowns, canonical.
+        p
+            Given parameters, canonical.
+        held
+            Free parameters (by index) held at a value: their stationarity row is replaced by ``q - value``.
+        jacobian
+            Without it the Jacobian is empty.
+
+        Returns
+        -------
+        residual, jacobian
+            NaN where an arc could not be flown.
+        """
+        flown = self._fly(Y, p, jacobian)
+        total = len(Y)
+        if flown is None:
+            return np.full(total, np.nan), np.full((total, total), np.nan)
+        ends, end_jacobians, gaps, gap_jacobians = flown
+        y = Y[: self._size]
+        h, h_y, h_z = (np.array(out) for out in self.conditions.residual(y, np.concatenate(ends), p))
+        h = h.ravel()
+        J = np.zeros((0, 0))
+        if jacobian:
+            J = h_z @ np.vstack(end_jacobians)
+            J[:, : self._size] += h_y
+        for index, value in held.items():
+            row = self.conditions.stationarity_at.start + index
+            h[row] = y[self.conditions.free_at.start + index] - value
+            if jacobian:
+                J[row] = 0.0
+                J[row, self.conditions.free_at.start + index] = 1.0
+        if gaps:
+            h = np.concatenate([h, *gaps])
+            J = np.vstack([J, *gap_jacobians]) if jacobian else J
+        return h, J
+
+    def root(self, Y: Vector, p: Vector, held: Mapping[int, float], watch: Watch | None = None, **settings: Any) -> Root:
+        """Damped Newton from Y, with the free parameters `held` at exactly their values."""
+        at = self.conditions.free_at.start
+        Y = np.array(Y, dtype=float)
+        for index, value in held.items():
+            Y[at + index] = value
+        root = damped_newton(lambda y, jacobian: self(y, p, held, jacobian), Y, watch=watch, **settings)
+        for index, value in held.items():
+            root.y[at + index] = value  # Newton leaves the last bit of it
+        return root
+
+    def stationarity(self, Y: Vector, p: Vector) -> Vector:
+        """dJ/dq of each free parameter q along the family of extremals, canonical, held or not."""
+        return self(Y, p, {}, jacobian=False)[0][self.conditions.stationarity_at]
+
+    def joints(self, y: Vector, p: Vector) -> Vector | None:
+        """Y for this number of segments from y alone: the states at the joints are those of a flight in one piece."""
+        before, nodes = np.zeros(0), [y]
+        for k, start in enumerate(self.conditions.starts):
+            z0, duration = (np.array(out).ravel() for out in start(y, before, p)[:2])
+            curve = propagator(self.conditions.phases[k].rhs, 0).dense(z0, p, float(duration[0]))
+            at = curve(np.linspace(0.0, float(duration[0]), self.segments + 1))
+            if not np.all(np.isfinite(at)):
+                return None
+            nodes.extend(at[1:-1])
+            before = at[-1]
+        return np.concatenate(nodes)
+
+    def _fly(self, Y: Vector, p: Vector, jacobian: bool):  # noqa: ANN202 - (ends, dends/dY, gaps, dgaps/dY) or None
+        y, total = Y[: self._size], len(Y)
+        ends, end_jacobians, gaps, gap_jacobians = [], [], [], []
+        z, dz, at = np.zeros(0), np.zeros((0, total)), self._size
+        for k, start in enumerate(self.conditions.starts):
+            z0, duration, z0_y, z0_before, T_y = (np.array(out) for out in start(y, z, p))
+            z0 = z0.ravel()
+            T, dT = float(duration[0, 0]) / self.segments, np.zeros(total)
+            dT[: self._size] = T_y.ravel() / self.segments
+            dz = z0_before @ dz
+            dz[:, : self._size] += z0_y
+            z = z0
+            for j in range(self.segments):
+                if j:
+                    node, selector = Y[at : at + len(z)], np.zeros((len(z), total))
+                    selector[:, at : at + len(z)] = np.eye(len(z))
+                    at += len(z)
+                    gaps.append(z - node)
+                    gap_jacobians.append(dz - selector)
+                    z, dz = node, selector
+                end = self._arc(k, z, dz, T, dT, p, jacobian)
+                if end is None:
+                    return None
+                z, dz = end
+            ends.append(z)
+            end_jacobians.append(dz)
+        return ends, end_jacobians, gaps, gap_jacobians
+
+    def _arc(self, phase: int, z: Vector, dz: Matrix, T: float, dT: Vector, p: Vector, jacobian: bool):  # noqa: ANN202
+        """End of an arc and its derivative by all unknowns, or None."""
+        if not (np.all(np.isfinite(z)) and np.isfinite(T)):
+            return None
+        moving = np.nonzero(np.any(dz != 0.0, axis=0))[0] if jacobian else np.zeros(0, dtype=int)
+        basis = dz[:, moving]
+        arc = propagator(self.conditions.phases[phase].rhs, len(moving)).propagate(z, p, T, basis, rtol=self.rtol, atol=self.rtol)
+        self.arcs += 1
+        if arc.status is not ArcStatus.REACHED:
+            return None
+        out = np.zeros_like(dz)
+        if jacobian:
+            out[:, moving] = arc.columns
+            rate = np.array(self.conditions.phases[phase].rhs(arc.z, p)).ravel()
+            out += np.outer(rate, dT)
+        return arc.z, out
