@@ -1,0 +1,1 @@
+"""Bodies, vehicles and the landing problems made of them."""
