@@ -23,7 +23,7 @@ from perilune.types import Vector
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """An extremal: its root, the value of q [canonical], the bound it lies on (-1, 0, +1), and whether J is least there."""
+    """An extremal: its root, the value of q [canonical], its bound (-1, 0, +1), and whether J is least there."""
 
     root: Root
     value: float
@@ -73,8 +73,8 @@ class HeldFamily:
         row = self.shooting.conditions.stationarity_at.start + self.index
         at = self.shooting.conditions.free_at.start + self.index
         _, jacobian = self.shooting(root.y, self.p, {}, True)
-        _, held = self.shooting(root.y, self.p, {self.index: root.y[at]}, True)
-        return float(jacobian[row] @ self.tangent(replace(root, jacobian=held), root.y[at]))
+        _, held = self.shooting(root.y, self.p, {self.index: float(root.y[at])}, True)
+        return float(jacobian[row] @ self.tangent(replace(root, jacobian=held), float(root.y[at])))
 
 
 def scan(

@@ -14,6 +14,9 @@ and for each free parameter q, which may move the initial state, the ends, the l
 For the retro burn this last line is Cho et al. (19), "lambda_u(0) + lambda_m(0) M/c exp(...) = 0", and H_f = 0. A free
 parameter in the dynamics becomes a constant state, whose costate collects the integral of dH/dq.
 
+A bounded control that enters H linearly sits at a bound: at the upper one where its switching function S = dH/du is
+negative. Each combination of bounds is a *mode* with smooth dynamics of its own; zeros of S are events between modes.
+
 Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all in canonical units.
 """
 
@@ -24,18 +27,21 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
+import numpy as np
 
 from perilune.outcome import PeriluneError
-from perilune.problem import Direction, Phase, Problem
+from perilune.problem import Bounded, Direction, Phase, Problem
 from perilune.symbolic import (
     SYMBOLIC,
     Parameters,
+    canonical_given,
     column,
     elements,
     trace_at_end,
     trace_parameters,
     trace_rates,
 )
+from perilune.types import Vector
 from perilune.units import quotient
 
 
@@ -45,20 +51,31 @@ class PhaseExtremal:
 
     Parameters
     ----------
-    rhs
-        (z, p) -> z'.
-    report
-        (z, p) -> (u, u', H): the minimising control, its rate along the extremal, the Hamiltonian.
+    modes
+        (z, p) -> z' for each combination of bounds: bit i of the mode is set where switched control i is at its upper
+        bound. One function where no control switches. p is `extremal_parameters`.
+    reports
+        (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
+    switching
+        (z, p) -> S of each switched control.
     state_count
         Number of x's own components; z has 2 (state_count + constants) components.
     constants
         Indices of the free parameters that were made constant states.
     """
 
-    rhs: ca.Function
-    report: ca.Function
+    modes: tuple[ca.Function, ...]
+    reports: tuple[ca.Function, ...]
+    switching: ca.Function
     state_count: int
     constants: tuple[int, ...]
+
+    def mode(self, z: Vector, p: Vector) -> int:
+        """The mode at a point, from the signs of the switching functions."""
+        if len(self.modes) == 1:
+            return 0
+        signs = np.array(self.switching(z, p)).ravel() < 0
+        return int(np.sum(signs * 2 ** np.arange(len(signs))))
 
     @property
     def half(self) -> int:
@@ -97,41 +114,89 @@ class Conditions:
     stationarity_at: slice
 
 
-def minimising_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX) -> ca.SX:
+def minimising_control(
+    phase: Phase, hamiltonian: ca.SX, u: ca.SX, bounds: dict[str, ca.SX]
+) -> tuple[ca.SX, dict[str, ca.SX]]:
     """The control that minimises H, from H's own derivatives.
 
     A `Direction` d enters H linearly, H = a + g . d, so the minimum on the circle or sphere is d = -g/|g|; for planar
-    thrust that is Cho et al. (15) with both signs right, beta = atan2(-lambda_v, -lambda_u).
+    thrust that is Cho et al. (15) with both signs right, beta = atan2(-lambda_v, -lambda_u). Where g carries a throttle
+    as a factor, that factor is not negative and cancels: its upper bound stands for it. An unbounded scalar in which H
+    is quadratic has its minimum where dH/du = 0. A bounded scalar in which H is linear is left as it is, to be set to
+    its bounds.
+
+    Returns
+    -------
+    law, switching
+        The control, with switched scalars still symbols; S of each switched scalar by name.
 
     Raises
     ------
     PeriluneError
         If H is not of a form whose minimum is known in closed form.
     """
-    law, at = [], 0
+    law, at = [u[i] for i in range(u.numel())], 0
+    scalars: list[tuple[int, Bounded]] = []
     for control in phase.controls:
         width = len(control.names)
         part = u[at : at + width]
+        if isinstance(control, Direction):
+            gradient = ca.gradient(hamiltonian, part)
+            if ca.depends_on(gradient, part):
+                raise _no_law(phase, control.names, "a Hamiltonian that is not linear in it")
+            law[at : at + width] = elements(-gradient / ca.norm_2(gradient))
+        else:
+            scalars.append((at, control))
         at += width
-        gradient = ca.gradient(hamiltonian, part)
-        if not isinstance(control, Direction) or ca.depends_on(gradient, part):
-            raise PeriluneError(
-                f"the indirect method has no closed-form control law for {', '.join(control.names)}",
-                got="a Hamiltonian that is not linear in it" if isinstance(control, Direction) else "a bounded scalar",
-                expected="a direction that enters the dynamics linearly",
-                advice="use the direct method: solve(problem, Pseudospectral())",
-            )
-        law.append(-gradient / ca.norm_2(gradient))
-    return ca.vertcat(ca.SX(0, 1), *law)
+    switching: dict[str, ca.SX] = {}
+    for i, control in scalars:
+        slope = ca.gradient(hamiltonian, u[i])
+        if not ca.depends_on(slope, u[i]) and control.name in bounds:
+            switching[control.name] = slope
+            if control.lower < 0 and any(ca.depends_on(entry, u[i]) for entry in law[:i] + law[i + 1 :]):
+                raise _no_law(phase, control.names, "a factor of a direction that may be negative")
+            law = [ca.substitute(e, u[i], bounds[control.name][1]) if j != i else e for j, e in enumerate(law)]
+        elif control.name not in bounds and not ca.depends_on(ca.gradient(slope, u[i]), u):
+            law[i] = -ca.substitute(slope, u[i], 0) / ca.gradient(slope, u[i])
+        else:
+            raise _no_law(phase, control.names, "a Hamiltonian that is not linear in it, or no bounds")
+    column_law = ca.vertcat(ca.SX(0, 1), *law)
+    return column_law, {name: ca.substitute(slope, u, column_law) for name, slope in switching.items()}
 
 
-def _phase_extremal(phase: Phase, p: Parameters, free_names: tuple[str, ...]) -> PhaseExtremal:
+def _no_law(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
+    return PeriluneError(
+        f"the indirect method has no closed-form control law for {', '.join(names)} of {phase.name}",
+        got=got,
+        expected="a direction or a bounded scalar that enters linearly, or an unbounded one that enters quadratically",
+        advice="use the direct method: solve(problem, Pseudospectral())",
+    )
+
+
+def extremal_parameters(problem: Problem) -> Vector:
+    """The numbers p of the canonical equations: the given parameters, then (lower, upper) of each bounded control."""
+    limits = [
+        limit / problem.scales.of(control.unit)
+        for phase in problem.phases
+        for control in _bounded(phase)
+        for limit in (control.lower, control.upper)
+    ]
+    return np.concatenate([canonical_given(problem), limits])
+
+
+def _bounded(phase: Phase) -> list[Bounded]:
+    """The scalars with two finite bounds."""
+    scalars = [c for c in phase.controls if isinstance(c, Bounded)]
+    return [c for c in scalars if np.isfinite(c.upper - c.lower)]
+
+
+def _phase_extremal(
+    phase: Phase, p: Parameters, bounds: dict[str, ca.SX], numbers: ca.SX, free_names: tuple[str, ...]
+) -> PhaseExtremal:
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
     f = trace_rates(phase, x, u, p.record)
-    constants = tuple(
-        i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(f, p.free[i])
-    )
+    constants = tuple(i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(f, p.free[i]))
     if phase.duration in free_names and ca.depends_on(f, p.free[free_names.index(phase.duration)]):
         raise PeriluneError(
             f"the dynamics of {phase.name} depend on the phase's own duration",
@@ -140,19 +205,29 @@ def _phase_extremal(phase: Phase, p: Parameters, free_names: tuple[str, ...]) ->
     q = ca.vertcat(ca.SX(0, 1), *[p.free[i] for i in constants])
     lam = ca.SX.sym("lam", n + len(constants))
     hamiltonian = ca.dot(lam[:n], f)
-    law = minimising_control(phase, hamiltonian, u)
+    law, switching = minimising_control(phase, hamiltonian, u, bounds)
     # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
-    lam_rate = -ca.substitute(ca.gradient(hamiltonian, ca.vertcat(x, q)), u, law)
-    rate = ca.vertcat(ca.substitute(f, u, law), ca.SX.zeros(len(constants), 1), lam_rate)
-    z = ca.vertcat(x, q, lam)
-    law_rate = ca.jtimes(law, z, rate)
-    expressions = [rate, law, law_rate, ca.substitute(hamiltonian, u, law)]
+    gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
     # The constant states are symbols of p.free; as entries of z they need symbols of their own.
+    z = ca.vertcat(x, q, lam)
     symbol = ca.SX.sym("z", z.numel())
-    rate, law, law_rate, value = ca.cse([ca.substitute(e, z, symbol) for e in expressions])
+    modes, reports = [], []
+    for mode in range(2 ** len(switching)):
+        held = [bounds[name][(mode >> i) & 1] for i, name in enumerate(switching)]
+        at = [phase.control_names.index(name) for name in switching]
+        control = ca.substitute(law, ca.vertcat(ca.SX(0, 1), *[u[i] for i in at]), ca.vertcat(ca.SX(0, 1), *held))
+        rate = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient)
+        rate, value = (ca.substitute(e, u, control) for e in (rate, hamiltonian))
+        expressions = [ca.substitute(e, z, symbol) for e in (rate, control, ca.jtimes(control, z, rate), value)]
+        rate, control, control_rate, value = ca.cse(expressions)
+        modes.append(ca.Function("rhs", [symbol, numbers], [rate], ["z", "p"], ["rate"]))
+        outputs = [control, control_rate, value]
+        reports.append(ca.Function("report", [symbol, numbers], outputs, ["z", "p"], ["u", "u_rate", "H"]))
+    S = ca.substitute(ca.vertcat(ca.SX(0, 1), *switching.values()), z, symbol)
     return PhaseExtremal(
-        rhs=ca.Function("rhs", [symbol, p.given], [rate], ["z", "p"], ["rate"]),
-        report=ca.Function("report", [symbol, p.given], [law, law_rate, value], ["z", "p"], ["u", "u_rate", "H"]),
+        modes=tuple(modes),
+        reports=tuple(reports),
+        switching=ca.Function("switching", [symbol, numbers], [S], ["z", "p"], ["S"]),
         state_count=n,
         constants=constants,
     )
@@ -178,7 +253,15 @@ class _Structure:
         self.problem = problem
         units = tuple((name, g.unit) for name, g in problem.given.items())
         free = tuple((f.name, f.unit) for f in problem.free)
-        self.key = (problem.phases, problem.start, problem.links, problem.objective, problem.objective_unit, units, free)
+        self.key = (
+            problem.phases,
+            problem.start,
+            problem.links,
+            problem.objective,
+            problem.objective_unit,
+            units,
+            free,
+        )
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -191,13 +274,17 @@ class _Structure:
 def _derive(structure: _Structure) -> Conditions:
     problem = structure.problem
     p = trace_parameters(problem)
-    phases = tuple(_phase_extremal(phase, p, problem.free_names) for phase in problem.phases)
+    limits = [ca.SX.sym(f"{phase.name}_{c.name}", 2) for phase in problem.phases for c in _bounded(phase)]
+    numbers, taken, phases = ca.vertcat(p.given, *limits), iter(limits), []
+    for phase in problem.phases:
+        bounds = {c.name: next(taken) for c in _bounded(phase)}
+        phases.append(_phase_extremal(phase, p, bounds, numbers, problem.free_names))
     lam0 = [ca.SX.sym(f"lam0_{k}", e.half) for k, e in enumerate(phases)]
     nu = [ca.SX.sym(f"nu_{k}", len(phase.end_conditions)) for k, phase in enumerate(problem.phases)]
     y = ca.vertcat(*lam0, p.free, *nu)
     ends = [ca.SX.sym(f"zf_{k}", 2 * e.half) for k, e in enumerate(phases)]
 
-    starts, initial_states = _starts(problem, p, phases, lam0, y)
+    starts, initial_states = _starts(problem, p, numbers, tuple(phases), lam0, y)
     conditions, costates = [], []
     last = problem.phases[-1]
     cost = ca.SX(problem.objective(last.state_record(*elements(ends[-1][: len(last.states)])), p.record, SYMBOLIC))
@@ -216,16 +303,18 @@ def _derive(structure: _Structure) -> Conditions:
     stationarity = ca.gradient(lagrangian, p.free)
     for phase, extremal, zf in zip(problem.phases, phases, ends, strict=True):
         if phase.duration in problem.free_names:
-            stationarity[problem.free_names.index(phase.duration)] += extremal.report(zf, p.given)[2]
+            stationarity[problem.free_names.index(phase.duration)] += _hamiltonian(extremal, zf, numbers)
     residual = ca.vertcat(*conditions, *costates, stationarity)
     zf = ca.vertcat(*ends)
     count = sum(e.half for e in phases)
-    unknowns, residuals = _names(problem, phases)
+    unknowns, residuals = _names(problem, tuple(phases))
     return Conditions(
-        phases=phases,
+        phases=tuple(phases),
         starts=starts,
         residual=ca.Function(
-            "residual", [y, zf, p.given], ca.cse([residual, ca.jacobian(residual, y), ca.jacobian(residual, zf)])
+            "residual",
+            [y, zf, numbers],
+            ca.cse([residual, ca.jacobian(residual, y), ca.jacobian(residual, zf)]),
         ),
         unknowns=unknowns,
         residuals=residuals,
@@ -235,8 +324,21 @@ def _derive(structure: _Structure) -> Conditions:
     )
 
 
+def _hamiltonian(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
+    """H on the minimising control: the least of the modes', since each mode's control is admissible."""
+    value = extremal.reports[0](z, numbers)[2]
+    for report in extremal.reports[1:]:
+        value = ca.fmin(value, report(z, numbers)[2])
+    return value
+
+
 def _starts(
-    problem: Problem, p: Parameters, phases: tuple[PhaseExtremal, ...], lam0: list[ca.SX], y: ca.SX
+    problem: Problem,
+    p: Parameters,
+    numbers: ca.SX,
+    phases: tuple[PhaseExtremal, ...],
+    lam0: list[ca.SX],
+    y: ca.SX,
 ) -> tuple[tuple[ca.Function, ...], list[Callable[[ca.SX], ca.SX]]]:
     """Functions for the start of each phase, and the start's states as callables of the end before."""
     starts, states = [], []
@@ -255,7 +357,7 @@ def _starts(
         z0 = ca.vertcat(state(before), lam0[k])
         duration = getattr(p.record, phase.duration)
         outputs = [z0, duration, ca.jacobian(z0, y), ca.jacobian(z0, before), ca.jacobian(duration, y)]
-        starts.append(ca.Function(f"start_{k}", [y, before, p.given], ca.cse([ca.SX(o) for o in outputs])))
+        starts.append(ca.Function(f"start_{k}", [y, before, numbers], ca.cse([ca.SX(o) for o in outputs])))
     return tuple(starts), states
 
 

@@ -31,6 +31,7 @@ from perilune.maths import NUMERIC
 from perilune.outcome import PeriluneError
 from perilune.types import Physics
 from perilune.units import Scales, unit
+from perilune.verification import Check
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,9 @@ class Variable:
         unit(self.unit)
         if not self.lower < self.upper:
             raise PeriluneError(
-                f"bounds of {self.name} are empty", got=f"[{self.lower}, {self.upper}]", expected="lower < upper"
+                f"bounds of {self.name} are empty",
+                got=f"[{self.lower}, {self.upper}]",
+                expected="lower < upper",
             )
 
 
@@ -127,9 +130,9 @@ class Phase:
     path, path_conditions
         ``path(x, u, p, m)`` returns values that must not be negative on the phase.
     outputs, output_variables
-        ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables and figures.
+        ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
     typical_end
-        ``typical_end(p, m)`` returns a rough end state; only its order matters (it shapes a direct method's first mesh).
+        ``typical_end(p, m)`` returns a rough end state; only its order matters (a direct method starts there).
     """
 
     name: str
@@ -165,7 +168,7 @@ class Phase:
         """Record type of u."""
         return namedtuple("Control", self.control_names)
 
-    def rates(self, x: Sequence[Any], u: Sequence[Any], p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+    def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
         """Rates of the states for plain sequences x and u (each component may itself be an array)."""
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
@@ -204,6 +207,8 @@ class Problem:
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
         make no sense together.
+    bookkeeping
+        ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
     scales
         Canonical units.
     title
@@ -219,6 +224,7 @@ class Problem:
     objective: Physics
     objective_unit: str = "1"
     ranges: Physics | None = None
+    bookkeeping: Callable[[Any], Sequence[Check]] | None = None
     scales: Scales = field(default_factory=Scales)
     title: str = ""
 
@@ -226,7 +232,11 @@ class Problem:
         object.__setattr__(self, "given", MappingProxyType(dict(self.given)))
         if self.ranges is not None:
             found = self.ranges(self.parameters({}), NUMERIC)
-            free = (replace(f, lower=r[0], upper=r[1], typical=r[2]) for f in self.free if (r := found.get(f.name, _range(f))))
+            free = (
+                replace(f, lower=r[0], upper=r[1], typical=r[2])
+                for f in self.free
+                if (r := found.get(f.name, _range(f)))
+            )
             object.__setattr__(self, "free", tuple(free))
         _check_structure(self)
         _check_homogeneous(self)
@@ -361,7 +371,11 @@ def _values(problem: Problem, scales: Scales) -> list[tuple[str, str, float]]:
         add(f"outputs of {phase.name}", pairs(phase.output_variables), phase.evaluate("outputs", x, u, p))
         if k < len(problem.links):
             after = problem.phases[k + 1]
-            add(f"link to {after.name}", pairs(after.states), problem.links[k](phase.state_record(*x), p, NUMERIC))
+            add(
+                f"link to {after.name}",
+                pairs(after.states),
+                problem.links[k](phase.state_record(*x), p, NUMERIC),
+            )
     x, _ = points[-1]
     last = problem.phases[-1]
     add("objective", [("J", problem.objective_unit)], [problem.objective(last.state_record(*x), p, NUMERIC)])
@@ -372,11 +386,11 @@ def _check_homogeneous(problem: Problem) -> None:
     """Evaluate the physics in SI and in other units; a result that does not scale hides a dimensional constant."""
     # Incommensurate with each other, so that no power product of them is 1 by accident.
     scales = Scales(length=7.3, time=0.19, mass=23.0)
-    for (what, unit_text, si), (_, _, other) in zip(
-        _values(problem, Scales()), _values(problem, scales), strict=True
-    ):
+    for (what, unit_text, si), (_, _, other) in zip(_values(problem, Scales()), _values(problem, scales), strict=True):
         scaled = other * scales.of(unit_text)
-        if math.isfinite(si) and not math.isclose(si, scaled, rel_tol=1e-6, abs_tol=1e-9 * problem.scales.of(unit_text)):
+        if math.isfinite(si) and not math.isclose(
+            si, scaled, rel_tol=1e-6, abs_tol=1e-9 * problem.scales.of(unit_text)
+        ):
             raise PeriluneError(
                 f"the physics is not dimensionally homogeneous: {what}",
                 got=f"{si:.6g} computed in SI, {scaled:.6g} computed in other units",

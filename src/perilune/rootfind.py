@@ -1,7 +1,7 @@
 """Damped Newton for shooting: Cho et al. 2015 (23), (24) with alpha chosen by the natural monotonicity test.
 
-The step is dy = -J^-1 h. Damping alpha is accepted when the *simplified* correction |J^-1 h(y + alpha dy)| shrinks. That
-test does not change when rows of h are scaled, so metres and radians may stand side by side (Deuflhard, Newton
+The step is dy = -J^-1 h. Damping alpha is accepted when the *simplified* correction |J^-1 h(y + alpha dy)| shrinks.
+That test does not change when rows of h are scaled, so metres and radians may stand side by side (Deuflhard, Newton
 Methods for Nonlinear Problems, 2004, section 3.3).
 """
 
@@ -11,13 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgetrf, dgetrs
+from scipy.linalg.lapack import dgetrf, dgetrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from perilune.solution import Iteration
 from perilune.types import Matrix, Vector
 
 Residual = Callable[[Vector, bool], tuple[Vector, Matrix]]  # (y, with Jacobian) -> (h, J); NaN where undefined
 Watch = Callable[[Iteration], None]
+
+_ASTRAY = 1e100  # an iterate beyond this is lost, and its squares would overflow; a NaN compares as lost too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +47,12 @@ def damped_newton(
     Parameters
     ----------
     function
-        Residual and Jacobian; not evaluated with Jacobian on trial points.
+        Residual and Jacobian; damped trial points are evaluated without Jacobian first.
     y
         Start, shape (n,), canonical units.
     tolerance
-        On the largest component of the residual and, ten times wider, of the last undamped correction (relative).
+        On the largest component of the residual. The last correction must besides be undamped and below 1e-7, so that
+        the error, which Newton squares, is at round-off.
     max_step
         Largest component of one step; keeps a far start from leaving where arcs can be flown.
     watch
@@ -58,47 +61,51 @@ def damped_newton(
     history: list[Iteration] = []
     y = np.array(y, dtype=float)
     h, jacobian = function(y, True)
-    alpha, polish = 1.0, 0
+    alpha = 1.0
     for number in range(1, max_iterations + 1):
         factors = _factor(h, jacobian)
         if factors is None:
             break
         step = -dgetrs(*factors, h)[0]
         length = float(np.linalg.norm(step))
-        if not np.isfinite(length):
+        if not length < _ASTRAY:
             break
         alpha = min(1.0, 2.0 * alpha, max_step / max(float(np.max(np.abs(step))), 1e-300))
-        accepted = None
-        while alpha > 1e-4:
-            trial = y + alpha * step
-            h_trial, _ = function(trial, False)
-            if np.all(np.isfinite(h_trial)):
-                simplified = float(np.linalg.norm(dgetrs(*factors, h_trial)[0]))
-                if simplified <= (1.0 - 0.5 * alpha) * length or length < 1e-12 * (1 + float(np.linalg.norm(y))):
-                    accepted = trial
-                    break
-            alpha *= 0.5
-        small = length <= 10 * tolerance * (1.0 + float(np.linalg.norm(y)))
-        if accepted is None:
-            if small and float(np.max(np.abs(h))) <= tolerance:  # already at round-off: nothing left to gain
-                return Root(y=y, residual=h, jacobian=jacobian, converged=True, history=tuple(history))
-            break
-        y = accepted
-        h, jacobian = function(y, True)
+        settled = length <= 1e-7 * (1.0 + float(np.linalg.norm(y)))
+        taken = _damp(function, y, step, factors, alpha)
+        if taken is None:
+            # At round-off no step is an improvement: that is a root, if the residual says so.
+            done = settled and float(np.max(np.abs(h))) <= tolerance
+            return Root(y=y, residual=h, jacobian=jacobian, converged=done, history=tuple(history))
+        y, h, jacobian, alpha = taken
         iteration = Iteration(number=number, residual=float(np.max(np.abs(h))), step=length, damping=alpha)
         history.append(iteration)
         if watch is not None:
             watch(iteration)
-        if alpha == 1.0 and iteration.residual <= tolerance:
-            polish += 1
-            if small or polish >= 3:
-                return Root(y=y, residual=h, jacobian=jacobian, converged=True, history=tuple(history))
+        if alpha == 1.0 and iteration.residual <= tolerance and settled:
+            return Root(y=y, residual=h, jacobian=jacobian, converged=True, history=tuple(history))
     return Root(y=y, residual=h, jacobian=jacobian, converged=False, history=tuple(history))
+
+
+def _damp(
+    function: Residual, y: Vector, step: Vector, factors: tuple[Matrix, Vector], alpha: float
+) -> tuple[Vector, Vector, Matrix, float] | None:
+    """(y, h, J, alpha) after the longest step that passes the natural monotonicity test; None where none does."""
+    length, size = float(np.linalg.norm(step)), float(np.linalg.norm(y))
+    while alpha > 1e-4:
+        trial = y + alpha * step
+        h, jacobian = function(trial, alpha == 1.0)
+        if np.max(np.abs(h)) < _ASTRAY:
+            simplified = float(np.linalg.norm(dgetrs(*factors, h)[0]))
+            if simplified <= (1.0 - 0.5 * alpha) * length or length < 1e-12 * (1 + size):
+                return trial, h, jacobian if alpha == 1.0 else function(trial, True)[1], alpha
+        alpha *= 0.5
+    return None
 
 
 def _factor(h: Vector, jacobian: Matrix) -> tuple[Matrix, Vector] | None:
     """LAPACK's LU factors and pivots; None where anything is not finite or the matrix is singular."""
-    if not (np.all(np.isfinite(h)) and np.all(np.isfinite(jacobian))):
+    if not (np.max(np.abs(h), initial=0.0) < _ASTRAY and np.max(np.abs(jacobian), initial=0.0) < _ASTRAY):
         return None
     lu, pivots, info = dgetrf(jacobian)
     return (lu, pivots) if info == 0 else None

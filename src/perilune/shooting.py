@@ -9,15 +9,36 @@ The derivative of an arc's end by all unknowns is carried from arc to arc: S(T) 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from perilune.kernels.mapped import compile_map
 from perilune.pontryagin import Conditions
-from perilune.propagate import ArcStatus, propagator
+from perilune.propagate import engine
 from perilune.rootfind import Root, Watch, damped_newton
 from perilune.types import Matrix, Vector
+
+
+@lru_cache(maxsize=128)
+def _compiled(function: ca.Function) -> Callable[..., list[Matrix]]:
+    """The function as machine code: arguments as vectors, its outputs as dense matrices."""
+    symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
+    outputs = function.call(symbols)
+    shapes = [tuple(o.shape) for o in outputs]
+    kept = [i for i, size in enumerate(function.size1_in(i) for i in range(function.n_in())) if size]
+    flat = ca.vertcat(*[ca.vec(ca.densify(o).T) for o in outputs])  # row by row, as NumPy reads them
+    mapped = compile_map(ca.Function("flat", [symbols[i] for i in kept], [flat]))
+    cuts = np.cumsum([rows * columns for rows, columns in shapes])[:-1]
+
+    def call(*arguments: Vector) -> list[Matrix]:
+        values = mapped(*[arguments[i] for i in kept])[0]
+        return [part.reshape(shape) for part, shape in zip(np.split(values, cuts), shapes, strict=True)]
+
+    return call
 
 
 class Shooting:
@@ -67,7 +88,7 @@ class Shooting:
             return np.full(total, np.nan), np.full((total, total), np.nan)
         ends, end_jacobians, gaps, gap_jacobians = flown
         y = Y[: self._size]
-        h, h_y, h_z = (np.array(out) for out in self.conditions.residual(y, np.concatenate(ends), p))
+        h, h_y, h_z = _compiled(self.conditions.residual)(y, np.concatenate(ends), p)
         h = h.ravel()
         J = np.zeros((0, 0))
         if jacobian:
@@ -84,7 +105,9 @@ class Shooting:
             J = np.vstack([J, *gap_jacobians]) if jacobian else J
         return h, J
 
-    def root(self, Y: Vector, p: Vector, held: Mapping[int, float], watch: Watch | None = None, **settings: Any) -> Root:
+    def root(
+        self, Y: Vector, p: Vector, held: Mapping[int, float], watch: Watch | None = None, **settings: Any
+    ) -> Root:
         """Damped Newton from Y, with the free parameters `held` at exactly their values."""
         at = self.conditions.free_at.start
         Y = np.array(Y, dtype=float)
@@ -99,12 +122,18 @@ class Shooting:
         """dJ/dq of each free parameter q along the family of extremals, canonical, held or not."""
         return self(Y, p, {}, jacobian=False)[0][self.conditions.stationarity_at]
 
+    def ends(self, y: Vector, p: Vector) -> list[Vector]:
+        """Canonical z at the end of each phase, flown from y; NaN where an arc is lost."""
+        flown = self._fly(y, p, False)
+        return flown[0] if flown is not None else [np.full(2 * e.half, np.nan) for e in self.conditions.phases]
+
     def joints(self, y: Vector, p: Vector) -> Vector | None:
         """Y for this number of segments from y alone: the states at the joints are those of a flight in one piece."""
         before, nodes = np.zeros(0), [y]
         for k, start in enumerate(self.conditions.starts):
-            z0, duration = (np.array(out).ravel() for out in start(y, before, p)[:2])
-            curve = propagator(self.conditions.phases[k].rhs, 0).dense(z0, p, float(duration[0]))
+            z0, duration = (out.ravel() for out in _compiled(start)(y, before, p)[:2])
+            extremal = self.conditions.phases[k]
+            curve = engine(extremal, 0).dense(z0, p, float(duration[0]), mode=extremal.mode(z0, p))
             at = curve(np.linspace(0.0, float(duration[0]), self.segments + 1))
             if not np.all(np.isfinite(at)):
                 return None
@@ -112,12 +141,12 @@ class Shooting:
             before = at[-1]
         return np.concatenate(nodes)
 
-    def _fly(self, Y: Vector, p: Vector, jacobian: bool):  # noqa: ANN202 - (ends, dends/dY, gaps, dgaps/dY) or None
+    def _fly(self, Y: Vector, p: Vector, jacobian: bool):
         y, total = Y[: self._size], len(Y)
         ends, end_jacobians, gaps, gap_jacobians = [], [], [], []
         z, dz, at = np.zeros(0), np.zeros((0, total)), self._size
         for k, start in enumerate(self.conditions.starts):
-            z0, duration, z0_y, z0_before, T_y = (np.array(out) for out in start(y, z, p))
+            z0, duration, z0_y, z0_before, T_y = _compiled(start)(y, z, p)
             z0 = z0.ravel()
             T, dT = float(duration[0, 0]) / self.segments, np.zeros(total)
             dT[: self._size] = T_y.ravel() / self.segments
@@ -140,19 +169,26 @@ class Shooting:
             end_jacobians.append(dz)
         return ends, end_jacobians, gaps, gap_jacobians
 
-    def _arc(self, phase: int, z: Vector, dz: Matrix, T: float, dT: Vector, p: Vector, jacobian: bool):  # noqa: ANN202
+    def _arc(self, phase: int, z: Vector, dz: Matrix, T: float, dT: Vector, p: Vector, jacobian: bool):
         """End of an arc and its derivative by all unknowns, or None."""
         if not (np.all(np.isfinite(z)) and np.isfinite(T)):
             return None
         moving = np.nonzero(np.any(dz != 0.0, axis=0))[0] if jacobian else np.zeros(0, dtype=int)
-        basis = dz[:, moving]
-        arc = propagator(self.conditions.phases[phase].rhs, len(moving)).propagate(z, p, T, basis, rtol=self.rtol, atol=self.rtol)
+        extremal = self.conditions.phases[phase]
+        arc = engine(extremal, len(moving)).propagate(
+            z,
+            p,
+            T,
+            dz[:, moving] if jacobian else None,
+            rtol=self.rtol,
+            atol=self.rtol,
+            mode=extremal.mode(z, p),
+        )
         self.arcs += 1
-        if arc.status is not ArcStatus.REACHED:
+        if not arc.succeeded[0]:
             return None
         out = np.zeros_like(dz)
         if jacobian:
-            out[:, moving] = arc.columns
-            rate = np.array(self.conditions.phases[phase].rhs(arc.z, p)).ravel()
-            out += np.outer(rate, dT)
-        return arc.z, out
+            out[:, moving] = arc.columns[0]
+            out += np.outer(_compiled(extremal.modes[int(arc.mode[0])])(arc.z[0], p)[0], dT)
+        return arc.z[0], out

@@ -6,7 +6,7 @@ record: what is exported is exactly what the verifier flies. `hermite_nodes` cho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
@@ -46,7 +46,9 @@ class Curve:
         left, right = self.values[i], self.values[i + 1]
         slope_left, slope_right = self.rates[i] * h, self.rates[i + 1] * h
         jump = right - left
-        out = left + s * (slope_left + s * (3 * jump - 2 * slope_left - slope_right + s * (slope_left + slope_right - 2 * jump)))
+        out = left + s * (
+            slope_left + s * (3 * jump - 2 * slope_left - slope_right + s * (slope_left + slope_right - 2 * jump))
+        )
         return out if np.ndim(t) else out[0]
 
 
@@ -77,6 +79,22 @@ class Trajectory:
     def duration(self) -> float:
         """Length of the phase [s]."""
         return float(self.state.time[-1])
+
+
+class Deferred(Sequence[Trajectory]):
+    """Trajectories that are made when first looked at: most members of a table never are."""
+
+    def __init__(self, count: int, make: Callable[[], tuple[Trajectory, ...]]) -> None:
+        self._count, self._make = count, make
+        self._made: tuple[Trajectory, ...] | None = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Any:
+        if self._made is None:
+            self._made = self._make()
+        return self._made[index]
 
 
 class Nature(Enum):
@@ -152,7 +170,7 @@ class Solution:
     outcome: Outcome
     objective: float
     free: Mapping[str, float]
-    trajectories: tuple[Trajectory, ...]
+    trajectories: Sequence[Trajectory]
     multipliers: Mapping[str, float] = field(default_factory=dict)
     extremals: tuple[Extremal, ...] = ()
     unknowns: Vector | None = None
@@ -205,5 +223,8 @@ def hermite_nodes(
             break
         at = bad + 1
         time = np.insert(time, at, middle[bad])
-        values, rates = np.insert(values, at, exact[bad], axis=0), np.insert(rates, at, exact_rates[bad], axis=0)
+        values, rates = (
+            np.insert(values, at, exact[bad], axis=0),
+            np.insert(rates, at, exact_rates[bad], axis=0),
+        )
     return time

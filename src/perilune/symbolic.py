@@ -23,7 +23,7 @@ SYMBOLIC = SimpleNamespace(**{name: getattr(ca, name) for name in NUMPY_NAMES})
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """Symbols of all parameters of a problem: `given` in the order of `Problem.given`, `free` in that of `Problem.free`."""
+    """Symbols of a problem's parameters: `given` in the order of `Problem.given`, `free` in that of `Problem.free`."""
 
     given: ca.SX
     free: ca.SX

@@ -1,8 +1,8 @@
 """Units: text to SI once at the boundary, SI to canonical (scaled) units once before the mathematics.
 
 A quantity is a number and a product of powers of whitelisted units, such as ``"4902.7779 km^3/s^2"``. Nothing is
-evaluated: the grammar is a number, then ``unit[^integer]`` joined by ``*`` or ``/``. A general unit library would accept
-arithmetic in the text, which a scenario from a stranger must not have.
+evaluated: the grammar is a number, then ``unit[^integer]`` joined by ``*`` or ``/``. A general unit library would
+accept arithmetic in the text, which a scenario from a stranger must not have.
 
 `Scales` holds one length, one time and one mass. As physics is dimensionally homogeneous, the same dynamics run
 unchanged in canonical units when states *and* parameters are divided by the scale of their unit; `Problem` tests that.

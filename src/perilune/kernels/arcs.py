@@ -1,0 +1,239 @@
+"""The records of arc propagation: what is asked (`Event`), what comes back, how it ended.
+
+An arc is the flight of z' = f(z, p) over a duration; an event is a zero of g(z, p) met on the way, at which
+the arc ends, or goes on in another mode of the dynamics (thrust off, next layer of the atmosphere) and from
+another state if the event has a jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from perilune.outcome import PeriluneError
+from perilune.types import Batch, Matrix, Vector
+
+#: Events recorded for each lane; an arc that meets more ends with `ArcStatus.STEP_LIMIT`.
+MAX_EVENTS = 16
+#: Step attempts allowed to an arc when nothing else is asked.
+MAX_STEPS = 5000
+
+#: What the machine code is handed: one table of pointers and whole numbers, in this order.
+TABLE = (
+    "lanes",
+    "order",
+    "z0",
+    "p",
+    "p_stride",
+    "duration",
+    "seeds",
+    "rtol",
+    "atol",
+    "mode",
+    "max_steps",
+    "fixed_steps",
+    "z",
+    "columns",
+    "info",
+    "log",
+    "nodes",
+)
+#: What is reported of each lane, as doubles.
+INFO = ("time", "status", "steps", "mode", "events")
+
+
+class ArcStatus(IntEnum):
+    """How an arc ended."""
+
+    REACHED = 0  # flown for its whole duration
+    EVENT = 1  # at a terminal event
+    STEP_LIMIT = 2  # out of steps (or of room for events)
+    NON_FINITE = 3  # a NaN or an infinity that no smaller step avoids
+    STALLED = 4  # the step fell below what the duration resolves
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """A zero crossing to be met.
+
+    Parameters
+    ----------
+    function
+        SX ``casadi.Function`` (z, p) -> g, a scalar, smooth near its zero.
+    direction
+        -1: g falls through zero as the flight proceeds, +1: rises, 0: either.
+    terminal
+        Whether the arc ends there.
+    switches
+        Mode before -> mode after. An event that switches is watched in the modes it names, others in every
+        mode.
+    jump
+        SX ``casadi.Function`` (z, p) -> z after the event; None for a continuous state.
+    """
+
+    function: Any
+    direction: int = 0
+    terminal: bool = False
+    switches: Mapping[int, int] = field(default_factory=dict)
+    jump: Any = None
+
+    def __post_init__(self) -> None:
+        """Check the direction and that something happens only once."""
+        if self.direction not in (-1, 0, 1):
+            raise PeriluneError("the direction of an event", got=str(self.direction), expected="-1, 0 or 1")
+        if self.terminal and (self.switches or self.jump is not None):
+            raise PeriluneError(
+                "an event cannot end the arc and change its dynamics as well",
+                advice="drop terminal=True, or the switches and the jump",
+            )
+
+    def watched(self, mode: int) -> bool:
+        """Whether it is looked for in a mode."""
+        return mode in self.switches if self.switches else True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arcs:
+    """Ends of a batch of arcs.
+
+    Attributes
+    ----------
+    z
+        Shape (lanes, nz).
+    columns
+        S at the end, (lanes, nz, nc); with nc = 0 where none were asked. At a terminal event S is taken at
+        the fixed time of the event; the shift of that time is -(dg/dz S)/(dg/dz f).
+    time
+        Time flown, (lanes,); the duration unless an event or a failure ended the arc.
+    status
+        `ArcStatus` of each lane, (lanes,), int64.
+    steps
+        Steps taken, (lanes,), int64.
+    mode
+        Mode at the end, (lanes,), int64.
+    event_index, event_time
+        Events met in order, (lanes, MAX_EVENTS): their index (-1: none) and their time (NaN: none).
+    """
+
+    z: Matrix
+    columns: Batch
+    time: Vector
+    status: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    mode: NDArray[np.int64]
+    event_index: NDArray[np.int64]
+    event_time: Matrix
+
+    @property
+    def succeeded(self) -> NDArray[np.bool_]:
+        """Lanes that reached their end or a terminal event."""
+        return (self.status == ArcStatus.REACHED) | (self.status == ArcStatus.EVENT)
+
+
+class Engine(Protocol):
+    """What `compile_arcs` returns, whichever way it computes."""
+
+    backend: str
+    system: Any
+
+    def propagate(
+        self,
+        z0: ArrayLike,
+        p: ArrayLike,
+        duration: ArrayLike,
+        columns: ArrayLike | None = None,
+        **settings: Any,
+    ) -> Arcs:
+        """Fly a batch of arcs; see `kernels.engine.NativeEngine.propagate`."""
+        ...
+
+    def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> Any:
+        """Fly one arc and return it as a function of time; see `kernels.dense.DenseArc`."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A batch as the integrators take it: contiguous arrays of one shape for all."""
+
+    z0: Matrix  # (lanes, nz)
+    p: Matrix  # (lanes, np) or (1, np) for all lanes
+    duration: Vector  # (lanes,)
+    seeds: Batch | None  # (lanes, nz, nc)
+    rtol: Vector  # (lanes,)
+    atol: Vector  # (lanes,)
+    mode: NDArray[np.int64]  # (lanes,)
+    max_steps: int
+    fixed_steps: int
+
+
+def request(
+    sizes: tuple[int, int, int],
+    modes: int,
+    z0: ArrayLike,
+    p: ArrayLike,
+    duration: ArrayLike,
+    columns: ArrayLike | None,
+    *,
+    rtol: ArrayLike = 1e-12,
+    atol: ArrayLike = 1e-12,
+    fixed_steps: int | None = None,
+    max_steps: int = MAX_STEPS,
+    mode: ArrayLike = 0,
+) -> Request:
+    """Check a call of `propagate` and bring it to one form.
+
+    Raises
+    ------
+    PeriluneError
+        On shapes that do not fit (nz, np, nc) = `sizes`, or a mode that does not exist.
+    """
+    nz, parameters, nc = sizes
+    start = np.ascontiguousarray(np.atleast_2d(np.asarray(z0, dtype=float)))
+    lanes = len(start)
+    if start.shape != (lanes, nz):
+        raise PeriluneError("z0 has the wrong shape", got=str(np.shape(z0)), expected=f"(lanes, {nz})")
+    values = np.ascontiguousarray(np.atleast_2d(np.asarray(p, dtype=float)))
+    if values.shape not in ((1, parameters), (lanes, parameters)):
+        raise PeriluneError(
+            "p has the wrong shape",
+            got=str(np.shape(p)),
+            expected=f"({parameters},) or ({lanes}, {parameters})",
+        )
+    seeds = None
+    if columns is not None and nc:
+        seeds = np.ascontiguousarray(np.asarray(columns, dtype=float).reshape((-1, *np.shape(columns)[-2:])))
+        if seeds.shape == (1, nz, nc):
+            seeds = np.ascontiguousarray(np.broadcast_to(seeds, (lanes, nz, nc)))
+        if seeds.shape != (lanes, nz, nc):
+            raise PeriluneError(
+                "the seeds of the columns have the wrong shape",
+                got=str(np.shape(columns)),
+                expected=f"({lanes}, {nz}, {nc})",
+            )
+    starting = _per_lane(mode, lanes, "mode").astype(np.int64)
+    if np.any((starting < 0) | (starting >= modes)):
+        raise PeriluneError("an arc starts in a mode that does not exist", got=str(mode), expected=f"0 to {modes - 1}")
+    return Request(
+        z0=start,
+        p=values,
+        duration=_per_lane(duration, lanes, "duration"),
+        seeds=seeds,
+        rtol=_per_lane(rtol, lanes, "rtol"),
+        atol=_per_lane(atol, lanes, "atol"),
+        mode=starting,
+        max_steps=int(max_steps),
+        fixed_steps=int(fixed_steps or 0),
+    )
+
+
+def _per_lane(value: ArrayLike, lanes: int, name: str) -> Vector:
+    array = np.asarray(value, dtype=float)
+    if array.shape not in ((), (1,), (lanes,)):
+        raise PeriluneError(f"{name} has the wrong shape", got=str(array.shape), expected=f"() or ({lanes},)")
+    return np.ascontiguousarray(array) if array.shape == (lanes,) else np.full(lanes, array.ravel()[0])

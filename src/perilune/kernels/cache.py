@@ -1,0 +1,148 @@
+"""Machine code kept on disk between processes.
+
+A file is one object: a line that says what it is, the SHA-256 digest of the content, and the content. Its
+name is the digest of all that the code depends on: expressions, this package's own source, processor and
+versions. Writing goes to a file of its own that is then renamed, so that a second process or a killed writer
+never shows half a file; a file whose digest does not fit is removed and made anew. Nothing is ever unpickled.
+
+The directory is that of the operating system for caches, or the environment variable ``PERILUNE_CACHE``. It
+must be writable by its owner alone, since code from it is run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+_HEADER = b"perilune machine code 1\n"
+_SUFFIX = ".code"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CacheReport:
+    """What `doctor` shows: where, how many files, how many bytes, whether it can be used."""
+
+    path: Path
+    files: int
+    size: int
+    usable: bool
+
+
+def directory() -> Path:
+    """Return where objects are kept; it need not exist."""
+    if chosen := os.environ.get("PERILUNE_CACHE"):
+        return Path(chosen)
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "perilune" / "kernels"
+
+
+@lru_cache(maxsize=1)
+def source_digest() -> str:
+    """Return the digest of the code that generates code, so that no older version's object is taken."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def key(*parts: str) -> str:
+    """Digest of everything an object depends on."""
+    digest = hashlib.sha256()
+    for part in (source_digest(), *parts):
+        digest.update(f"{len(part)}:".encode() + part.encode())
+    return digest.hexdigest()
+
+
+def load(name: str) -> bytes | None:
+    """Return the object of a key, or None; a file that is not what was written is removed."""
+    path = directory() / (name + _SUFFIX)
+    try:
+        if not _owned(path.parent) or not _owned(path):
+            return None
+        content = path.read_bytes()
+    except OSError:
+        return None
+    body = content[len(_HEADER) + 32 :]
+    # The name is in the digest: a file copied to another's name is foreign, whole though it is.
+    if content.startswith(_HEADER) and content[len(_HEADER) : len(_HEADER) + 32] == _digest(name, body):
+        return body
+    with suppress(OSError):
+        path.unlink()
+    return None
+
+
+def save(name: str, body: bytes) -> bool:
+    """Keep an object; returns False where the directory cannot be written, which is no error."""
+    folder = directory()
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(_HEADER + _digest(name, body) + body)
+            os.replace(temporary, folder / (name + _SUFFIX))
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(temporary)
+            raise
+    except OSError:
+        return False
+    return True
+
+
+def fetch(name: str, build: Callable[[], bytes], *, enabled: bool) -> bytes:
+    """Return the object from disk, or build and keep it."""
+    if not enabled:
+        return build()
+    body = load(name)
+    if body is None:
+        body = build()
+        save(name, body)
+    return body
+
+
+def report() -> CacheReport:
+    """Return the state of the cache."""
+    folder = directory()
+    files = list(folder.glob(f"*{_SUFFIX}")) if folder.is_dir() else []
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    return CacheReport(
+        path=folder,
+        files=len(files),
+        size=sum(f.stat().st_size for f in files),
+        usable=os.access(existing, os.W_OK) and (not folder.exists() or _owned(folder)),
+    )
+
+
+def clear() -> int:
+    """Remove every object and every leftover of a killed writer; returns how many."""
+    folder, removed = directory(), 0
+    for path in [*folder.glob(f"*{_SUFFIX}"), *folder.glob("*.part")] if folder.is_dir() else []:
+        with suppress(OSError):
+            path.unlink()
+            removed += 1
+    return removed
+
+
+def _digest(name: str, body: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + b"\n" + body).digest()
+
+
+def _owned(path: Path) -> bool:
+    """Whether nobody but this user could have written it (where the operating system tells)."""
+    if not hasattr(os, "getuid"):
+        return True
+    status = path.stat()
+    return status.st_uid == os.getuid() and not status.st_mode & 0o022

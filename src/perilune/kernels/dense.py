@@ -1,0 +1,109 @@
+"""One arc as a function of time: DOP853's dense output, of order 7, piece by piece.
+
+The stages of all steps are computed at once from their starts, so that the stepping loop has nothing to
+store but the starts; the same text serves machine code and interpreter.
+
+Source: Hairer, Norsett, Wanner, *Solving ODEs I*, section II.6; coefficients in `tableau`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from perilune.kernels import tableau
+from perilune.kernels.arcs import Arcs
+from perilune.types import Batch, Matrix, Vector
+
+Rates = Callable[[Matrix, Vector], Matrix]
+
+
+def _matrix(rows: tuple[dict[int, float], ...]) -> Matrix:
+    result = np.zeros((len(rows), tableau.DENSE_STAGES))
+    for i, row in enumerate(rows):
+        result[i, list(row)] = list(row.values())
+    return result
+
+
+@cache
+def _tables() -> tuple[Matrix, Vector, Matrix]:
+    return _matrix(tableau.A), _matrix((tableau.B,))[0], _matrix(tableau.D)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenseArc:
+    """An arc that can be called.
+
+    Attributes
+    ----------
+    t
+        Times of the nodes, (nodes,): the ends of the steps, events among them.
+    z
+        States there, (nodes, nz); at an event with a jump, the state after it.
+    mode
+        Mode of each step, (nodes - 1,).
+    end
+        How and where the flight ended.
+    """
+
+    t: Vector
+    z: Matrix
+    mode: Vector
+    end: Arcs
+    _pieces: Batch  # (8, steps, nz): start, and the seven terms of the interpolant
+    _lengths: Vector
+
+    def __call__(self, t: ArrayLike) -> Matrix:
+        """Return z at times, (nz,) for a number and (n, nz) for (n,); outer pieces go on beyond the ends."""
+        times = np.atleast_1d(np.asarray(t, dtype=float))
+        if not len(self._lengths):
+            values = np.repeat(self.z[:1], len(times), axis=0)
+        else:
+            sign = 1.0 if self.t[-1] >= self.t[0] else -1.0
+            i = np.clip(np.searchsorted(sign * self.t, sign * times, side="right") - 1, 0, len(self._lengths) - 1)
+            s = ((times - self.t[i]) / self._lengths[i])[:, None]
+            values = np.zeros((len(times), self.z.shape[1]))
+            for k in range(7, 0, -1):
+                values = (values + self._pieces[k][i]) * (s if k % 2 else 1.0 - s)
+            values += self._pieces[0][i]
+        return values if np.ndim(t) else values[0]
+
+
+def dense_arc(end: Arcs, nodes: Matrix, rates: Rates) -> DenseArc:
+    """Build the interpolant.
+
+    Parameters
+    ----------
+    end
+        The flight, of one lane.
+    nodes
+        Start of each step taken: time, length, mode, z; (steps, 3 + nz).
+    rates
+        (points (n, nz), modes (n,)) -> z' (n, nz).
+    """
+    t, h, mode, start = nodes[:, 0], nodes[:, 1][:, None], np.ascontiguousarray(nodes[:, 2]), nodes[:, 3:]
+    slopes = np.zeros((tableau.DENSE_STAGES, *start.shape))
+    weights, final, interpolant = _tables()
+    flat = slopes.reshape(tableau.DENSE_STAGES, -1)
+    slopes[0] = rates(start, mode)
+    for stage in range(1, tableau.STAGES):
+        slopes[stage] = rates(start + h * (weights[stage] @ flat).reshape(start.shape), mode)
+    after = start + h * (final @ flat).reshape(start.shape)
+    slopes[12] = rates(after, mode)
+    for stage in range(13, tableau.DENSE_STAGES):
+        slopes[stage] = rates(start + h * (weights[stage] @ flat).reshape(start.shape), mode)
+    change = after - start
+    low = [start, change, h * slopes[0] - change, 2 * change - h * (slopes[0] + slopes[12])]
+    high = h * np.tensordot(interpolant, slopes, 1)
+    return DenseArc(
+        t=np.append(t, end.time[0]),
+        z=np.vstack([start, end.z]),
+        mode=mode,
+        end=end,
+        _pieces=np.concatenate([np.array(low), high]),
+        _lengths=h[:, 0],
+    )

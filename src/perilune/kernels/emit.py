@@ -1,0 +1,98 @@
+"""A straight-line program as a function of machine code, one lane per trajectory.
+
+Each value of the program is one LLVM instruction on a vector of lanes; the arguments and the result are
+buffers of vectors. LLVM chooses registers and order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from perilune.kernels import vecmath
+from perilune.kernels.ir import Writer
+from perilune.kernels.program import Program
+
+_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+_INTRINSICS = {"sqrt", "fabs", "copysign", "floor", "ceil"}
+_COMPARISONS = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
+
+
+def kernel(name: str, program: Program, arguments: Iterable[int], width: int) -> str:
+    """Return the IR of ``void name(inputs..., result)``, each a pointer to vectors of `width` lanes.
+
+    Parameters
+    ----------
+    name
+        Name of the function in the module, without ``@``.
+    program
+        What to compute.
+    arguments
+        Which arguments of the program the function takes, in order.
+    width
+        Number of lanes.
+    """
+    w = Writer(width)
+    values: list[str] = []
+    for op, *operands in program.instructions:
+        if op == "input":
+            values.append(w.load(f"%in{operands[0]}", operands[1]))
+        elif op == "const":
+            values.append(w.const(float.fromhex(operands[0])))
+        else:
+            values.append(operation(w, op, *(values[i] for i in operands)))
+    for index, value in enumerate(program.outputs):
+        w.store(values[value], "%out", index)
+    pointers = ", ".join(f"ptr noalias nocapture readonly align 8 %in{i}" for i in arguments)
+    return (
+        f"define internal void @{name}({pointers}, "
+        "ptr noalias nocapture writeonly align 8 %out) nounwind {\n"
+        f"{w.body()}\n  ret void\n}}\n"
+    )
+
+
+def library(programs: list[Program], width: int) -> str:
+    """Return the IR of the transcendental functions that these programs call."""
+    used = {op for program in programs for op in program.operations if op in vecmath.NAMES}
+    return vecmath.definitions(width, used)
+
+
+def operation(w: Writer, op: str, *operands: str) -> str:
+    """Append one operation; every name of `program.OPERATIONS` that survives tracing is known."""
+    if op in _ARITHMETIC:
+        return w.arith(_ARITHMETIC[op], *operands)
+    if op in _INTRINSICS:
+        return w.intrinsic(op, *operands)
+    if op == "neg":
+        return w.neg(*operands)
+    if op in _COMPARISONS:
+        return _number(w, w.compare(_COMPARISONS[op], *operands))
+    if op in vecmath.NAMES:
+        return vecmath.call(w, op, *operands)
+    return _logic(w, op, *operands)
+
+
+def _logic(w: Writer, op: str, *operands: str) -> str:
+    zero = w.const(0.0)
+    true = [w.compare("une", x, zero) for x in operands]
+    match op:
+        case "not":
+            return _number(w, w.compare("oeq", operands[0], zero))
+        case "and":
+            return _number(w, w.both(*true))
+        case "or":
+            return _number(w, w.either(*true))
+        case "if_else_zero":
+            return w.select(true[0], operands[1], zero)
+        case "sign":
+            x = operands[0]
+            signed = w.intrinsic("copysign", w.const(1.0), x)
+            return w.select(w.compare("one", x, zero), signed, x)  # zero and NaN are their own sign
+        case "fmin" | "fmax":  # NaN of either argument is kept, where C's fmin would hide it
+            a, b = operands
+            first = w.compare("olt" if op == "fmin" else "ogt", a, b)
+            return w.select(w.either(first, w.compare("uno", a, a)), a, b)
+    raise KeyError(op)
+
+
+def _number(w: Writer, mask: str) -> str:
+    return w.select(mask, w.const(1.0), w.const(0.0))

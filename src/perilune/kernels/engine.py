@@ -1,0 +1,240 @@
+"""Arcs as machine code: compiled when first needed, kept on disk, flown on every core.
+
+Four lanes are the width that measures fastest (the stages of eight leave the first cache); one lane is for a
+single arc. Each pair (columns or not, lanes) is an object of its own, compiled when first asked for.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from perilune.kernels import cache as disk, native
+from perilune.kernels.arcs import MAX_EVENTS, TABLE, Arcs, Engine, Event, Request, request
+from perilune.kernels.dense import DenseArc, dense_arc
+from perilune.kernels.system import ArcSystem
+from perilune.outcome import PeriluneError
+from perilune.types import Matrix, Vector
+
+_LOG = logging.getLogger("perilune.kernels")
+LANES = 4
+_GROUPS_PER_THREAD = 16  # below this a second thread costs more than it gives
+_told: list[str] = []  # the fallback is mentioned once for each process
+
+
+def compile_arcs(
+    rhs: Any | Sequence[Any],
+    *,
+    columns: int | NDArray[np.bool_] = 0,
+    events: Sequence[Event] = (),
+    cache: bool = True,
+    backend: str | None = None,
+) -> Engine:
+    """Make an engine that flies arcs of z' = rhs(z, p).
+
+    Parameters
+    ----------
+    rhs
+        SX ``casadi.Function`` (z[nz], p[np]) -> z'[nz], or one for each mode of the dynamics.
+    columns
+        Number nc of variational columns S' = (drhs/dz) S; or which entries of S(0) may be nonzero, bool (nz,
+        nc), which lets those that stay zero be left out.
+    events
+        Zero crossings to meet.
+    cache
+        Whether to keep the machine code on disk.
+    backend
+        "native", "interpreter", or None: native where llvmlite is installed.
+
+    Raises
+    ------
+    PeriluneError
+        On an operation without machine code, on functions that do not fit together, or an unknown backend.
+    """
+    modes = tuple(rhs) if isinstance(rhs, Sequence) else (rhs,)
+    seeds = (
+        np.ones((modes[0].size1_in(0), columns), dtype=bool) if isinstance(columns, int) else np.array(columns, bool)
+    )
+    system = ArcSystem(modes=modes, events=tuple(events), seeds=seeds)
+    if backend not in (None, "native", "interpreter"):
+        raise PeriluneError("no such backend", got=repr(backend), expected="native, interpreter or None")
+    if backend == "native" or (backend is None and native.available()):
+        return NativeEngine(system, cache=cache)
+    from perilune.kernels.interpreter import InterpretedEngine
+
+    if backend is None and not _told:
+        _told.append("told")
+        _LOG.warning("llvmlite is not installed: arcs are flown by CasADi's interpreter, some hundred times slower")
+    return InterpretedEngine(system)
+
+
+class NativeEngine:
+    """Flies arcs of one `ArcSystem` in machine code. Use `compile_arcs`."""
+
+    backend = "native"
+
+    def __init__(self, system: ArcSystem, *, cache: bool) -> None:
+        self.system = system
+        self._bare = system.without_columns() if system.nc else system
+        self._cache = cache
+        self._code: dict[tuple[bool, int], native.MachineCode] = {}
+        self._calls: dict[tuple[bool, int], Callable[..., None]] = {}
+        self._rate: Callable[..., None] | None = None
+
+    def _object(self, columns: bool, width: int) -> native.MachineCode:
+        which = (columns, width)
+        if which not in self._code:
+            system = self.system if columns else self._bare
+
+            def build() -> bytes:
+                from perilune.kernels.driver import Driver
+
+                return native.compile_ir(Driver(system, width).module())
+
+            name = disk.key(system.key, str(width), *native.processor(), *native.versions())
+            self._code[which] = native.MachineCode(disk.fetch(name, build, enabled=self._cache))
+        return self._code[which]
+
+    def propagate(
+        self,
+        z0: ArrayLike,
+        p: ArrayLike,
+        duration: ArrayLike,
+        columns: ArrayLike | None = None,
+        *,
+        threads: int | None = None,
+        **settings: Any,
+    ) -> Arcs:
+        """Fly a batch of arcs.
+
+        Parameters
+        ----------
+        z0
+            Starts, (lanes, nz) or (nz,).
+        p
+            Parameters, (np,) for all lanes or (lanes, np).
+        duration
+            Lengths, (lanes,) or one for all; negative flies backward.
+        columns
+            S(0), (lanes, nz, nc) or (nz, nc); None flies without columns.
+        threads
+            Cores to use; None: all, where the batch is wide enough.
+        **settings
+            `rtol`, `atol` (1e-12; numbers or one for each lane) for the local error of z: columns ride along;
+            `fixed_steps` takes that many equal steps instead; `max_steps` attempts; `mode` at the start.
+
+        Raises
+        ------
+        PeriluneError
+            On shapes that do not fit.
+        """
+        asked = request(
+            (self.system.nz, self.system.np, self.system.nc),
+            len(self.system.modes),
+            z0,
+            p,
+            duration,
+            columns,
+            **settings,
+        )
+        return self._fly(asked, threads)[0]
+
+    def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> DenseArc:
+        """Fly one arc and return it as a function of time; settings as for `propagate`."""
+        asked = request((self.system.nz, self.system.np, 0), len(self.system.modes), z0, p, duration, None, **settings)
+        nodes = np.empty((asked.max_steps + 1, 3 + self.system.nz))
+        arcs, _ = self._fly(asked, 1, nodes)
+        return dense_arc(arcs, nodes[: arcs.steps[0]], lambda z, mode: self._rates(z, asked.p[0], mode))
+
+    def _fly(self, asked: Request, threads: int | None, nodes: Matrix | None = None) -> tuple[Arcs, Matrix | None]:
+        lanes, with_columns = len(asked.z0), asked.seeds is not None
+        width = 1 if lanes == 1 else LANES
+        order = np.argsort(np.abs(asked.duration), kind="stable") if lanes > LANES else np.arange(lanes)
+        z, info = np.empty_like(asked.z0), np.empty((lanes, 5))
+        seeds = asked.seeds if asked.seeds is not None else np.empty((lanes, self.system.nz, 0))
+        columns = np.zeros_like(seeds)
+        log = np.full((lanes, MAX_EVENTS, 2), np.nan) if self.system.events else np.empty((lanes, 0, 2))
+        mode = asked.mode.astype(float)
+        held = {
+            "order": order,
+            "z0": asked.z0,
+            "p": asked.p,
+            "duration": asked.duration,
+            "seeds": seeds,
+            "rtol": asked.rtol,
+            "atol": asked.atol,
+            "mode": mode,
+            "z": z,
+            "columns": columns,
+            "info": info,
+            "log": log,
+            "nodes": nodes,
+        }
+        numbers = {
+            "lanes": lanes,
+            "p_stride": self.system.np if len(asked.p) > 1 else 0,
+            "max_steps": asked.max_steps,
+            "fixed_steps": asked.fixed_steps,
+        }
+        table = _table(held, numbers)
+        self._run(self._call(with_columns, width), -(-lanes // width), table, threads)
+        return _arcs(z, columns, info, log), nodes
+
+    def _call(self, columns: bool, width: int) -> Callable[..., None]:
+        which = (columns, width)
+        if which not in self._calls:
+            kinds = (ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+            self._calls[which] = self._object(columns, width).function("arcs", *kinds)
+        return self._calls[which]
+
+    @staticmethod
+    def _run(function: Callable[..., None], groups: int, table: NDArray[np.int64], threads: int | None) -> None:
+        most = groups // _GROUPS_PER_THREAD
+        count = min(threads or os.cpu_count() or 1, most) if most > 1 else 1
+        address = table.ctypes.data
+        if count == 1:
+            function(0, groups, address)
+            return
+        # Sorted by length, the last groups are the longest: small pieces, longest first, keep all cores busy.
+        piece = max(4, groups // (8 * count))
+        starts = range(0, groups, piece)
+        with ThreadPoolExecutor(count) as pool:
+            list(pool.map(lambda first: function(first, min(first + piece, groups), address), reversed(starts)))
+
+    def _rates(self, z: Matrix, p: Vector, mode: Vector) -> Matrix:
+        """Return z' at many points, (count, nz)."""
+        rates = self._rate
+        if rates is None:
+            kinds = (ctypes.c_int64, *[ctypes.c_void_p] * 4)
+            rates = self._rate = self._object(False, 1).function("rates", *kinds)
+        points, out = np.ascontiguousarray(z), np.empty_like(z)
+        p, mode = np.ascontiguousarray(p), np.ascontiguousarray(mode)
+        rates(len(points), points.ctypes.data, p.ctypes.data, mode.ctypes.data, out.ctypes.data)
+        return out
+
+
+def _table(held: dict[str, Any], numbers: dict[str, int]) -> NDArray[np.int64]:
+    entries = [numbers[n] if n in numbers else 0 if held[n] is None else held[n].ctypes.data for n in TABLE]
+    return np.array(entries, dtype=np.int64)
+
+
+def _arcs(z: Matrix, columns: Any, info: Matrix, log: Any) -> Arcs:
+    status = info[:, 1].astype(np.int64)
+    index = np.nan_to_num(log[:, :, 0], nan=-1.0).astype(np.int64)
+    return Arcs(
+        z=z,
+        columns=columns,
+        time=info[:, 0],
+        status=status,
+        steps=info[:, 2].astype(np.int64),
+        mode=info[:, 3].astype(np.int64),
+        event_index=index,
+        event_time=log[:, :, 1],
+    )

@@ -1,0 +1,119 @@
+"""A traced function over a batch, as machine code: out[lane] = f(a[lane], b[lane], ...).
+
+The kernels of `emit` between a loop that gathers lanes and one that scatters them; the same cache, threads
+and fallback as arcs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from perilune.kernels import cache as disk, native
+from perilune.kernels.emit import kernel, library
+from perilune.kernels.ir import Writer
+from perilune.kernels.program import trace
+from perilune.types import Matrix
+
+_WIDTH = 4
+_LANES_PER_THREAD = 512
+
+
+def compile_map(function: Any, *, cache: bool = True, backend: str | None = None) -> Callable[..., Matrix]:
+    """Compile an SX ``casadi.Function`` of column vectors with one dense output.
+
+    Returns
+    -------
+    mapped
+        (a (lanes, na), b (lanes, nb), ...) -> (lanes, m); an argument of one row serves every lane.
+    """
+    if backend == "interpreter" or (backend is None and not native.available()):
+        return lambda *arguments: _interpreted(function, arguments)
+
+    def build() -> bytes:
+        return native.compile_ir(_module(function))
+
+    name = disk.key(function.serialize(), "map", *native.processor(), *native.versions())
+    code = native.MachineCode(disk.fetch(name, build, enabled=cache))
+    call = code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+    sizes = [function.size1_in(i) for i in range(function.n_in())]
+    rows = function.size1_out(0)
+
+    def mapped(*arguments: Matrix) -> Matrix:
+        held = [np.ascontiguousarray(a, dtype=float).reshape(-1, n) for a, n in zip(arguments, sizes, strict=True)]
+        lanes = max(len(a) for a in held)
+        out = np.empty((lanes, rows))
+        entries = [out.ctypes.data]
+        for a, n in zip(held, sizes, strict=True):
+            entries += [a.ctypes.data, n if len(a) == lanes else 0]
+        table = np.array([lanes, *entries], dtype=np.int64)
+        threads = max(1, min(os.cpu_count() or 1, lanes // _LANES_PER_THREAD))
+        groups = -(-lanes // _WIDTH)
+        share = -(-groups // threads)
+        if threads == 1:
+            call(0, groups, table.ctypes.data)
+        else:
+            with ThreadPoolExecutor(threads) as pool:
+                list(
+                    pool.map(
+                        lambda k: call(k * share, min((k + 1) * share, groups), table.ctypes.data),
+                        range(threads),
+                    )
+                )
+        return out
+
+    mapped.code = code  # ty: ignore  # the functions live as long as their code
+    return mapped
+
+
+def _interpreted(function: Any, arguments: tuple[Matrix, ...]) -> Matrix:
+    lanes = max(len(np.atleast_2d(a)) for a in arguments)
+    columns = [np.broadcast_to(np.atleast_2d(a), (lanes, np.shape(a)[-1])).T for a in arguments]
+    return np.asarray(function.map(lanes)(*columns)).reshape(-1, lanes).T.copy()
+
+
+def _module(function: Any) -> str:
+    program = trace(function)
+    count, rows = function.n_in(), function.size1_out(0)
+    w = Writer(_WIDTH)
+    inputs = [w.buffer(function.size1_in(i)) for i in range(count)]
+    result = w.buffer(rows)
+    lanes, out = w.load("%table", 0, "i64"), w.load("%table", 1, "ptr")
+    with w.loop("%first", "%last") as group:
+        base = w.let(f"mul i64 {group}, {_WIDTH}")
+        for i in range(count):
+            _rows(
+                w,
+                base,
+                lanes,
+                w.load("%table", 2 + 2 * i, "ptr"),
+                w.load("%table", 3 + 2 * i, "i64"),
+                inputs[i],
+                function.size1_in(i),
+            )
+        w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, result))})")
+        with w.loop(0, _WIDTH) as k:
+            lane = w.let(f"add i64 {base}, {k}")
+            with w.when(w.let(f"icmp slt i64 {lane}, {lanes}")), w.loop(0, rows) as c:
+                value = w.load(result, w.let(f"add i64 {w.let(f'mul i64 {c}, {_WIDTH}')}, {k}"), "double")
+                w.store(value, out, w.let(f"add i64 {w.let(f'mul i64 {lane}, {rows}')}, {c}"), "double")
+    mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
+    return "\n".join([library([program], _WIDTH), kernel("kernel", program, range(count), _WIDTH), mapping])
+
+
+def _rows(w: Writer, base: str, lanes: str, source: str, stride: str, target: str, size: int) -> None:
+    """Gather one argument of a group; places beyond the batch repeat its last lane."""
+    final = w.let(f"sub i64 {lanes}, 1")
+    with w.loop(0, w.width) as k:
+        place = w.let(f"add i64 {base}, {k}")
+        inside = w.let(f"icmp slt i64 {place}, {lanes}")
+        lane = w.let(f"select i1 {inside}, i64 {place}, i64 {final}")
+        start = w.let(f"mul i64 {lane}, {stride}")
+        with w.loop(0, size) as c:
+            value = w.load(source, w.let(f"add i64 {start}, {c}"), "double")
+            w.store(value, target, w.let(f"add i64 {w.let(f'mul i64 {c}, {w.width}')}, {k}"), "double")

@@ -1,0 +1,98 @@
+"""From LLVM IR to machine code in this process, by llvmlite."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from typing import Any
+
+from perilune.outcome import PeriluneError
+
+
+def available() -> bool:
+    """Whether machine code can be made here."""
+    try:
+        import llvmlite.binding  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+@cache
+def processor() -> tuple[str, str, str]:
+    """Return the processor that code is made for: its triple, its name and its features."""
+    import llvmlite.binding as llvm
+
+    features = llvm.get_host_cpu_features()
+    return llvm.get_process_triple(), llvm.get_host_cpu_name(), features.flatten()
+
+
+@cache
+def versions() -> tuple[str, ...]:
+    """Return what else the code depends on: the versions of CasADi, llvmlite and LLVM."""
+    import casadi as ca
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    return ca.CasadiMeta.version(), llvmlite.__version__, ".".join(map(str, llvm.llvm_version_info))
+
+
+def _machine() -> Any:
+    """Return a machine to generate code for; each module needs its own."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    triple, name, features = processor()
+    target = llvm.Target.from_triple(triple)
+    return target.create_target_machine(cpu=name, features=features, opt=2, reloc="pic", codemodel="small", jit=True)
+
+
+def compile_ir(text: str) -> bytes:
+    """Compile a module to a relocatable object.
+
+    Raises
+    ------
+    PeriluneError
+        If LLVM refuses the module, with what it said.
+    """
+    import llvmlite.binding as llvm
+
+    machine = _machine()
+    try:
+        module = llvm.parse_assembly(text)
+        module.triple, module.data_layout = machine.triple, str(machine.target_data)
+        module.verify()
+    except RuntimeError as error:
+        raise PeriluneError(
+            "LLVM refuses the generated code",
+            got=str(error)[:2000],
+            advice="backend='interpreter'; and report it",
+        ) from error
+    # Straight-line kernels leave higher levels nothing to find: measured as quick, compiled a third sooner.
+    options = llvm.create_pipeline_tuning_options(speed_level=1)
+    options.loop_vectorization = options.slp_vectorization = False  # the lanes are the vectors
+    options.loop_unrolling = False
+    llvm.create_pass_builder(machine, options).getModulePassManager().run(
+        module, llvm.create_pass_builder(machine, options)
+    )
+    return machine.emit_object(module)
+
+
+class MachineCode:
+    """An object file loaded into this process; its functions live as long as it does."""
+
+    def __init__(self, content: bytes) -> None:
+        import llvmlite.binding as llvm
+
+        machine = _machine()
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+        self._engine.finalize_object()
+
+    def function(self, name: str, *arguments: Any) -> Any:
+        """Return a function without result; calls of it release the interpreter's lock."""
+        address = self._engine.get_function_address(name)
+        if not address:
+            raise KeyError(name)
+        return ctypes.CFUNCTYPE(None, *arguments)(address)

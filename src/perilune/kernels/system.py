@@ -1,0 +1,210 @@
+"""The equations of an arc with its variational columns, as programs.
+
+With Y = (z, S) stacked, the field of mode m is (f_m(z, p), df_m/dz S), by CasADi's differentiation of the
+traced right-hand side. At an event g = 0 that switches mode i to j and maps z to J(z) the columns jump by the
+saltation matrix
+
+    S+ = [dJ/dz + (f_j(z+) - dJ/dz f_i(z-)) (dg/dz) / (dg/dz f_i(z-))] S-.
+
+Source: Hiskens & Pai, *Trajectory sensitivity analysis of hybrid systems*, IEEE Trans. CAS-I 47 (2000), eqs
+(24)-(30). Entries of S that are zero for every arc, by the sparsity of df/dz and of the seeds, are left out
+of Y.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.kernels.arcs import Event
+from perilune.kernels.program import Program, trace
+from perilune.outcome import PeriluneError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArcSystem:
+    """Right-hand sides, events and the pattern of the seeds.
+
+    Parameters
+    ----------
+    modes
+        SX functions (z, p) -> z', one for each mode.
+    events
+        Events, in the order of their indices.
+    seeds
+        Which entries of S(0) may be nonzero, bool (nz, nc).
+    """
+
+    modes: tuple[Any, ...]
+    events: tuple[Event, ...]
+    seeds: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        """Check that the modes and the events speak of the same z and p."""
+        for function in (*self.modes, *(e.function for e in self.events)):
+            sizes = (function.size1_in(0), function.size1_in(1))
+            if sizes != (self.nz, self.np):
+                raise PeriluneError(
+                    f"{function.name()!r} takes another z or p than the first right-hand side",
+                    got=str(sizes),
+                    expected=str((self.nz, self.np)),
+                )
+        for event in self.events:
+            named = {*event.switches, *event.switches.values()}
+            if not named <= set(range(len(self.modes))):
+                raise PeriluneError(
+                    "an event switches between modes that do not exist",
+                    got=str(dict(event.switches)),
+                    expected=f"modes 0 to {len(self.modes) - 1}",
+                )
+
+    @property
+    def nz(self) -> int:
+        """Number of entries of z."""
+        return self.modes[0].size1_in(0)
+
+    @property
+    def np(self) -> int:
+        """Number of parameters."""
+        return self.modes[0].size1_in(1)
+
+    @property
+    def nc(self) -> int:
+        """Number of columns."""
+        return self.seeds.shape[1]
+
+    def without_columns(self) -> ArcSystem:
+        """Return the same arcs without S."""
+        return ArcSystem(modes=self.modes, events=self.events, seeds=np.zeros((self.nz, 0), dtype=bool))
+
+    @cached_property
+    def key(self) -> str:
+        """Digest of the expressions: equal for equal traced systems."""
+        digest = hashlib.sha256()
+        for function in self.modes:
+            digest.update(function.serialize().encode())
+        for event in self.events:
+            digest.update(repr((event.direction, event.terminal, sorted(event.switches.items()))).encode())
+            for function in (event.function, event.jump):
+                digest.update(function.serialize().encode() if function is not None else b"none")
+        digest.update(repr(self.seeds.shape).encode() + self.seeds.tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def pattern(self) -> Any:
+        """Sparsity of S along the arc: the seeds', closed under the dynamics and the jumps."""
+        import casadi as ca
+
+        rows, columns = np.nonzero(self.seeds)
+        pattern = ca.Sparsity.triplet(self.nz, self.nc, rows.tolist(), columns.tolist())
+        while True:
+            grown = pattern
+            for mode in self.modes:
+                grown = _closed(grown, _jacobian(mode).sparsity())
+            for event, before, _ in self.transitions:
+                grown = _closed(grown, self._saltation(event, before)[2].sparsity())  # [2]: the saltation matrix
+            if grown.nnz() == pattern.nnz():
+                return pattern
+            pattern = grown
+
+    @property
+    def offsets(self) -> NDArray[np.int64]:
+        """Where the entries of S kept in Y lie in a (nz, nc) array, row by row."""
+        rows, columns = self.pattern.get_triplet()
+        return np.array(rows, dtype=np.int64) * self.nc + np.array(columns, dtype=np.int64)
+
+    @property
+    def size(self) -> int:
+        """Length of Y."""
+        return self.nz + self.pattern.nnz()
+
+    @property
+    def transitions(self) -> list[tuple[int, int, int]]:
+        """(event, mode before, mode after) of every event that changes something without ending the arc."""
+        found = []
+        for number, event in enumerate(self.events):
+            if event.switches:
+                found += [(number, i, j) for i, j in sorted(event.switches.items())]
+            elif event.jump is not None:
+                found += [(number, i, i) for i in range(len(self.modes))]
+        return found
+
+    # -- functions
+    # -------------------------------------------------------------------------------------------------
+    def field(self, mode: int) -> list[Any]:
+        """(Y, p) -> Y' in the two forms worth comparing: the Jacobian times S, and directional."""
+        import casadi as ca
+
+        y, z, columns, p = self._symbols()
+        rate = ca.densify(self.modes[mode](z, p))
+        if self.size == self.nz:
+            return [ca.Function(f"field{mode}", [y, p], [rate])]
+        forms = ca.mtimes(ca.jacobian(rate, z), columns), ca.jtimes(rate, z, columns)
+        return [
+            ca.Function(f"field{mode}", [y, p], [ca.vertcat(rate, ca.project(form, self.pattern).nz[:])])
+            for form in forms
+        ]
+
+    def crossings(self) -> Any:
+        """(z, z', p) -> (g, g') of all events."""
+        import casadi as ca
+
+        z, rate, p = ca.SX.sym("z", self.nz), ca.SX.sym("rate", self.nz), ca.SX.sym("p", self.np)
+        g = ca.densify(ca.vertcat(*(event.function(z, p) for event in self.events)))
+        return ca.Function("crossings", [z, rate, p], [ca.vertcat(g, ca.densify(ca.jtimes(g, z, rate)))])
+
+    def transition(self, event: int, before: int) -> Any:
+        """(Y, p) -> Y after an event met in a mode."""
+        import casadi as ca
+
+        z, p, matrix, after = self._saltation(event, before)
+        y, _, columns, _ = self._symbols()
+        at = ca.Function("at", [z, p], [after, matrix])(y[: self.nz], p)
+        new = [ca.densify(at[0])]
+        if self.size > self.nz:
+            new.append(ca.project(ca.mtimes(at[1], columns), self.pattern).nz[:])
+        return ca.Function(f"transition{event}_{before}", [y, p], [ca.vertcat(*new)])
+
+    def _saltation(self, number: int, before: int) -> tuple[Any, Any, Any, Any]:
+        import casadi as ca
+
+        event = self.events[number]
+        z, p = ca.SX.sym("z", self.nz), ca.SX.sym("p", self.np)
+        after = event.jump(z, p) if event.jump is not None else z
+        slope = ca.jacobian(after, z)
+        old = self.modes[before](z, p)
+        new = self.modes[event.switches.get(before, before)](after, p)
+        gradient = ca.jacobian(event.function(z, p), z)
+        matrix = slope + ca.mtimes(new - ca.mtimes(slope, old), gradient) / ca.mtimes(gradient, old)
+        return z, p, matrix, after
+
+    def _symbols(self) -> tuple[Any, Any, Any, Any]:
+        import casadi as ca
+
+        y, p = ca.SX.sym("Y", self.size), ca.SX.sym("p", self.np)
+        return y, y[: self.nz], ca.SX(self.pattern, y[self.nz :]), p
+
+    # -- programs
+    # --------------------------------------------------------------------------------------------------
+    def field_program(self, mode: int) -> Program:
+        """Return the cheaper form of the field."""
+        return min((trace(form) for form in self.field(mode)), key=lambda program: program.cost)
+
+
+def _jacobian(function: Any) -> Any:
+    import casadi as ca
+
+    z, p = ca.SX.sym("z", function.size1_in(0)), ca.SX.sym("p", function.size1_in(1))
+    return ca.jacobian(function(z, p), z)
+
+
+def _closed(pattern: Any, factor: Any) -> Any:
+    """Pattern of S + factor S."""
+    import casadi as ca
+
+    return pattern.unite(ca.mtimes(ca.DM.ones(factor), ca.DM.ones(pattern)).sparsity())
