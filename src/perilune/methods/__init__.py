@@ -1,0 +1,1 @@
+"""Methods: frozen records of settings with ``run(problem, guess, watch) -> Solution``."""

@@ -1,0 +1,288 @@
+"""Direct method: collocate, solve the NLP, measure the mesh by simulation, refine it, map the covectors.
+
+Peng, Li, Shen, Tang 2012, (5)-(16); Garg et al. 2010 for Radau. From no guess the first mesh holds a straight
+line from the start to `Phase.typical_end`, under the control that fits the line best.
+
+The answer is a local minimum of the transcribed problem. It carries the costates of the covector mapping, so
+that it is checked by the same conditions as an answer of the indirect method, and starts that method.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from perilune.collocation import Mesh, Scheme, rule
+from perilune.outcome import Outcome, PeriluneError
+from perilune.problem import Problem
+from perilune.solution import Iteration, Solution, Statistics
+from perilune.types import Matrix, Vector
+
+if TYPE_CHECKING:
+    from perilune.nlp import Answer, PhaseValues, Program
+    from perilune.segments import Segment
+
+# Starts that end at a point of least, but not zero, violation before the problem is taken to be infeasible.
+CONVINCED = 2
+# A condition violated by less, in canonical units, is met.
+MISSED = 1e-7
+
+Watch = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pseudospectral:
+    """Settings of the direct method.
+
+    Parameters
+    ----------
+    scheme
+        ``"gauss"`` (Legendre-Gauss) or ``"radau"`` (Legendre-Gauss-Radau).
+    nodes, segments
+        Collocation points of each segment and segments of each phase on the first mesh.
+    tolerance
+        Accuracy asked of the mesh: difference from explicit simulation on each segment, relative to 1 +
+        max|x| in canonical units.
+    refine
+        Most refinements; 0 keeps the first mesh, and then the error is reported but nothing is asked of it.
+    iterations
+        Most iterations of one NLP.
+    nlp_tolerance
+        Of the NLP's optimality conditions, in canonical units.
+    """
+
+    scheme: Scheme = "gauss"
+    nodes: int = 20
+    segments: int = 1
+    tolerance: float = 1e-6
+    refine: int = 8
+    iterations: int = 300
+    nlp_tolerance: float = 1e-10
+
+    def __post_init__(self) -> None:
+        rule(self.scheme, self.nodes)
+        for name, least in (("segments", 1), ("refine", 0), ("iterations", 1)):
+            if getattr(self, name) < least:
+                raise PeriluneError(
+                    f"{name} is too small", got=str(getattr(self, name)), expected=f">= {least}"
+                )
+        for name in ("tolerance", "nlp_tolerance"):
+            if not 0 < getattr(self, name) < 1:
+                raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))
+
+    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+        """Solve the problem.
+
+        Parameters
+        ----------
+        problem
+            Any problem.
+        guess
+            A solution of any method for the same phases; None starts from a straight line.
+        watch
+            Receives one line for each NLP and each mesh.
+
+        Returns
+        -------
+        Solution
+            With costates; `statistics.residual` is the largest relative mesh error and `statistics.tried` the
+            history.
+
+        Raises
+        ------
+        InfeasibleError
+            If bounds and conditions contradict each other.
+        NotConvergedError
+            If no feasible trajectory was found, or the accuracy was not reached; the message names the
+            conditions that are missed, in SI.
+        """
+        from perilune.contradictions import check_consistent
+
+        check_consistent(problem)
+        return _Run(settings=self, problem=problem, watch=watch or (lambda line: None)).solve(guess)
+
+
+@dataclass
+class _Run:
+    """One run: the history grows, everything else is fixed."""
+
+    settings: Pseudospectral
+    problem: Problem
+    watch: Watch
+    began: float = field(default_factory=time.perf_counter)
+    tried: list[str] = field(default_factory=list)
+    history: list[Iteration] = field(default_factory=list)
+    iterations: int = 0
+
+    def say(self, line: str) -> None:
+        """One line for the watcher and for the history."""
+        self.tried.append(line)
+        self.watch(line)
+
+    def solve(self, guess: Solution | None) -> Solution:
+        """First mesh, then refinement until the mesh is accurate enough."""
+        from perilune.mesh import mesh_errors, refined, relative_errors
+        from perilune.segments import flown_segments, sampled, sampler
+
+        s, problem = self.settings, self.problem
+        program, answer = self.first_answer(guess)
+        for round_number in range(s.refine + 1):
+            segments = flown_segments(program, answer)
+            p = problem.parameters(answer.free_si(problem))
+            errors = mesh_errors(problem, segments, p, s.tolerance)
+            relative = relative_errors(problem, segments, errors)
+            worst = max(float(r.max()) for r in relative)
+            self.say(_mesh_line(problem, program, errors, worst, round_number))
+            self.history.append(
+                Iteration(number=round_number, residual=worst, step=float("nan"), damping=1.0)
+            )
+            if worst <= s.tolerance or round_number == s.refine:
+                break
+            meshes = tuple(
+                refined(phase, mesh, flown, r, s.tolerance)
+                for phase, mesh, flown, r in zip(
+                    problem.phases, program.meshes, segments, relative, strict=True
+                )
+            )
+            samplers = [sampler(flown) for flown in segments]
+            program = self.program(meshes)
+            finer = self.attempt(program, answer.free, sampled(program, samplers), f"mesh {round_number + 1}")
+            if not finer.converged:
+                self.fail_mesh(errors, worst, f"{round_number} refinements, as the next was not solved")
+            answer = finer
+        if s.refine and worst > s.tolerance:
+            self.fail_mesh(errors, worst, f"{s.refine} refinements")
+        return self.solution(program, answer, segments, worst)
+
+    def program(self, meshes: tuple[Mesh, ...]) -> Program:
+        """The NLP on the given meshes."""
+        from perilune.nlp import Program
+
+        return Program(problem=self.problem, scheme=self.settings.scheme, meshes=meshes)
+
+    def first_answer(self, guess: Solution | None) -> tuple[Program, Answer]:
+        """Solve on the first mesh from the guess, or from the straight lines; last, from the nearest miss."""
+        from perilune.first_guess import first_guesses
+        from perilune.segments import sampled
+
+        s = self.settings
+        program = self.program(tuple(Mesh.uniform(s.segments, s.nodes) for _ in self.problem.phases))
+        answer, infeasible = None, 0
+        starts = [(free, sampled(program, by), name) for free, by, name in first_guesses(self.problem, guess)]
+        for start in starts:
+            latest = self.attempt(program, *start)
+            if latest.converged:
+                return program, latest
+            if answer is None or latest.violation < answer.violation:
+                answer = latest
+            infeasible += latest.infeasible
+            if infeasible == CONVINCED:
+                break
+        assert answer is not None
+        # Not from the answer: a phase that has shrunk to nothing stays so, whatever its control.
+        nearest = self.attempt(program, *starts[0][:2], "nearest miss", nearest=True)
+        if nearest.converged and nearest.violation > MISSED:
+            return self.fail(program, nearest)
+        final = self.attempt(program, nearest.free, nearest.phases, "from the nearest miss")
+        return (program, final) if final.converged else self.fail(program, min(answer, final, key=_violation))
+
+    def attempt(
+        self,
+        program: Program,
+        free: Vector,
+        values: tuple[PhaseValues, ...],
+        name: str,
+        nearest: bool = False,
+    ) -> Answer:
+        """Solve one NLP; with `nearest`, hold all but the end conditions and miss these by the least."""
+        s = self.settings
+        answer = program.solve(
+            free, values, iterations=s.iterations, tolerance=s.nlp_tolerance, nearest=nearest
+        )
+        self.iterations += answer.iterations
+        outcome = "solved" if answer.converged else "not solved"
+        self.say(f"{name}: {outcome} in {answer.iterations} iterations")
+        return answer
+
+    def fail(self, program: Program, answer: Answer) -> tuple[Program, Answer]:
+        """Refuse, with the conditions that the best trajectory misses."""
+        from perilune.contradictions import missed_conditions
+        from perilune.outcome import NotConvergedError
+
+        missed = missed_conditions(program, answer, MISSED)
+        raise NotConvergedError(
+            "no trajectory was found that meets every condition" if missed else "the optimum was not reached",
+            got="; ".join(missed[:4])
+            or f"feasible after {answer.iterations} iterations, but not yet optimal",
+            expected="every condition met",
+            advice="relax the condition named first, or give a guess (a solution of a nearby problem)"
+            if missed
+            else "raise iterations, give a guess, or loosen nlp_tolerance",
+            partial={"missed": missed, "tried": tuple(self.tried), "free": answer.free_si(self.problem)},
+        )
+
+    def fail_mesh(self, errors: list[Matrix], worst: float, after: str) -> None:
+        """Refuse an answer whose mesh is not as accurate as asked for."""
+        from perilune.mesh import error_text
+        from perilune.outcome import NotConvergedError
+
+        raise NotConvergedError(
+            "the mesh did not reach the requested accuracy",
+            got=f"relative error {worst:.2g} after {after}; " + error_text(self.problem, errors),
+            expected=f"<= {self.settings.tolerance:g}",
+            advice="raise refine or tolerance; an arc whose control H_u leaves open may need its own phase",
+            partial={"tried": tuple(self.tried)},
+        )
+
+    def solution(
+        self, program: Program, answer: Answer, segments: list[list[Segment]], worst: float
+    ) -> Solution:
+        """The answer in SI."""
+        from perilune.segments import trajectory
+
+        s, problem = self.settings, self.problem
+        objective_scale = problem.scales.of(problem.objective_unit)
+        multipliers = {
+            f"{phase.name}.{condition.name}": float(nu * objective_scale) / problem.scales.of(condition.unit)
+            for k, phase in enumerate(problem.phases)
+            for condition, nu in zip(phase.end_conditions, answer.rows[k, "end"], strict=True)
+        }
+        return Solution(
+            problem=problem,
+            method="pseudospectral",
+            outcome=Outcome.SOLVED,
+            objective=float(answer.objective * objective_scale),
+            free=answer.free_si(problem),
+            # Interpolation adds a hundredth of the mesh error, so that what is exported is as good as what
+            # was solved.
+            trajectories=tuple(
+                trajectory(problem, k, flown, 1e-2 * min(worst, s.tolerance))
+                for k, flown in enumerate(segments)
+            ),
+            multipliers=multipliers,
+            statistics=Statistics(
+                rung=f"{self.settings.scheme} collocation, {sum(m.nodes for m in program.meshes)} nodes",
+                tried=tuple(self.tried),
+                iterations=self.iterations,
+                residual=worst,
+                wall_time=time.perf_counter() - self.began,
+                history=tuple(self.history),
+            ),
+        )
+
+
+def _violation(answer: Answer) -> float:
+    return answer.violation
+
+
+def _mesh_line(problem: Problem, program: Program, errors: list[Matrix], worst: float, number: int) -> str:
+    from perilune.mesh import error_text
+
+    nodes = sum(mesh.nodes for mesh in program.meshes)
+    segments = sum(len(mesh.degrees) for mesh in program.meshes)
+    return (
+        f"mesh {number}: {nodes} nodes in {segments} segments, relative error {worst:.1e} "
+        f"({error_text(problem, errors)})"
+    )

@@ -1,0 +1,302 @@
+"""The direct method against closed forms, its costates against re-solved problems, its refusals by text."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+from direct_problems import double_integrator, linear_tangent_steering, meditch, staged_ascent
+from perilune.maths import NUMERIC
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.models.bodies import MOON
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.problem import Bounded, Free, Variable
+
+SCHEMES = ("gauss", "radau")
+VEHICLE = Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0, standard_gravity=9.81)
+ORBIT = Orbit(parking_altitude=100e3, perilune_altitude=15e3)
+
+
+def hamiltonian(solution, phase=0, points=40):
+    """lambda.f along a phase, where the problem has no running cost."""
+    flown, definition = solution.trajectories[phase], solution.problem.phases[phase]
+    t = np.linspace(0.0, flown.duration, points)
+    rates = definition.rates(flown.state(t).T, flown.control(t).T, solution.parameters)
+    return sum(lam * np.broadcast_to(f, t.shape) for lam, f in zip(flown.costate(t).T, rates, strict=True))
+
+
+def costate(solution, phase=0):
+    found = solution.trajectories[phase].costate
+    assert found is not None
+    return found
+
+
+def tangent_time():
+    """Bryson, Ho 1975: tan of the steering angle falls linearly and symmetrically, from theta to -theta."""
+
+    def conditions(z):
+        theta, t_f = z
+        rate = 2 * math.tan(theta) / t_f
+        along = 2 * 100 / rate * math.asinh(math.tan(theta))
+        # y by Simpson on a fine grid of the closed-form vy
+        t = np.linspace(0, t_f, 20001)
+        vy = 100 / rate * (1 / math.cos(theta) - np.sqrt(1 + (math.tan(theta) - rate * t) ** 2))
+        h = t[1]
+        return along - 45, h / 3 * (vy[0] + vy[-1] + 4 * vy[1::2].sum() + 2 * vy[2:-1:2].sum()) - 5
+
+    return fsolve(conditions, (0.9, 0.6), xtol=1e-13)[1]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_linear_tangent_steering(scheme):
+    s = Pseudospectral(scheme=scheme).run(linear_tangent_steering())
+    assert tangent_time() == pytest.approx(0.554570878334603, abs=1e-11)
+    assert s.objective == pytest.approx(0.554570878334603, abs=2e-11)  # measured 1e-12
+    assert s.outcome is Outcome.SOLVED
+    assert np.abs(hamiltonian(s) + 1.0).max() < 1e-6  # H + 1 = 0 for J = t_f; measured 2e-8
+    t = np.linspace(0, s.objective, 7)
+    u = s.trajectories[0].control(t)
+    assert np.linalg.norm(u, axis=1) == pytest.approx(np.ones(7), abs=1e-8)
+    tangent = u[:, 1] / u[:, 0]
+    assert np.diff(tangent, 2) == pytest.approx(np.zeros(5), abs=1e-5)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_convergence_is_spectral(scheme):
+    errors = [
+        abs(
+            Pseudospectral(scheme=scheme, nodes=n, refine=0).run(linear_tangent_steering()).objective
+            - 0.554570878334603
+        )
+        for n in (4, 8, 12)
+    ]
+    assert errors[0] / errors[1] > 50 and errors[1] / errors[2] > 50, errors
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_meditch_switches_where_it_must(scheme):
+    lines: list[str] = []
+    s = Pseudospectral(scheme=scheme).run(meditch(), watch=lines.append)
+    assert 2.349 * (1 + s.objective) == pytest.approx(
+        1.42031259905, abs=1e-8
+    )  # integral of thrust = c (m0 - m_f)
+    assert [line.split(":")[0] for line in lines if "nodes" in line][:2] == ["mesh 0", "mesh 1"]
+    assert s.statistics.residual <= 1e-6 < s.statistics.history[0].residual
+    flown = s.trajectories[0]
+    jump = flown.time[1:][np.diff(flown.time) == 0]
+    before, after = flown.control(jump - 1e-6)[:, 0], flown.control(jump)[:, 0]
+    switch = [k for k in range(len(jump)) if after[k] - before[k] > 1.0]
+    assert len(switch) == 1
+    u = flown.control(np.linspace(0, flown.duration, 501))[:, 0]
+    assert np.minimum(np.abs(u), np.abs(u - 1.227)).max() < 1e-9
+    assert np.abs(hamiltonian(s)).max() < 1e-5  # measured 4e-6
+    # Switching function lam_v/m - lam_m/c changes sign there.
+    lam, x = costate(s)(jump[switch])[0], flown.state(jump[switch])[0]
+    assert lam[1] / x[2] - lam[2] / 2.349 == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_double_integrator_in_closed_form(scheme):
+    s = Pseudospectral(scheme=scheme, nodes=8).run(double_integrator())
+    t = np.linspace(0.0, 1.0, 11)
+    assert s.objective == pytest.approx(2.0, abs=1e-12)
+    assert s.trajectories[0].state(t)[:, 0] == pytest.approx(t - t * t, abs=1e-11)
+    assert s.trajectories[0].control(t)[:, 0] == pytest.approx(-2.0 * np.ones(11), abs=1e-10)
+    assert costate(s)(t) == pytest.approx(np.tile([0.0, 2.0, 1.0], (11, 1)), abs=1e-10)
+    assert s.multipliers["swing.speed"] == pytest.approx(2.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_active_state_bound(scheme):
+    """Bryson, Denham, Dreyfus 1963, l = 0.1: J = 4/(9 l), lam_x(0) = 2/(9 l^2), x = l from 3 l to 1 - 3 l."""
+    s = Pseudospectral(scheme=scheme, segments=4, nodes=8, tolerance=2e-6).run(double_integrator(0.1))
+    assert s.objective == pytest.approx(4 / 0.9, abs=2e-4)
+    lam = costate(s)
+    assert lam(0.0)[0] == pytest.approx(2 / 0.09, rel=5e-3)
+    assert lam(0.0)[1] == pytest.approx(2 / 0.3, rel=2e-3)
+    assert s.trajectories[0].state(np.linspace(0, 1, 301))[:, 0].max() <= 0.1 + 1e-5
+    # J hardly notices how close the middle stays to the limit; measured 2e-5.
+    assert s.trajectories[0].state(np.linspace(0.4, 0.6, 9))[:, 0] == pytest.approx(np.full(9, 0.1), abs=1e-4)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_two_phases_with_a_mass_drop(scheme):
+    s = Pseudospectral(scheme=scheme).run(staged_ascent())
+    assert -s.objective == pytest.approx(3000 * (math.log(100 / 60) + math.log(40 / 15)), rel=1e-9)
+    assert s.free["t_1"] == pytest.approx(60.0, abs=1e-6)
+    assert s.free["t_2"] == pytest.approx(150.0, abs=1e-6)
+    first, second = s.trajectories
+    assert first.state(first.duration)[0] == pytest.approx(second.state(0.0)[0], abs=1e-6)
+    assert costate(s)(0.0) == pytest.approx([-1.0, -30.0], rel=1e-6)  # dJ/dm0 = -c/m0
+    assert costate(s, 1)(0.0) == pytest.approx([-1.0, -75.0], rel=1e-6)
+    assert costate(s, 1)(second.duration) == pytest.approx([-1.0, -200.0], rel=1e-6)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("segments", [1, 3])
+def test_lander_costates_are_the_sensitivities(scheme, segments):
+    """lambda(0) . dx0/dq = dJ*/dq for parameters q that only move the start."""
+    problem = hybrid_landing(VEHICLE, None, ORBIT, MOON)
+    method = Pseudospectral(scheme=scheme, segments=segments, nodes=20 if segments == 1 else 12, refine=0)
+    s = method.run(problem)
+    lam = costate(s)
+    for name, step in (
+        ("vehicle_mass", 0.02),
+        ("orbit_parking_altitude", 100.0),
+        ("orbit_perilune_altitude", 5.0),
+    ):
+        moved = [problem.with_given(**{name: problem.given[name].value + sign * step}) for sign in (1, -1)]
+        slope = (method.run(moved[0]).objective - method.run(moved[1]).objective) / (2 * step)
+        start = [np.array(q.start(q.parameters(s.free), NUMERIC), dtype=float) for q in moved]
+        assert lam(0.0) @ (start[0] - start[1]) / (2 * step) == pytest.approx(slope, rel=1e-5)
+    # H = 0 for the free time, against a mass flow term of 0.06 kg/s
+    assert np.abs(hamiltonian(s)).max() < 1e-6
+
+
+def test_hybrid_lander_from_nothing_finds_the_large_retro_burn():
+    s = Pseudospectral(refine=0).run(hybrid_landing(VEHICLE, Retro(specific_impulse=310.0), ORBIT, MOON))
+    fixed = Pseudospectral(refine=0).run(
+        hybrid_landing(VEHICLE, Retro(specific_impulse=310.0, delta_v=s.free["retro_delta_v"]), ORBIT, MOON)
+    )
+    assert 1195 < s.free["retro_delta_v"] < 1205 and fixed.objective == pytest.approx(s.objective, abs=1e-8)
+    lam = costate(s)
+    assert abs(lam(0.0)[3] / lam(0.0)[2]) < 1e-6  # equal Isp: lambda_v(0) = 0
+
+
+def test_any_solution_is_a_guess():
+    problem = hybrid_landing(VEHICLE, Retro(specific_impulse=310.0, delta_v=1000.0), ORBIT, MOON)
+    first = Pseudospectral(refine=0).run(problem)
+    again = Pseudospectral(scheme="radau", segments=2, refine=0, nodes=12).run(problem, guess=first)
+    assert again.objective == pytest.approx(first.objective, abs=1e-6)
+    assert again.statistics.iterations < first.statistics.iterations
+    freed = hybrid_landing(VEHICLE, Retro(specific_impulse=310.0), ORBIT, MOON)
+    assert Pseudospectral(refine=0).run(freed, guess=first).objective < first.objective
+
+
+def test_the_answer_does_not_depend_on_the_scales():
+    base = hybrid_landing(VEHICLE, None, ORBIT, MOON)
+    other = replace(
+        base, scales=replace(base.scales, length=base.scales.length / 3, mass=base.scales.mass * 2)
+    )
+    a, b = (Pseudospectral(refine=0).run(q) for q in (base, other))
+    assert a.objective == pytest.approx(b.objective, abs=1e-7)
+    assert costate(a)(0.0) == pytest.approx(costate(b)(0.0), rel=1e-5, abs=1e-12)
+
+
+def test_the_mesh_error_exposes_a_coarse_mesh():
+    coarse, fine = (
+        Pseudospectral(nodes=n, refine=0).run(hybrid_landing(VEHICLE, None, ORBIT, MOON)) for n in (5, 20)
+    )
+    assert coarse.statistics.residual > 1e-5 > 1e-7 > fine.statistics.residual
+    t = np.linspace(0.0, 1000.0, 50)
+    distance = np.abs(coarse.trajectories[0].state(t) - fine.trajectories[0].state(t))[:, 0].max()
+    assert distance > 10.0  # metres: the coarse trajectory is wrong by that much, and says so
+
+
+# refusals
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"scheme": "lobatto"}, "unknown collocation scheme"),
+        ({"nodes": 1}, "at least two collocation points"),
+        ({"segments": 0}, "segments is too small"),
+        ({"refine": -1}, "refine is too small"),
+        ({"iterations": 0}, "iterations is too small"),
+        ({"tolerance": 0.0}, "tolerance must lie between 0 and 1"),
+        ({"nlp_tolerance": math.nan}, "nlp_tolerance must lie between 0 and 1"),
+    ],
+)
+def test_bad_settings(settings, text):
+    with pytest.raises(PeriluneError, match=text):
+        Pseudospectral(**settings)
+
+
+def with_state(problem, index, **bounds):
+    """The problem with other bounds of one state of its first phase."""
+    phase = problem.phases[0]
+    states = list(phase.states)
+    states[index] = replace(states[index], **bounds)
+    return replace(problem, phases=(replace(phase, states=tuple(states)), *problem.phases[1:]))
+
+
+def test_bounds_that_exclude_the_start_are_named():
+    with pytest.raises(
+        InfeasibleError, match=r"the start puts h outside its bounds[\s\S]*1 m, which is 0.5 m outside"
+    ):
+        Pseudospectral().run(with_state(meditch(), 0, upper=0.5))
+
+
+def test_bounds_that_exclude_the_end_are_named():
+    with pytest.raises(
+        InfeasibleError, match=r"end condition speed of swing puts v outside its bounds[\s\S]*-1 m/s"
+    ):
+        Pseudospectral().run(with_state(double_integrator(), 1, lower=-0.5))
+
+
+def test_empty_control_bounds_are_named():
+    problem = double_integrator()
+    crossed = replace(problem.phases[0], controls=(Bounded(name="u", unit="m/s^2", lower=2.0, upper=1.0),))
+    with pytest.raises(InfeasibleError, match=r"bounds of control u are empty[\s\S]*\[2, 1\] m/s\^2"):
+        Pseudospectral().run(replace(problem, phases=(crossed,)))
+
+
+def test_a_phase_without_length_is_named():
+    with pytest.raises(InfeasibleError, match=r"T is the length of a phase[\s\S]*at most -1 s"):
+        Pseudospectral().run(double_integrator().with_given(T=-1.0))
+
+
+def test_an_unreachable_end_is_reported_in_physical_units():
+    problem = double_integrator()
+    weak = replace(problem.phases[0], controls=(Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),))
+    with pytest.raises(NotConvergedError, match=r"no trajectory[\s\S]*swing.\w+ is missed by [\d.]+ m") as e:
+        Pseudospectral().run(replace(problem, phases=(weak,)))
+    # u = -1 throughout comes nearest: x(1) = 1/2 and v(1) = 0 instead of 0 and -1.
+    assert e.value.partial["missed"] == [
+        "the end condition swing.speed is missed by 1 m/s",
+        "the end condition swing.place is missed by 0.5 m",
+    ]
+    assert e.value.exit_code == 4
+    assert e.value.partial["missed"] and "Restoration" not in str(e.value)
+
+
+def test_a_lander_out_of_propellant_is_reported_in_physical_units():
+    problem = hybrid_landing(VEHICLE, None, ORBIT, MOON)
+    free = (Free(name="flight_time", unit="s", lower=0.0, upper=300.0, typical=200.0),)
+    with pytest.raises(
+        NotConvergedError,
+        match=r"end condition descent.touchdown_transverse_velocity is missed by [\d.]+ m/s",
+    ):
+        Pseudospectral(refine=0, iterations=60).run(replace(problem, free=free, ranges=None))
+
+
+def test_too_few_refinements_are_reported_with_the_error_of_each_state():
+    with pytest.raises(NotConvergedError, match=r"requested accuracy[\s\S]*descent: h [\d.e-]+ m, v "):
+        Pseudospectral(refine=1).run(meditch())
+
+
+def test_a_guess_with_other_phases_or_states_is_refused():
+    swing = Pseudospectral(refine=0).run(double_integrator())
+    with pytest.raises(PeriluneError, match=r"does not fit phase ascent[\s\S]*3 states and 1 controls"):
+        Pseudospectral().run(linear_tangent_steering(), guess=swing)
+    with pytest.raises(PeriluneError, match="another number of phases"):
+        Pseudospectral().run(double_integrator(), guess=replace(swing, trajectories=swing.trajectories * 2))
+
+
+def test_too_few_iterations_are_reported():
+    with pytest.raises(NotConvergedError) as e:
+        Pseudospectral(iterations=2).run(meditch())
+    assert len(e.value.partial["tried"]) == 6
+
+
+def test_state_bounds_hold():
+    problem = with_state(double_integrator(), 0, upper=0.2)
+    s = Pseudospectral(segments=3, nodes=8, tolerance=1e-4).run(problem)
+    assert s.trajectories[0].state(np.linspace(0, 1, 201))[:, 0].max() < 0.2 + 1e-4
+    assert isinstance(problem.phases[0].states[0], Variable)
