@@ -48,7 +48,9 @@ def _sidereal(days: float) -> float:
 # mu: JPL DE440 (Park et al. 2021) for planets' systems and the Moon, JPL satellite ephemerides for Europa,
 # Dawn (Konopliv et al. 2018) for Ceres. Mean radii and rotation: IAU WGCCRE 2015 (Archinal et al. 2018).
 MOON = Body(name="moon", gravitational_parameter=4.902800118e12, radius=1737.4e3, rotation_rate=2.6616995e-6)
-MERCURY = Body(name="mercury", gravitational_parameter=2.2031868551e13, radius=2439.4e3, rotation_rate=_sidereal(58.6461))
+MERCURY = Body(
+    name="mercury", gravitational_parameter=2.2031868551e13, radius=2439.4e3, rotation_rate=_sidereal(58.6461)
+)
 MARS = Body(name="mars", gravitational_parameter=4.282837362e13, radius=3389.5e3, rotation_rate=7.088218e-5)
 EUROPA = Body(name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3, rotation_rate=_sidereal(3.551181))
 CERES = Body(name="ceres", gravitational_parameter=6.26274e10, radius=470.0e3, rotation_rate=1.923e-4)

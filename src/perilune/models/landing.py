@@ -16,11 +16,15 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from perilune.maths import NUMERIC
 from perilune.models.bodies import MOON, Body
 from perilune.outcome import PeriluneError
 from perilune.problem import Direction, Free, Given, Phase, Problem, Variable
+from perilune.solution import Solution
 from perilune.units import Scales
+from perilune.verification import Check
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact: 3rd CGPM (1901); the paper uses 9.81
 
@@ -170,7 +174,9 @@ def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     }
 
 
-def hybrid_landing(vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Body = MOON, landing_altitude: float = 0.0) -> Problem:
+def hybrid_landing(
+    vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Body = MOON, landing_altitude: float = 0.0
+) -> Problem:
     """Landing of maximum landed mass; with `retro` None, or its delta_v given, the retro burn is fixed.
 
     Parameters
@@ -240,8 +246,46 @@ def hybrid_landing(vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Bo
         objective=_minus_landed_mass,
         objective_unit="kg",
         ranges=_ranges,
+        bookkeeping=bookkeeping,
         scales=Scales(length=speed * time, time=time, mass=vehicle.mass),
     )
     if retro is None or retro.delta_v is not None:
         problem = problem.with_given(retro_delta_v=retro.delta_v if retro and retro.delta_v else 0.0)
     return problem
+
+
+def bookkeeping(solution: Solution) -> tuple[Check, ...]:
+    """The exported masses against the rocket equation, which integrates to closed form: nothing is flown.
+
+    Parameters
+    ----------
+    solution
+        Of a problem made here.
+
+    Returns
+    -------
+    Checks of level 1: mass after the retro burn, Cho et al. (9); propellant at constant flow, (5); speed gained by
+    the rocket equation against the thrust acceleration integrated along the arc.
+    """
+    p, scales, flown = solution.parameters, solution.problem.scales, solution.trajectories[0]
+    mass = [x[-1] for x in (flown.state(0.0), flown.state(p.flight_time))]
+    exhaust_speed = p.vehicle_specific_impulse * p.vehicle_standard_gravity
+    node, weight = np.polynomial.legendre.leggauss(64)
+    acceleration = solution.outputs(0, 0.5 * p.flight_time * (1 + node))["thrust_acceleration"]
+    gained = 0.5 * p.flight_time * float(weight @ acceleration)
+    retro_ratio = math.exp(-p.retro_delta_v / (p.retro_specific_impulse * p.vehicle_standard_gravity))
+    found = (
+        ("retro_mass", "kg", mass[0] - p.vehicle_mass * retro_ratio,
+         "mass at ignition and the one the retro burn leaves"),
+        ("propellant", "kg", mass[0] - mass[1] - p.vehicle_thrust / exhaust_speed * p.flight_time,
+         "propellant burnt in the tables and thrust over exhaust speed times flight time"),
+        ("rocket_equation", "m/s", exhaust_speed * math.log(mass[0] / mass[1]) - gained,
+         "speed by the rocket equation and thrust acceleration integrated along the arc"),
+    )  # fmt: skip
+    return tuple(
+        Check(
+            name=name, level=1, value=abs(float(error)), limit=1e-11 * scales.of(unit), unit=unit,
+            meaning=f"difference between {meaning}",
+        )
+        for name, unit, error, meaning in found
+    )  # fmt: skip

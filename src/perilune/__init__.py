@@ -1,0 +1,95 @@
+"""Optimal finite-thrust landing, descent and deorbit trajectories, each answer with its proof."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+# name: module. Loaded on first use, so that `import perilune` costs nothing.
+_EXPORTS = {
+    "Problem": "perilune.problem",
+    "Phase": "perilune.problem",
+    "Variable": "perilune.problem",
+    "Direction": "perilune.problem",
+    "Bounded": "perilune.problem",
+    "Given": "perilune.problem",
+    "Free": "perilune.problem",
+    "Scales": "perilune.units",
+    "Solution": "perilune.solution",
+    "Verification": "perilune.verification",
+    "Check": "perilune.verification",
+    "Outcome": "perilune.outcome",
+    "PeriluneError": "perilune.outcome",
+    "InfeasibleError": "perilune.outcome",
+    "NotConvergedError": "perilune.outcome",
+    "Indirect": "perilune.methods.indirect",
+    "Pseudospectral": "perilune.methods.pseudospectral",
+    "MOON": "perilune.models.bodies",
+    "solve": "perilune.solve",
+    "sweep": "perilune.sweep",
+    "verify": "perilune.verify",
+    "models": "perilune.models",
+}
+
+__all__ = [
+    "MOON",
+    "Bounded",
+    "Check",
+    "Direction",
+    "Free",
+    "Given",
+    "Indirect",
+    "InfeasibleError",
+    "NotConvergedError",
+    "Outcome",
+    "PeriluneError",
+    "Phase",
+    "Problem",
+    "Pseudospectral",
+    "Scales",
+    "Solution",
+    "Variable",
+    "Verification",
+    "models",
+    "solve",
+    "sweep",
+    "verify",
+]
+
+if TYPE_CHECKING:
+    from perilune import models
+    from perilune.methods.indirect import Indirect
+    from perilune.methods.pseudospectral import Pseudospectral
+    from perilune.models.bodies import MOON
+    from perilune.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+    from perilune.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+    from perilune.solution import Solution
+    from perilune.solve import solve
+    from perilune.sweep import sweep
+    from perilune.units import Scales
+    from perilune.verification import Check, Verification
+    from perilune.verify import verify
+
+
+class _Package(ModuleType):
+    """Keeps a verb a function: importing its module of the same name would put that in its place."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (isinstance(value, ModuleType) and hasattr(value, name) and name in _EXPORTS):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _EXPORTS:
+        raise AttributeError(f"module 'perilune' has no attribute {name!r}")
+    module = importlib.import_module(_EXPORTS[name])
+    value = getattr(module, name, module)
+    globals()[name] = value
+    return value

@@ -1,0 +1,188 @@
+"""From the unknowns of shooting to a `Solution` in SI, and from any `Solution` back to unknowns."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from perilune.kernels import DenseArc
+from perilune.maths import NUMERIC
+from perilune.outcome import PeriluneError
+from perilune.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
+from perilune.problem import Direction, Phase, Problem
+from perilune.propagate import engine
+from perilune.solution import Curve, Solution, Trajectory, hermite_nodes
+from perilune.symbolic import canonical_free, free_scales, state_scales
+from perilune.types import Matrix, Vector
+
+# Tolerance of the arcs that are exported. Their curves are interpolated to 1e-10 in states, 1e-9 in costates and 3e-11
+# in controls (canonical): the re-flight integrates the control's error over the whole burn, and 3e-11 rad of a few
+# m/s^2 over 1000 s stays below 1e-6 m/s.
+_FINE = {"rtol": 1e-13, "atol": 1e-13}
+
+
+def objective_scale(problem: Problem) -> float:
+    """SI size of the canonical unit of J."""
+    return problem.scales.of(problem.objective_unit)
+
+
+def residual_scales(problem: Problem, conditions: Conditions) -> Vector:
+    """SI size of the canonical unit of each residual."""
+    return np.array([problem.scales.of(unit) for _, unit in conditions.residuals])
+
+
+def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
+    """Free parameters in SI."""
+    values = y[conditions.free_at] * free_scales(problem.free, problem)
+    return dict(zip(problem.free_names, values.tolist(), strict=True))
+
+
+def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
+    """Multipliers nu of the end conditions in J per unit."""
+    names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
+    units = conditions.unknowns[conditions.free_at.stop :]
+    values = y[conditions.free_at.stop : len(conditions.unknowns)]
+    return {n: float(v) * problem.scales.of(u) for n, v, (_, u) in zip(names, values, units, strict=True)}
+
+
+def fly(problem: Problem, conditions: Conditions, y: Vector) -> list[DenseArc]:
+    """Canonical z(t) of each phase, flown in one piece from the unknowns y."""
+    p, before, flown = extremal_parameters(problem), np.zeros(0), []
+    for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
+        z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p)[:2])
+        flown.append(engine(extremal, 0).dense(z0, p, float(duration[0]), mode=extremal.mode(z0, p), **_FINE))
+        before = flown[-1].z[-1]
+    return flown
+
+
+def objective(problem: Problem, end: Vector, free: dict[str, float]) -> float:
+    """J in SI from the last phase's canonical end state."""
+    phase = problem.phases[-1]
+    x = end[: len(phase.states)] * state_scales(problem, phase)
+    return float(problem.objective(phase.state_record(*x), problem.parameters(free), NUMERIC))
+
+
+def controls(extremal: PhaseExtremal, arc: DenseArc, t: Vector, p: Vector) -> Matrix:
+    """Minimising control along an arc, (n, controls); at a switch, the one after it."""
+    step = np.clip(np.searchsorted(arc.t, t, side="right") - 1, 0, len(arc.mode) - 1)
+    modes, z = arc.mode[step], arc(t)
+    out = np.zeros((len(t), extremal.reports[0].size1_out(0)))
+    for mode in np.unique(modes):
+        here = modes == mode
+        out[here] = _report(extremal, int(mode), z[here], p)[1]
+    return out
+
+
+def _report(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
+    """(z', u, u') at points z (n, nz) in one mode."""
+    count, numbers = len(z), np.repeat(p[:, None], len(z), axis=1)
+    rate = np.array(extremal.modes[mode].map(count)(z.T, numbers)).T
+    u, u_rate, _ = (np.array(out).T for out in extremal.reports[mode].map(count)(z.T, numbers))
+    return rate, u, u_rate
+
+
+def trajectories(problem: Problem, conditions: Conditions, y: Vector) -> tuple[Trajectory, ...]:
+    """Curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
+    p = extremal_parameters(problem)
+    flown = fly(problem, conditions, y)
+    return tuple(_trajectory(problem, conditions, k, arc, p) for k, arc in enumerate(flown))
+
+
+def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc, p: Vector) -> Trajectory:
+    phase, extremal = problem.phases[k], conditions.phases[k]
+    n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
+    duration = float(arc.t[-1])
+    size = np.maximum(1.0, np.abs(arc.z).max(axis=0))
+    tolerance = np.concatenate([1e-10 * size[:n], 1e-9 * size[half : half + n], np.full(width, 3e-11)])
+    switches = arc.end.event_time[0][~np.isnan(arc.end.event_time[0])]
+    pieces = []
+    for left, right in pairwise([0.0, *switches.tolist(), duration]):
+        step = int(np.clip(np.searchsorted(arc.t, 0.5 * (left + right)) - 1, 0, len(arc.mode) - 1))
+        mode = int(arc.mode[step])
+
+        def evaluate(t: Vector, left: float = left, mode: int = mode) -> tuple[Matrix, Matrix]:
+            z = arc(left + t)
+            rate, u, u_rate = _report(extremal, mode, z, p)
+            values = np.hstack([z[:, :n], z[:, half : half + n], u])
+            return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
+
+        nodes = hermite_nodes(evaluate, right - left, tolerance)
+        pieces.append((left + nodes, *evaluate(nodes)))
+    nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    time = problem.scales.time
+    x_scale = state_scales(problem, phase)
+    u_scale = np.concatenate([np.ones(0), *[_control_scale(problem, c) for c in phase.controls]])
+    scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
+    values, rates = values * scale, rates * scale / time
+    cut = np.split(np.arange(2 * n + width), [n, 2 * n])
+    state, costate, control = (Curve(time=nodes * time, values=values[:, at], rates=rates[:, at]) for at in cut)
+    return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
+
+
+def _control_scale(problem: Problem, control: object) -> Vector:
+    if isinstance(control, Direction):
+        return np.ones(len(control.names))
+    return np.array([problem.scales.of(control.unit)])  # type: ignore[attr-defined]
+
+
+def unknowns_from(problem: Problem, guess: Solution) -> Vector:
+    """Canonical unknowns y of `problem` from a solution of any method for it, or for a problem of the same form.
+
+    Raises
+    ------
+    PeriluneError
+        If the guess has other phases or states, or no costates.
+    """
+    conditions = derive(problem)
+    if len(guess.trajectories) != len(problem.phases):
+        raise PeriluneError(
+            "the guess has another number of phases",
+            got=str(len(guess.trajectories)),
+            expected=str(len(problem.phases)),
+        )
+    lam0 = [
+        _initial_costate(problem, phase, extremal.half, flown.costate)
+        for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True)
+    ]
+    values = {f.name: guess.free.get(f.name, _given_value(guess.problem, f.name, f.typical)) for f in problem.free}
+    units = conditions.unknowns[conditions.free_at.stop :]
+    names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
+    nu = [guess.multipliers.get(n, 0.0) / problem.scales.of(u) for n, (_, u) in zip(names, units, strict=True)]
+    return np.concatenate([*lam0, canonical_free(problem, values), nu])
+
+
+def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segments: int) -> Vector:
+    """Canonical z at the joints of multiple shooting, read off a solution's curves."""
+    joints = [np.zeros(0)]
+    for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True):
+        scale = state_scales(problem, phase)
+        for share in np.arange(1, segments) / segments:
+            t = share * flown.duration
+            lam = flown.costate(t) if flown.costate is not None else np.zeros(len(scale))
+            constants = np.zeros(len(extremal.constants))
+            joints.append(
+                np.concatenate([flown.state(t) / scale, constants, lam * scale / objective_scale(problem), constants])
+            )
+    return np.concatenate(joints)
+
+
+def _given_value(problem: Problem, name: str, otherwise: float) -> float:
+    return problem.given[name].value if name in problem.given else otherwise
+
+
+def _initial_costate(problem: Problem, phase: Phase, half: int, costate: Curve | None) -> Vector:
+    if costate is None:
+        raise PeriluneError(
+            f"the guess has no costates for {phase.name}",
+            expected="a solution of a method that returns costates",
+            advice="solve with Pseudospectral() or Indirect() first",
+        )
+    if costate.values.shape[1] != len(phase.states):
+        raise PeriluneError(
+            f"the guess has other states than {phase.name}",
+            got=f"{costate.values.shape[1]} states",
+            expected=f"{len(phase.states)}",
+        )
+    lam = costate.values[0] * state_scales(problem, phase) / objective_scale(problem)
+    return np.concatenate([lam, np.zeros(half - len(lam))])

@@ -1,0 +1,77 @@
+"""The indirect method without a guess: Pontryagin's conditions, shooting, and a ladder of ways to start it.
+
+Rungs, in order, each tried only where the one before failed:
+
+1. *costates on the unit sphere*: the conditions are linear in the costates up to a factor, and `Problem.scales` make
+   their components comparable, so random directions of length one cover the possibilities;
+2. *direct transcription*: a coarse pseudospectral solution and the costates that its multipliers give;
+3. *multiple shooting* from the same, for arcs too unstable to fly in one piece.
+
+A free parameter between finite bounds (the retro burn) is held at first; then the whole family along it is followed
+and every extremal on it found (`perilune.extremals`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.search import Search, Watch
+from perilune.problem import Problem
+from perilune.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Indirect:
+    """Settings of the indirect method.
+
+    Parameters
+    ----------
+    starts
+        Most random starts of the first rung.
+    confirm
+        The first rung stops when this many starts agree on the best extremal found.
+    seed
+        Of the random starts; the same seed gives the same answer.
+    scan_points
+        Values visited along a free parameter between finite bounds.
+    segments
+        Arcs for each phase in multiple shooting (third rung).
+    transcription
+        The direct method of the second rung; its mesh need not be fine.
+    """
+
+    starts: int = 24
+    confirm: int = 1
+    seed: int = 0
+    scan_points: int = 33
+    segments: int = 6
+    transcription: Pseudospectral = field(default=Pseudospectral(nodes=24, refine=0, iterations=150))
+
+    name = "indirect"
+
+    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+        """Solve.
+
+        Parameters
+        ----------
+        problem
+            What to solve.
+        guess
+            A solution of any method for this problem or one of the same form; without it the ladder is climbed.
+        watch
+            Receives each Newton iteration, and a line of text at each rung.
+
+        Returns
+        -------
+        Solution
+            Unverified; its `extremals` list every extremal found, best first, itself the first.
+
+        Raises
+        ------
+        NotConvergedError
+            If every rung failed.
+        InfeasibleError
+            If extremals were found and every one breaks a path condition.
+        """
+        return Search(self, problem, watch or (lambda _: None)).solve(guess)

@@ -1,0 +1,354 @@
+"""One run of the indirect method: the ladder of starts, the walk along a bounded free parameter, the choice.
+
+`Search` holds what is known so far, so that a failure can say what was tried and how near it came.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from perilune.continuation import Member
+from perilune.extremals import Found, HeldFamily, scan
+from perilune.methods.assemble import (
+    controls,
+    fly,
+    free_values,
+    joints_from,
+    multipliers,
+    objective,
+    residual_scales,
+    trajectories,
+    unknowns_from,
+)
+from perilune.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.pontryagin import Conditions, derive, extremal_parameters
+from perilune.problem import Problem
+from perilune.rootfind import Root
+from perilune.shooting import Shooting
+from perilune.solution import Deferred, Extremal, Iteration, Nature, Solution, Statistics
+from perilune.symbolic import canonical_free, free_scales, state_scales
+from perilune.types import Vector
+
+if TYPE_CHECKING:
+    from perilune.methods.indirect import Indirect
+
+Watch = Callable[[Iteration | str], None]
+
+
+@dataclass
+class Search:
+    """One run on one problem."""
+
+    settings: Indirect
+    problem: Problem
+    watch: Watch
+    tried: list[str] = field(default_factory=list)
+    iterations: int = 0
+    best_failure: Root | None = None
+
+    def __post_init__(self) -> None:
+        self.began = time.perf_counter()
+        self.conditions: Conditions = derive(self.problem)
+        self.p: Vector = extremal_parameters(self.problem)
+        self.shooting = Shooting(self.conditions)
+        self.history: list[Iteration] = []
+        self.scanned = self._bounded_parameter()
+        self.base: Member | None = None
+        self.refusal: PeriluneError | None = None
+        self.rough: Solution | None = None
+
+    # -- the two ways in ------------------------------------------------------------------------------------------
+
+    def solve(self, guess: Solution | None) -> Solution:
+        """From a guess, or by the ladder."""
+        if guess is not None:
+            return self._compose(self._from_guess(guess), "guess")  # whether it keeps the path is for the proof to say
+        found: list[Found] = []
+        for first, rung in self._first_members():
+            found = self._all_extremals(first)
+            if self._answers(found):
+                self.base = first
+                return self._compose(self._admissible(found), rung)
+        raise self._refusal(found) or self._failure()
+
+    def solve_from(self, base: Member) -> Solution | None:
+        """From an extremal with the bounded free parameter held, such as another run's `base`; None without answer."""
+        found = self._all_extremals(base)
+        self.base = base
+        return self._compose(self._admissible(found), "continuation") if self._answers(found) else None
+
+    def correct(self, y: Vector, held: float, p: Vector | None = None) -> Root:
+        """Newton with the bounded free parameter, if there is one, held; at other given parameters p where asked."""
+        root = self.shooting.root(y, self.p if p is None else p, self._hold(held), self._iteration)
+        return self._count(root)
+
+    def residual(self, y: Vector, held: float, p: Vector) -> Vector:
+        """Shooting residual with the bounded free parameter, if there is one, held."""
+        return self.shooting(y, p, self._hold(held), False)[0]
+
+    def _hold(self, value: float) -> dict[int, float]:
+        return {} if self.scanned is None else {self.scanned: value}
+
+    def _held_scale(self) -> float:
+        return 1.0 if self.scanned is None else self.problem.scales.of(self.problem.free[self.scanned].unit)
+
+    def _all_extremals(self, first: Member) -> list[Found]:
+        if self.scanned is None:
+            return [Found(root=first.root, value=0.0, bound=0, minimum=True)]
+        self.watch(f"following the family of extremals along {self.problem.free[self.scanned].name}")
+        family = HeldFamily(shooting=self.shooting, p=self.p, index=self.scanned)
+        return list(scan(family, first, self._bounds(self.scanned), self.settings.scan_points, self.watch))
+
+    def _admissible(self, found: list[Found]) -> list[Found]:
+        return [f for f in found if self._breach(f.root.y) is None]
+
+    def _answers(self, found: list[Found]) -> bool:
+        return any(f.minimum and self._breach(f.root.y) is None for f in found)
+
+    def _from_guess(self, guess: Solution) -> list[Found]:
+        """Newton from a guess; a bounded parameter that wants out of its bounds is held at the bound."""
+        y = unknowns_from(self.problem, guess)
+        scanned = self.scanned
+        if scanned is not None:
+            bounds = self._bounds(scanned)
+            at = self.conditions.free_at.start + scanned
+            family = HeldFamily(shooting=self.shooting, p=self.p, index=scanned)
+            for bound, limit in zip((-1, 1), bounds, strict=True):
+                if y[at] == limit:
+                    root = self.correct(y, limit)
+                    if root.converged and family.slope(root) * bound < 0:
+                        return [Found(root=root, value=limit, bound=bound, minimum=True)]
+        root = self._newton(y)
+        if not root.converged:
+            self.tried.append("Newton from the guess")
+            raise self._failure()
+        if scanned is None:
+            return [Found(root=root, value=0.0, bound=0, minimum=True)]
+        value = float(root.y[at])
+        if not bounds[0] <= value <= bounds[1]:
+            raise NotConvergedError(
+                f"from this guess the extremal lies outside the bounds of {self.problem.free[scanned].name}",
+                got=f"{free_values(self.problem, self.conditions, root.y)[self.problem.free[scanned].name]:.6g}",
+                advice="solve without a guess",
+            )
+        return [Found(root=root, value=value, bound=0, minimum=family.curvature(root) > 0)]
+
+    # -- the ladder -----------------------------------------------------------------------------------------------
+
+    def _first_members(self) -> Iterator[tuple[Member, str]]:
+        """Yield (an extremal with the bounded parameter held, the rung that found it) until the caller is content."""
+        name = "" if self.scanned is None else self.problem.free[self.scanned].name
+        holds = [0.0] if self.scanned is None else np.linspace(*self._bounds(self.scanned), 5).tolist()
+        for held in holds:
+            where = f" with {name} held at {held * self._held_scale():.6g}" if name else ""
+            self.watch("rung: costates on the unit sphere" + where)
+            # Where the first bound gave nothing, the others are worth a few starts each.
+            for root in self._sphere(held, self.settings.starts if held == holds[0] else self.settings.starts // 4):
+                yield Member(value=held, root=root), "costates on the unit sphere"
+        self.watch("rung: direct transcription")
+        yield from self._transcription()
+
+    def _transcription(self) -> Iterator[tuple[Member, str]]:
+        """A root from a coarse direct solution, in one piece or, where that fails, by multiple shooting."""
+        try:
+            rough = self.settings.transcription.run(self.problem)
+        except PeriluneError as error:
+            self.tried.append(f"direct transcription: {error.what}")
+            self.refusal = error
+            return
+        self.rough = rough
+        y = unknowns_from(self.problem, rough)
+        held = 0.0 if self.scanned is None else float(y[self.conditions.free_at.start + self.scanned])
+        for segments, rung in ((1, "direct transcription"), (self.settings.segments, "multiple shooting")):
+            shooting = Shooting(self.conditions, segments=segments)
+            Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
+            root = self._count(shooting.root(Y, self.p, self._hold(held), self._iteration))
+            self.shooting.arcs += shooting.arcs
+            if root.converged:
+                root = self.correct(root.y[: len(y)], held)  # one piece again, for what follows
+            if root.converged:
+                yield Member(value=held, root=root), rung
+                return
+            self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
+
+    def _sphere(self, held: float, starts: int) -> Iterator[Root]:
+        """Distinct roots from random directions of the initial costates, those that keep the path conditions first."""
+        rng = np.random.default_rng(self.settings.seed)
+        typical = canonical_free(self.problem, {f.name: f.typical for f in self.problem.free})
+        roots: list[Root] = []
+        agreed: dict[int, int] = {}
+        c = self.conditions
+        for _ in range(starts):
+            y = np.zeros(len(c.unknowns))
+            lam = rng.normal(size=c.free_at.start)
+            y[: c.free_at.start] = lam / np.linalg.norm(lam)
+            y[c.free_at] = typical * np.exp(rng.uniform(-0.4, 0.4, size=len(typical)))
+            root = self._newton(y, self._hold(held), max_step=0.5)
+            if not (root.converged and self._within_bounds(root.y)):
+                continue
+            same = next((i for i, r in enumerate(roots) if np.allclose(r.y, root.y, rtol=0, atol=1e-6)), len(roots))
+            if same == len(roots):
+                roots.append(root)
+            agreed[same] = agreed.get(same, 0) + 1
+            if agreed[same] >= self.settings.confirm and self._breach(root.y) is None:
+                break
+        self.tried.append(f"costates on the unit sphere: {len(roots)} extremals from {starts} starts")
+        keeps = [self._breach(r.y) is None for r in roots]
+        order = sorted(range(len(roots)), key=lambda i: (not keeps[i], self._objective(roots[i].y)))
+        yield from (roots[i] for i in order)
+
+    def _newton(self, y: Vector, held: dict[int, float] | None = None, **settings: float) -> Root:
+        return self._count(self.shooting.root(y, self.p, held or {}, self._iteration, **settings))
+
+    def _count(self, root: Root) -> Root:
+        if not root.converged and np.all(np.isfinite(root.residual)):
+            worst = self.best_failure
+            if worst is None or np.abs(root.residual).max() < np.abs(worst.residual).max():
+                self.best_failure = root
+        return root
+
+    def _iteration(self, iteration: Iteration) -> None:
+        self.iterations += 1
+        self.history.append(iteration)
+        self.watch(iteration)
+
+    # -- what makes a root an answer ------------------------------------------------------------------------------
+
+    def _bounded_parameter(self) -> int | None:
+        """Index of the free parameter between finite bounds that is no duration; None where there is none."""
+        bounded = [
+            i
+            for i, f in enumerate(self.problem.free)
+            if f.name not in self.problem.duration_names and np.isfinite(f.upper - f.lower)
+        ]
+        if len(bounded) > 1:
+            raise PeriluneError(
+                "the indirect method follows extremals along one bounded free parameter",
+                got=", ".join(self.problem.free[i].name for i in bounded),
+                advice="give all but one of them a value, or leave their bounds open",
+            )
+        return bounded[0] if bounded else None
+
+    def _bounds(self, index: int) -> tuple[float, float]:
+        free = self.problem.free[index]
+        scale = self.problem.scales.of(free.unit)
+        return free.lower / scale, free.upper / scale
+
+    def _within_bounds(self, y: Vector) -> bool:
+        values = y[self.conditions.free_at] * free_scales(self.problem.free, self.problem)
+        return all(f.lower <= v <= f.upper for f, v in zip(self.problem.free, values, strict=True))
+
+    def _objective(self, y: Vector) -> float:
+        end = self.shooting.ends(y[: len(self.conditions.unknowns)], self.p)[-1]
+        return objective(self.problem, end, free_values(self.problem, self.conditions, y))
+
+    def _breach(self, y: Vector) -> str | None:
+        """The worst broken path condition, in the user's words, or None."""
+        p = self.problem.parameters(free_values(self.problem, self.conditions, y))
+        for phase, extremal, arc in zip(
+            self.problem.phases, self.conditions.phases, fly(self.problem, self.conditions, y), strict=True
+        ):
+            if phase.path is None:
+                continue
+            t = np.linspace(0.0, arc.t[-1], 201)
+            z, u = arc(t).T, controls(extremal, arc, t, self.p).T
+            x = z[: extremal.state_count] * state_scales(self.problem, phase)[:, None]
+            for condition, values in zip(phase.path_conditions, phase.evaluate("path", x, u, p), strict=True):
+                least = float(np.min(values))
+                if not least >= -1e-9 * self.problem.scales.of(condition.unit):
+                    return f"{condition.name} falls to {least:.6g} {condition.unit}"
+        return None
+
+    # -- the answer, or why there is none -------------------------------------------------------------------------
+
+    def _compose(self, found: list[Found], rung: str) -> Solution:
+        ranked = sorted(
+            ((not f.minimum, self._objective(f.root.y), i) for i, f in enumerate(found)),
+            key=lambda key: key[:2],
+        )
+        extremals = tuple(
+            Extremal(
+                free=free_values(self.problem, self.conditions, found[i].root.y),
+                objective=value,
+                nature=_nature(found[i], best=place == 0),
+            )
+            for place, (_, value, i) in enumerate(ranked)
+        )
+        best = found[ranked[0][2]].root
+        y = best.y[: len(self.conditions.unknowns)]
+        return Solution(
+            problem=self.problem,
+            method=self.settings.name,
+            outcome=Outcome.SOLVED,
+            objective=extremals[0].objective,
+            free=extremals[0].free,
+            trajectories=Deferred(len(self.problem.phases), lambda: trajectories(self.problem, self.conditions, y)),
+            multipliers=multipliers(self.problem, self.conditions, y),
+            extremals=extremals,
+            unknowns=y,
+            statistics=Statistics(
+                rung=rung,
+                tried=tuple(self.tried),
+                iterations=self.iterations,
+                arcs=self.shooting.arcs,
+                residual=float(np.abs(best.residual).max()),
+                wall_time=time.perf_counter() - self.began,
+                history=tuple(self.history),
+            ),
+        )
+
+    def _refusal(self, found: list[Found]) -> InfeasibleError | None:
+        """Physics' reason, where there is one: the direct method found no feasible path, or extremals break one."""
+        if isinstance(self.refusal, InfeasibleError):
+            return self.refusal
+        broken = next((b for f in found if (b := self._breach(f.root.y))), None)
+        if broken is None:
+            return None
+        beside = ""
+        if self.rough is not None:
+            unit = self.problem.objective_unit
+            beside = (
+                f"; the best path that keeps it rides along it (direct method: J = {self.rough.objective:.6g} {unit})"
+            )
+        return InfeasibleError(
+            "every extremal breaks a condition of the path",
+            got=f"{broken} on the way{beside}",
+            expected="not negative anywhere",
+            advice="more thrust or a higher start; Pseudospectral() where riding along the condition is acceptable",
+        )
+
+    def _failure(self) -> NotConvergedError:
+        partial: dict[str, Any] = {"tried": list(self.tried), "iterations": self.iterations}
+        got = "no start could even be flown to its end"
+        if self.best_failure is not None:
+            root = self.best_failure
+            scaled = root.residual[: len(self.conditions.residuals)]
+            values = scaled * residual_scales(self.problem, self.conditions)
+            partial["residuals"] = {
+                name: {"value": float(v), "unit": unit}
+                for (name, unit), v in zip(self.conditions.residuals, values, strict=True)
+            }
+            partial["free"] = free_values(self.problem, self.conditions, root.y)
+            k = int(np.argmax(np.abs(scaled)))
+            name, unit = self.conditions.residuals[k]
+            got = f"nearest approach leaves {name} = {values[k]:.4g} {unit}"
+        return NotConvergedError(
+            "no extremal was found",
+            got=got,
+            expected="all residuals zero; tried " + "; ".join(self.tried or ["nothing"]),
+            advice="perilune check for what physics says; then more starts (Indirect(starts=100)) or a nearby guess",
+            partial=partial,
+        )
+
+
+def _nature(found: Found, *, best: bool) -> Nature:
+    if found.bound:
+        return Nature.BOUNDARY_GLOBAL_OPTIMUM if best else Nature.BOUNDARY_OPTIMUM
+    if not found.minimum:
+        return Nature.WORST
+    return Nature.GLOBAL_OPTIMUM if best else Nature.LOCAL_OPTIMUM

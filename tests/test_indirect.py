@@ -1,0 +1,240 @@
+"""The indirect method on problems with closed forms, and its parts one by one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conftest import cho_landing
+from perilune.continuation import Member, follow
+from perilune.methods.indirect import Indirect
+from perilune.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune.pontryagin import derive, extremal_parameters
+from perilune.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+from perilune.rootfind import Root, damped_newton
+from perilune.shooting import Shooting
+from perilune.solution import Curve, Iteration, Solution, hermite_nodes
+from perilune.solve import solve
+from perilune.units import Scales
+
+
+def tangent_steering(split: bool = False) -> Problem:
+    """Linear tangent steering: constant acceleration to height 5, speed (45, 0) in least time; in one phase or two.
+
+    Closed form: t_f = 0.554570878334603 for an acceleration of 100.
+    """
+    states = tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s")))
+
+    def phase(name: str, duration: str, last: bool) -> Phase:
+        return Phase(
+            name=name,
+            states=states,
+            controls=(Direction(names=("cx", "cy")),),
+            dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx, p.a * u.cy),
+            duration=duration,
+            end=(lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None,
+            end_conditions=tuple(
+                Variable(name=n, unit=u) for n, u in (("height", "m"), ("along", "m/s"), ("up", "m/s"))
+            )
+            if last
+            else (),
+        )
+
+    first = Given(value=0.2, unit="s")
+    return Problem(
+        name="linear_tangent_steering",
+        phases=(phase("first", "t1", False), phase("second", "t2", True)) if split else (phase("only", "t2", True),),
+        links=(lambda x, p, m: (x.y, x.vx, x.vy),) if split else (),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given={
+            "a": Given(value=100.0, unit="m/s^2"),
+            "height": Given(value=5.0, unit="m"),
+            "speed": Given(value=45.0, unit="m/s"),
+            "t1": first,
+        },
+        free=(Free(name="t2", unit="s", lower=0.0, typical=0.6),),
+        objective=lambda x, p, m: p.t2 + p.t1 if split else p.t2,
+        objective_unit="s",
+        scales=Scales(length=20.0, time=0.5),
+    )
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_linear_tangent_steering(split: bool) -> None:
+    """One phase, and the same cut in two by a link that passes the state on."""
+    solution = solve(tangent_steering(split), level=0)
+    assert solution.objective == pytest.approx(0.554570878334603, rel=1e-11)
+    u = solution.trajectories[0].control(np.linspace(0.0, 0.2, 5))
+    slopes = u[:, 1] / u[:, 0]
+    assert np.diff(slopes, 2) == pytest.approx(0.0, abs=1e-7)  # the tangent is linear in time
+
+
+def test_a_free_parameter_in_the_dynamics() -> None:
+    """It becomes a constant state: the acceleration that minimises time plus its own price, against a scalar search."""
+    base = tangent_steering()
+
+    def least_time(a: float) -> float:
+        return solve(base.with_given(a=a), level=0).objective
+
+    priced = replace(
+        base,
+        given={**{n: g for n, g in base.given.items() if n != "a"}, "price": Given(value=2e-3, unit="s^3/m")},
+        free=(*base.free, Free(name="a", unit="m/s^2", typical=90.0)),
+        objective=lambda x, p, m: p.t2 + p.price * p.a,
+    )
+    solution = solve(priced, level=0)
+    a, step = solution.free["a"], 1e-3
+    slope = (least_time(a + step) - least_time(a - step)) / (2 * step)
+    assert slope == pytest.approx(-2e-3, rel=1e-6)
+
+
+def test_jacobian_by_taylor_ratio(landing: Problem, hybrid: Solution) -> None:
+    """|h(y + e d) - h(y) - e J d| falls by four when e is halved; single and multiple shooting."""
+    p = extremal_parameters(landing)
+    assert hybrid.unknowns is not None
+    for segments in (1, 3):
+        shooting = Shooting(derive(landing), segments=segments)
+        y = shooting.joints(hybrid.unknowns, p)
+        assert y is not None
+        rng = np.random.default_rng(1)
+        direction = rng.normal(size=len(y))
+        h, J = shooting(y, p, {})
+        rests = [
+            np.linalg.norm(shooting(y + e * direction, p, {}, False)[0] - h - e * (J @ direction)) for e in (1e-3, 5e-4)
+        ]
+        assert rests[0] / rests[1] == pytest.approx(4.0, rel=0.02)
+
+
+def test_multiple_shooting_agrees(landing: Problem, hybrid: Solution) -> None:
+    """From disturbed joints to the same root."""
+    p = extremal_parameters(landing)
+    shooting = Shooting(derive(landing), segments=4)
+    assert hybrid.unknowns is not None
+    y = shooting.joints(hybrid.unknowns, p)
+    assert y is not None
+    y[len(hybrid.unknowns) :] += 1e-3
+    root = shooting.root(y, p, {})
+    assert root.converged
+    assert root.y[: len(hybrid.unknowns)] == pytest.approx(hybrid.unknowns, abs=1e-9)
+
+
+def test_iterations_are_shown(landing: Problem, ordinary: Solution) -> None:
+    """Number, residual, step and damping of each."""
+    seen: list[Iteration | str] = []
+    solve(
+        landing.with_given(retro_delta_v=0.0, vehicle_thrust=450.0),
+        guess=ordinary,
+        level=0,
+        watch=seen.append,
+    )
+    iterations = [i for i in seen if isinstance(i, Iteration)]
+    assert [i.number for i in iterations] == list(range(1, len(iterations) + 1))
+    assert iterations[-1].residual < 1e-11
+    assert all(0 < i.damping <= 1 for i in iterations)
+
+
+def test_newton_damps_where_full_steps_diverge() -> None:
+    """The arctangent from 3: undamped Newton leaves for infinity."""
+    root = damped_newton(lambda y, _: (np.arctan(y), np.diag(1 / (1 + y**2))), np.array([3.0]))
+    assert root.converged
+    assert root.y[0] == pytest.approx(0.0, abs=1e-11)
+    assert root.history[0].damping < 1.0
+
+
+def test_newton_stops_honestly() -> None:
+    """No root, a singular Jacobian, and NaN: each ends without convergence."""
+    assert not damped_newton(lambda y, _: (y**2 + 1.0, np.diag(2 * y)), np.array([0.7])).converged
+    assert not damped_newton(lambda y, _: (y - 1.0, np.zeros((1, 1))), np.array([0.0])).converged
+    assert not damped_newton(lambda y, _: (np.full(1, np.nan), np.eye(1)), np.array([0.0])).converged
+
+
+def test_continuation_halves_steps_and_reports() -> None:
+    """The family y^3 = v, whose tangent is infinite at 0; and y^2 = v, which ends there."""
+
+    def root(power: int, y: np.ndarray, v: float) -> Root:
+        return damped_newton(lambda x, _: (x**power - v, np.diag(power * x ** (power - 1))), y)
+
+    def tangent(power: int, r: Root, v: float) -> np.ndarray:
+        return 1 / (power * r.y ** (power - 1))
+
+    first = Member(value=1.0, root=root(2, np.ones(1), 1.0))
+    found = list(follow(first, [0.5, 0.01, -1.0], lambda y, v: root(2, y, v), lambda r, v: tangent(2, r, v)))
+    assert found[0] is not None and found[0].root.y[0] == pytest.approx(math.sqrt(0.5))
+    assert found[1] is not None and found[1].root.y[0] == pytest.approx(0.1)
+    assert found[2] is None
+
+
+def test_unsupported_controls_are_named() -> None:
+    """A scalar without a closed-form law, and a direction that enters nonlinearly."""
+    base = tangent_steering()
+    phase = base.phases[0]
+    steered = replace(
+        base,
+        phases=(
+            replace(
+                phase,
+                controls=(Bounded(name="angle"),),
+                dynamics=lambda x, u, p, m: (x.vy, p.a * m.cos(u.angle), p.a * m.sin(u.angle)),
+            ),
+        ),
+    )
+    with pytest.raises(PeriluneError, match="no closed-form control law for angle"):
+        solve(steered, level=0)
+    squared = replace(phase, dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx * u.cx, p.a * u.cy))
+    with pytest.raises(PeriluneError, match="linear"):
+        solve(replace(base, phases=(squared,)), level=0)
+
+
+def test_failure_names_the_residual() -> None:
+    """A target that cannot be met: the message names the condition in its unit, and what was tried is kept."""
+    base = tangent_steering()
+    stuck = replace(
+        base.phases[0],
+        end=lambda x, p, m: (x.y - p.height, x.vx * x.vx + p.speed * p.speed, x.vy),
+        end_conditions=tuple(
+            Variable(name=n, unit=u) for n, u in (("height", "m"), ("impossible", "m^2/s^2"), ("up", "m/s"))
+        ),
+    )
+    with pytest.raises(NotConvergedError) as caught:
+        solve(replace(base, phases=(stuck,)), Indirect(starts=3), level=0)
+    assert caught.value.partial["tried"]
+    assert any("impossible" in name for name in caught.value.partial["residuals"])
+
+
+def test_guess_of_another_form_is_refused(hybrid: Solution) -> None:
+    """A landing is no guess for a tangent-steering problem."""
+    with pytest.raises(PeriluneError, match="other states"):
+        solve(tangent_steering(), guess=hybrid, level=0)
+
+
+def test_solve_without_proof_says_so(hybrid: Solution) -> None:
+    """An unverified answer is SOLVED, not PROVED."""
+    assert hybrid.outcome is Outcome.SOLVED
+    assert hybrid.verification.level == 0
+
+
+def test_derivation_is_shared(landing: Problem) -> None:
+    """Landers that differ in numbers only are derived and compiled once."""
+    assert derive(landing) is derive(cho_landing(300.0))
+    assert derive(landing) is not derive(landing.with_given(retro_delta_v=0.0))
+
+
+def test_curves_interpolate_what_they_promise() -> None:
+    """Cubic Hermite is exact on cubics, and nodes are placed where a curve needs them."""
+    t = np.linspace(0, 2, 5)
+    cubic = Curve(time=t, values=(t**3 - t)[:, None], rates=(3 * t**2 - 1)[:, None])
+    at = np.linspace(0, 2, 41)
+    assert cubic(at)[:, 0] == pytest.approx(at**3 - at, abs=1e-13)
+    assert cubic(0.3).shape == (1,)
+
+    def fast(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.tanh(50 * (t - 1))[:, None], (50 / np.cosh(50 * (t - 1)) ** 2)[:, None]
+
+    nodes = hermite_nodes(fast, 2.0, np.array([1e-9]))
+    curve = Curve(time=nodes, values=fast(nodes)[0], rates=fast(nodes)[1])
+    dense = np.linspace(0, 2, 5001)
+    assert np.abs(curve(dense) - fast(dense)[0]).max() < 2e-9
+    assert np.diff(nodes)[0] > 4 * np.diff(nodes).min()

@@ -1,0 +1,173 @@
+"""Cho, Kim, Leeghim 2015 against its printed values and against independently computed ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conftest import CHO_MOON, cho_landing
+from perilune.maths import NUMERIC
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
+from perilune.outcome import InfeasibleError, PeriluneError
+from perilune.problem import Given, Problem
+from perilune.solution import Nature, Solution
+from perilune.solve import solve
+
+
+def test_perilune_speed(landing: Problem) -> None:
+    """(25), printed to 1e-5 m/s."""
+    assert perilune_speed(landing.parameters({}), NUMERIC) == pytest.approx(1691.96926, abs=1e-5)
+
+
+def test_ordinary_landing(ordinary: Solution) -> None:
+    """Table 1 and its independent recomputation."""
+    assert -ordinary.objective == pytest.approx(154.54135, abs=1e-5)
+    assert ordinary.free["flight_time"] == pytest.approx(1005.3507, abs=1e-3)
+
+
+def test_hybrid_landing(hybrid: Solution) -> None:
+    """Table 1, (26) recomputed."""
+    assert -hybrid.objective == pytest.approx(160.618584, abs=1e-6)
+    assert hybrid.free["retro_delta_v"] == pytest.approx(1200.944, abs=1e-3)
+    assert hybrid.free["flight_time"] == pytest.approx(286.864, abs=1e-3)
+
+
+def test_ignition_is_straight_retro(hybrid: Solution) -> None:
+    """Equal Isp, H = 0 and (19) together give lambda_v(0) = 0: beta(0) is 180 degrees exactly."""
+    angle = math.degrees(hybrid.outputs(0, np.array([0.0]))["thrust_angle"][0])
+    assert angle == pytest.approx(180.0, abs=1e-9)
+
+
+def test_claims_of_the_figures(hybrid: Solution, ordinary: Solution) -> None:
+    """Figs 2-7: the ordinary landing climbs first, the hybrid never does, and takes under a third of the time."""
+    assert hybrid.free["flight_time"] < ordinary.free["flight_time"] / 3
+    radial = hybrid.trajectories[0].state(np.linspace(0, hybrid.free["flight_time"], 500))[:, 3]
+    assert radial.max() <= 1e-9
+    angle = hybrid.outputs(0, np.linspace(0, hybrid.free["flight_time"], 500))["thrust_angle"]
+    assert np.degrees(angle).max() <= 180.0 + 1e-9
+    altitude = ordinary.outputs(0, np.linspace(0, 400, 200))["altitude"]
+    assert altitude.max() > 15e3 + 100.0
+
+
+def test_every_extremal_is_found(hybrid: Solution) -> None:
+    """The global maximum of landed mass, delta_v = 0 as a local one, and the local minimum between them."""
+    found = {e.nature: e for e in hybrid.extremals}
+    assert len(hybrid.extremals) == 3
+    assert found[Nature.GLOBAL_OPTIMUM].free["retro_delta_v"] == pytest.approx(1200.944, abs=1e-3)
+    assert found[Nature.BOUNDARY_OPTIMUM].free["retro_delta_v"] == 0.0
+    assert found[Nature.WORST].free["retro_delta_v"] == pytest.approx(130.0, abs=5.0)
+    assert found[Nature.WORST].objective > found[Nature.BOUNDARY_OPTIMUM].objective
+
+
+@pytest.mark.parametrize(("isp", "retro_burn"), [(277.95, True), (277.85, False)])
+def test_retro_burn_stops_paying(isp: float, retro_burn: bool) -> None:
+    """Figs 9, 10: the global optimum jumps to delta_v = 0 below an impulsive Isp of 277.9 s."""
+    solution = solve(cho_landing(isp), level=0)
+    if retro_burn:
+        assert solution.free["retro_delta_v"] == pytest.approx(1086.0, abs=1.0)
+        assert solution.extremals[0].nature is Nature.GLOBAL_OPTIMUM
+    else:
+        assert solution.free["retro_delta_v"] == 0.0
+        assert solution.extremals[0].nature is Nature.BOUNDARY_GLOBAL_OPTIMUM
+
+
+def test_initial_costate_is_the_gradient(landing: Problem, ordinary: Solution) -> None:
+    """The sign convention: lambda(t0) = dJ*/dx0, here for mass and height, by re-solved neighbours."""
+    lam = ordinary.trajectories[0].costate
+    assert lam is not None
+    fixed = landing.with_given(retro_delta_v=0.0)
+
+    def slope(name: str, step: float) -> float:
+        value = fixed.given[name].value
+        plus, minus = (solve(fixed.with_given(**{name: value + s}), guess=ordinary, level=0) for s in (step, -step))
+        return (plus.objective - minus.objective) / (2 * step)
+
+    assert slope("vehicle_mass", 1e-2) == pytest.approx(lam.values[0, 4], rel=1e-6)
+    # Perilune height moves the speed too: the chain rule with Cho et al. (7).
+    step = 10.0
+    p = [fixed.with_given(orbit_perilune_altitude=15e3 + s).parameters({}) for s in (step, -step)]
+    dv_dh = (perilune_speed(p[0], NUMERIC) - perilune_speed(p[1], NUMERIC)) / (2 * step)
+    expected = lam.values[0, 0] + lam.values[0, 2] * dv_dh
+    assert slope("orbit_perilune_altitude", step) == pytest.approx(expected, rel=1e-5)
+
+
+def test_more_thrust_never_costs_propellant(landing: Problem, ordinary: Solution) -> None:
+    """More thrust lands more mass, from half a newton to a tenth more."""
+    fixed = landing.with_given(retro_delta_v=0.0)
+    before = ordinary
+    for thrust in (440.5, 460.0, 484.0):
+        after = solve(fixed.with_given(vehicle_thrust=thrust), guess=before, level=0)
+        assert after.objective < before.objective
+        before = after
+
+
+def test_units_do_not_matter(hybrid: Solution) -> None:
+    """The same lander a thousand times heavier with a thousand times the thrust flies the same path."""
+    heavy = hybrid_landing(
+        Vehicle(mass=300e3, thrust=440e3, specific_impulse=310.0, standard_gravity=9.81),
+        Retro(specific_impulse=310.0),
+        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
+        CHO_MOON,
+    )
+    solution = solve(heavy, guess=hybrid, level=0)
+    assert solution.objective == pytest.approx(1000 * hybrid.objective, rel=1e-10)
+    assert solution.free["retro_delta_v"] == pytest.approx(hybrid.free["retro_delta_v"], rel=1e-9)
+
+
+def test_restart_from_a_midpoint(landing: Problem, ordinary: Solution) -> None:
+    """Bellman: the rest of an optimal landing is optimal from where it begins."""
+    fixed, total = landing.with_given(retro_delta_v=0.0), ordinary.free["flight_time"]
+    names, units = zip(*((f"begin_{s.name}", s.unit) for s in fixed.phases[0].states), strict=True)
+    x = ordinary.trajectories[0].state(0.4 * total)
+    rest = replace(
+        fixed,
+        start=lambda p, m: tuple(getattr(p, name) for name in names),
+        given={**fixed.given, **{n: Given(value=v, unit=u) for n, v, u in zip(names, x, units, strict=True)}},
+    )
+    solution = solve(rest, level=0)
+    assert solution.objective == pytest.approx(ordinary.objective, rel=1e-9)
+    assert solution.free["flight_time"] == pytest.approx(0.6 * total, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mass": -300.0}, "mass must be positive"),
+        ({"mass": float("nan")}, "mass must be positive and finite"),
+        ({"thrust": 0.0}, "thrust must be positive"),
+        ({"specific_impulse": float("inf")}, "specific_impulse must be positive and finite"),
+    ],
+)
+def test_impossible_vehicles(change: dict[str, float], words: str) -> None:
+    """Each is refused with its name."""
+    with pytest.raises(PeriluneError, match=words):
+        Vehicle(**{"mass": 300.0, "thrust": 440.0, "specific_impulse": 310.0, **change})
+
+
+def test_impossible_orbits() -> None:
+    """Perilune above the parking orbit, or below the site."""
+    with pytest.raises(PeriluneError, match="perilune lies above the parking orbit"):
+        Orbit(parking_altitude=15e3, perilune_altitude=100e3)
+    with pytest.raises(PeriluneError, match="perilune lies below the landing site"):
+        hybrid_landing(
+            Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0),
+            None,
+            Orbit(parking_altitude=100e3, perilune_altitude=5e3),
+            CHO_MOON,
+            landing_altitude=6e3,
+        )
+
+
+def test_too_weak_a_lander_is_refused() -> None:
+    """A tenth of the thrust: whatever is found flies through the ground, and is not called an answer."""
+    weak = hybrid_landing(
+        Vehicle(mass=300.0, thrust=200.0, specific_impulse=310.0),
+        None,
+        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
+    )
+    with pytest.raises((InfeasibleError, PeriluneError)) as caught:
+        solve(weak, level=0)
+    assert caught.value.exit_code in (3, 4)

@@ -1,0 +1,79 @@
+"""Families: along a given parameter, along a free one, through a jump, and what cannot be solved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perilune.outcome import PeriluneError
+from perilune.problem import Problem
+from perilune.solution import Solution
+from perilune.solve import solve
+from perilune.sweep import sweep
+
+
+def test_landed_mass_against_delta_v(landing: Problem) -> None:
+    """Fig 8's shape: down from 0 to about 130 m/s, up to 1200, down again."""
+    family = sweep(landing, {"retro.delta_v": [0.0, 130.0, 600.0, 1200.0, 1600.0]})
+    mass = [-p.solution.objective for p in family.points if p.solution]
+    assert len(mass) == 5
+    assert mass[0] == pytest.approx(154.54135, abs=1e-5)
+    assert mass[1] < mass[0] < mass[2] < mass[3] > mass[4]
+    assert [p.solution.statistics.rung for p in family.points[1:] if p.solution] == ["continuation"] * 4
+
+
+def test_members_equal_separate_solves(landing: Problem) -> None:
+    """Continuation arrives where a solve from nothing does."""
+    fixed = landing.with_given(retro_delta_v=0.0)
+    family = sweep(fixed, {"vehicle.thrust": [440.0, 700.0]})
+    alone = solve(fixed.with_given(vehicle_thrust=700.0), level=0)
+    assert family.points[1].solution is not None
+    assert family.points[1].solution.objective == pytest.approx(alone.objective, rel=1e-10)
+
+
+def test_unsolvable_members_are_reported(landing: Problem) -> None:
+    """A perilune below the site cannot be flown; the rest of the family is there."""
+    family = sweep(landing.with_given(retro_delta_v=0.0), {"vehicle.mass": [300.0, -1.0, 310.0]})
+    assert family.points[0].solution is not None
+    assert family.points[1].solution is None
+    assert family.points[1].message
+    assert family.points[2].solution is not None
+
+
+def test_interruption_keeps_what_is_there(landing: Problem) -> None:
+    """Ctrl-C at the third member leaves two."""
+    lines: list[Any] = []
+
+    def press(line: Any) -> None:
+        lines.append(line)
+        if sum(str(entry).startswith("vehicle_thrust =") for entry in lines) == 3:
+            raise KeyboardInterrupt
+
+    family = sweep(landing.with_given(retro_delta_v=0.0), {"vehicle.thrust": [440.0, 450.0, 460.0]}, watch=press)
+    assert family.interrupted
+    assert len(family.points) == 2
+
+
+@pytest.mark.parametrize(
+    ("over", "words"),
+    [
+        ({"retro.specific_impuls": [300.0]}, "did you mean 'retro_specific_impulse'"),
+        ({}, "along one parameter"),
+        ({"vehicle.mass": []}, "must be finite numbers"),
+        ({"vehicle.mass": [np.nan]}, "must be finite numbers"),
+    ],
+)
+def test_unusable_sweeps(landing: Problem, over: dict[str, list[float]], words: str) -> None:
+    """Refused before anything is solved."""
+    with pytest.raises(PeriluneError, match=words):
+        sweep(landing, over)
+
+
+def test_family_order_is_kept(landing: Problem, ordinary: Solution) -> None:
+    """Values come back in the order asked for, also downwards and repeated."""
+    values = [460.0, 450.0, 450.0]
+    family = sweep(landing.with_given(retro_delta_v=0.0), {"vehicle_thrust": values})
+    assert [p.value for p in family.points] == values
+    assert all(p.solution and p.solution.objective < ordinary.objective for p in family.points)
