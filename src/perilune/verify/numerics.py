@@ -1,0 +1,290 @@
+"""Numbers without the solver's tools: complex-step derivatives, the exported control, flights.
+
+The derivative of a real-analytic f is Im f(x + ih)/h, exact to rounding for tiny h (Squire and Trapp 1998),
+so the numpy text of the physics is differentiated without a symbolic engine. Everything is computed in SI;
+derivatives are taken with respect to *scaled* coordinates (a state divided by its canonical unit), which
+makes matrices comparable.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.maths import NUMERIC
+from perilune.problem import Direction, Phase, Problem
+from perilune.solution import Curve, Solution, Trajectory
+from perilune.types import Matrix, Vector
+
+STEP = 1e-40  # of the complex step: its square vanishes against 1
+DIFFERENCE = 1e-4  # of gradients, in canonical units: truncation 1e-8, rounding 1e-12
+_TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
+
+
+def _atan2(y: Any, x: Any) -> Any:
+    y, x = np.asarray(y), np.asarray(x)
+    turn = (y.imag * x.real - y.real * x.imag) / (x.real**2 + y.real**2)
+    return np.arctan2(y.real, x.real) + 1j * turn
+
+
+def _fabs(x: Any) -> Any:
+    return np.where(np.real(x) < 0, -np.asarray(x), x)
+
+
+# The functions that numpy has for real numbers only, or not as analytic functions, replaced by ones that
+# carry the step.
+COMPLEX = SimpleNamespace(**{**vars(NUMERIC), "atan2": _atan2, "fabs": _fabs})
+COMPLEX.fmin = lambda a, b: np.where(np.real(a) <= np.real(b), a, b)
+COMPLEX.fmax = lambda a, b: np.where(np.real(a) >= np.real(b), a, b)
+
+
+def stacked(values: Sequence[Any], shape: tuple[int, ...], dtype: Any = complex) -> Any:
+    """Values of a user's function as one array (len(values), *shape); constants are broadcast."""
+    out = np.empty((len(values), *shape), dtype=dtype)
+    for i, value in enumerate(values):
+        out[i] = value
+    return out
+
+
+def jacobian(function: Callable[[Any], Any], z: Any, scale: Vector) -> Any:
+    """First derivatives by complex step with respect to z/scale, at many points at once.
+
+    Parameters
+    ----------
+    function
+        Maps a complex array (d, ...) to (m, ...).
+    z
+        Points, shape (d, *shape).
+    scale
+        Size of the coordinates, shape (d,).
+
+    Returns
+    -------
+    Array (m, d, *shape).
+    """
+    shape = np.shape(z)[1:]
+    steps = (1j * STEP * np.diag(scale)).reshape(len(scale), len(scale), *(1,) * len(shape))
+    return np.imag(function(z[:, None] + steps)) / STEP
+
+
+def hessian(function: Callable[[Any], Any], z: Matrix, scale: Vector) -> Any:
+    """Second derivatives of a scalar function: central differences of its complex-step gradient.
+
+    Parameters
+    ----------
+    function
+        Maps a complex array (d, d, 2d, N) to (d, 2d, N); the last axis counts the points.
+    z
+        Points, shape (d, N).
+    scale
+        Size of the coordinates, shape (d,).
+
+    Returns
+    -------
+    Array (d, d, N), symmetric.
+    """
+    size = len(scale)
+    moves = DIFFERENCE * np.hstack([np.diag(scale), -np.diag(scale)])
+    gradient = jacobian(lambda w: function(w)[None], z[:, None, :] + moves[:, :, None], scale)[0]
+    out = (gradient[:, :size] - gradient[:, size:]) / (2 * DIFFERENCE)
+    return 0.5 * (out + out.transpose(1, 0, 2))
+
+
+def normalised(phase: Phase, u: Any) -> Any:
+    """Control components (k, ...) with each `Direction` of length 1."""
+    out, at = np.array(u), 0
+    for control in phase.controls:
+        width = len(control.names)
+        if isinstance(control, Direction):
+            part = out[at : at + width]
+            out[at : at + width] = part / np.sqrt((part * part).sum(axis=0))
+        at += width
+    return out
+
+
+def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float]]:
+    """The control as its file describes it: cubic Hermite, then a direction normalised.
+
+    Plain floats, as the flight calls it a thousand times for one value each.
+    """
+    h = np.diff(curve.time)[:, None]
+    left, slope, right = curve.values[:-1], curve.rates[:-1] * h, curve.values[1:]
+    slope_right = curve.rates[1:] * h
+    bend = 3 * (right - left) - 2 * slope - slope_right
+    twist = slope + slope_right - 2 * (right - left)
+    pieces = np.stack([left, slope, bend, twist], axis=2).tolist()
+    nodes, widths = curve.time.tolist(), h.ravel().tolist()
+    interior, groups, at = nodes[1:-1], [], 0
+    for control in phase.controls:
+        if isinstance(control, Direction):
+            groups.append((at, at + len(control.names)))
+        at += len(control.names)
+
+    def control_at(t: float) -> list[float]:
+        i = bisect_right(interior, t)
+        s = (t - nodes[i]) / widths[i]
+        u = [a + s * (b + s * (c + s * d)) for a, b, c, d in pieces[i]]
+        for first, last in groups:
+            length = sum(v * v for v in u[first:last]) ** 0.5
+            u[first:last] = [v / length for v in u[first:last]]
+        return u
+
+    return control_at
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arc:
+    """One phase of a solution with what the checks evaluate on it. Arrays are (components, times)."""
+
+    solution: Solution
+    index: int
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved."""
+        return self.solution.problem
+
+    @property
+    def phase(self) -> Phase:
+        """The phase."""
+        return self.problem.phases[self.index]
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """What was exported of it."""
+        return self.solution.trajectories[self.index]
+
+    @cached_property
+    def p(self) -> Any:
+        """All parameters in SI."""
+        return self.solution.parameters
+
+    @property
+    def duration(self) -> float:
+        """Length by its parameter [s]."""
+        return float(getattr(self.p, self.phase.duration))
+
+    @property
+    def prefix(self) -> str:
+        """Of the names of checks, where there are several phases."""
+        return f"{self.phase.name}_" if len(self.problem.phases) > 1 else ""
+
+    @cached_property
+    def state_scale(self) -> Vector:
+        """Canonical units of the states [SI]."""
+        return np.array([self.problem.scales.of(v.unit) for v in self.phase.states])
+
+    @cached_property
+    def control_scale(self) -> Vector:
+        """Canonical units of the control components [SI]."""
+        of = self.problem.scales.of
+        return np.array(
+            [1.0 if isinstance(c, Direction) else of(c.unit) for c in self.phase.controls for _ in c.names]
+        )
+
+    @property
+    def objective_scale(self) -> float:
+        """Canonical unit of J [SI]."""
+        return self.problem.scales.of(self.problem.objective_unit)
+
+    def state(self, t: Vector) -> Matrix:
+        """Exported states."""
+        return self.trajectory.state(t).T
+
+    def control(self, t: Vector) -> Matrix:
+        """Exported control, directions normalised."""
+        return normalised(self.phase, self.trajectory.control(t).T)
+
+    def costate(self, t: Vector) -> Matrix:
+        """Exported costates [J per state]; NaN where the method gave none."""
+        curve = self.trajectory.costate
+        return np.full((len(self.phase.states), len(t)), np.nan) if curve is None else curve(t).T
+
+    def rates(self, x: Any, u: Any, p: Any = None) -> Any:
+        """Dynamics, complex-safe, (n, ...) for x (n, ...) and u (k, ...)."""
+        values = self.phase.rates(x, u, self.p if p is None else p, COMPLEX)
+        return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]))
+
+    @cached_property
+    def quadrature(self) -> tuple[Vector, Vector]:
+        """Times [s] and weights: three-point Gauss-Legendre on 150 pieces, off every table's nodes."""
+        nodes, weights = np.polynomial.legendre.leggauss(3)
+        edges = np.linspace(0.0, self.duration, 151)
+        half = 0.5 * np.diff(edges)[:, None]
+        return ((edges[:-1, None] + half) + half * nodes).ravel(), (half * weights).ravel()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """One phase flown again: callable states (and costates) and their end values."""
+
+    at: Callable[[Vector], Matrix]
+    end: Vector
+    completed: bool
+
+
+def initial_state(solution: Solution, index: int, before: Vector | None) -> Vector:
+    """Where the phase starts: by `start`, or by the link from the end state of the phase before."""
+    problem, p = solution.problem, solution.parameters
+    if before is None:
+        values = problem.start(p, NUMERIC)
+    else:
+        values = problem.links[index - 1](problem.phases[index - 1].state_record(*before), p, NUMERIC)
+    return np.array([float(v) for v in values])
+
+
+def fly(arc: Arc, x0: Vector, lam0: Vector | None = None) -> Flight:
+    """Fly a phase by the exported control with SciPy's DOP853; with lam0 the costates too, lam' = -dH/dx.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    x0, lam0
+        Initial states and costates in SI, shape (n,).
+
+    Returns
+    -------
+    Flight
+        With (n,) or (2n,) components; ends in NaN where the integrator gave up.
+    """
+    from scipy.integrate import solve_ivp
+
+    n, phase, p = len(x0), arc.phase, arc.p
+    control = exported_control(phase, arc.trajectory.control)
+    steps = 1j * STEP * np.diag(arc.state_scale)
+    unscale = -1.0 / (STEP * arc.state_scale)
+
+    def state_rates(t: float, x: Vector) -> Sequence[Any]:
+        return phase.rates(x.tolist(), control(t), p)
+
+    def extremal_rates(t: float, y: Vector) -> Vector:
+        f = arc.rates(y[:n, None] + steps, control(t))
+        return np.concatenate([f.real[:, 0], (y[n:] @ f.imag) * unscale])
+
+    scale = arc.state_scale
+    y0, rates = x0, state_rates
+    if lam0 is not None:
+        y0, rates, scale = (
+            np.concatenate([x0, lam0]),
+            extremal_rates,
+            np.concatenate([scale, arc.objective_scale / scale]),
+        )
+    with np.errstate(all="ignore"):
+        flown = solve_ivp(
+            rates,
+            (0.0, arc.duration),
+            y0,
+            method="DOP853",
+            rtol=_TOLERANCE,
+            atol=_TOLERANCE * scale,
+            dense_output=True,
+        )
+    end = flown.y[:, -1] if flown.success else np.full(len(y0), np.nan)
+    return Flight(at=flown.sol, end=end, completed=bool(flown.success))
