@@ -1,0 +1,77 @@
+"""What a command says, for people and for programs, and the exit code that goes with it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import typer
+
+from perilune.outcome import NotConvergedError, PeriluneError
+
+INTERRUPTED = 130
+OUTCOME_OF_CODE = {1: "FAULT", 2: "REFUSED", 3: "INFEASIBLE", 4: "NOT_CONVERGED", INTERRUPTED: "INTERRUPTED"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What a command says: for people, for programs, and its exit code."""
+
+    text: str
+    document: dict[str, Any]
+    exit_code: int = 0
+
+
+def deliver(as_json: bool, work: Callable[[], Answer]) -> NoReturn:
+    """Do the work of a command, say its answer or why there is none, and leave with the exit code."""
+    try:
+        answer = work()
+    except PeriluneError as error:
+        answer = refusal(error, error.exit_code)
+    except KeyboardInterrupt:
+        answer = refusal(PeriluneError("stopped by the user"), INTERRUPTED)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        answer = refusal(PeriluneError("a file cannot be read or written", got=f"{place}{error.strerror}"), 2)
+    except Exception as error:
+        if os.environ.get("PERILUNE_TRACEBACK"):
+            raise
+        fault = PeriluneError(
+            "perilune failed, which is a fault of the program and not yours",
+            got=f"{type(error).__name__}: {str(error)[:300]}",
+            advice="report it with your scenario and what PERILUNE_TRACEBACK=1 shows",
+        )
+        answer = refusal(fault, 1)
+    say(answer, as_json)
+    raise typer.Exit(answer.exit_code)
+
+
+def refusal(error: PeriluneError, code: int) -> Answer:
+    """What is said of an error."""
+    parts = {"what": error.what, "got": error.got, "expected": error.expected, "try": error.advice}
+    document: dict[str, Any] = {"outcome": OUTCOME_OF_CODE.get(code, "REFUSED"), "error": parts}
+    if isinstance(error, NotConvergedError):
+        document["partial"] = error.partial
+    return Answer(text=f"perilune: {error}", document=document, exit_code=code)
+
+
+def say(answer: Answer, as_json: bool) -> None:
+    """Print an answer where it belongs: a refusal on stderr, and on stdout as well if JSON is wanted."""
+    refused = "error" in answer.document
+    if refused:
+        print(answer.text, file=sys.stderr)
+    if as_json or not refused:
+        text = answer.text
+        if as_json:
+            from perilune.report.files import json_text
+
+            text = json_text(answer.document)
+        try:
+            print(text.rstrip("\n"), flush=True)
+        except (
+            BrokenPipeError
+        ):  # the reader has seen enough; Python must not complain when it flushes at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

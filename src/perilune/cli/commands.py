@@ -1,0 +1,330 @@
+"""The commands, each a thin order of work over the library; nothing is computed here."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from perilune.cli.answer import INTERRUPTED, Answer, deliver, refusal
+from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
+from perilune.outcome import InfeasibleError, PeriluneError
+
+if TYPE_CHECKING:
+    from perilune.problem import Problem
+    from perilune.solution import Solution
+    from perilune.sweep import Family
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Optimal finite-thrust landings, each with its proof.",
+    epilog="Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converged, 5 not proved, 130 stopped.",
+)
+
+ScenarioFile = Annotated[
+    Path, typer.Argument(metavar="FILE", help="Scenario in TOML; `perilune new` writes one.")
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help='Change a value, e.g. "vehicle.thrust=500 N".'),
+]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Write everything into this directory.")
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Show every iteration on stderr.")]
+Level = Annotated[int, typer.Option("--level", min=0, max=3, help="Verification level to prove; 0 for none.")]
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
+) -> None:
+    if version:
+        from perilune import __version__
+
+        print(f"perilune {__version__}")
+        raise typer.Exit()
+    if context.invoked_subcommand is None:
+        print(context.get_help(), file=sys.stderr)
+        raise typer.Exit(2)
+
+
+@app.command()
+def solve(
+    file: ScenarioFile,
+    changes: Changes = None,
+    out: Out = None,
+    as_json: Json = False,
+    verbose: Verbose = False,
+    force: Force = False,
+    level: Level = 3,
+) -> None:
+    """Find the best landing, without a guess, and prove it."""
+    deliver(as_json, lambda: _solve(file, changes or [], out, verbose, force, level))
+
+
+def _solve(
+    file: Path, changes: list[str], out: Path | None, verbose: bool, force: bool, level: int
+) -> Answer:
+    from perilune.models.preflight import check_propellant, preflight
+    from perilune.scenario import load_file
+
+    scenario = load_file(file, changes)
+    warn(preflight(scenario.problem))
+    refuse_used(out, force)
+    from perilune.report import write_all
+    from perilune.solve import solve as solve_problem
+
+    log: deque[str] = deque(maxlen=LONGEST_LOG)
+    with progress(verbose, log) as watch, failure_kept(scenario, out, force, log):
+        solution = solve_problem(scenario.problem, level=level, watch=watch)
+        if out is not None:
+            watch("writing files and figures")
+            write_all(solution, out, scenario_text=scenario.text, ordinary=_ordinary(solution), force=force)
+    check_propellant(solution)
+    return _solution_answer(solution, out)
+
+
+def _ordinary(solution: Solution) -> Solution | None:
+    """The same landing without a retro burn, for the figures.
+
+    None where it is that already, or has no solution.
+    """
+    from perilune.solve import solve as solve_problem
+
+    if not solution.parameters.retro_delta_v:
+        return None
+    try:
+        return solve_problem(solution.problem.with_given(retro_delta_v=0.0), level=0)
+    except PeriluneError:
+        return None
+
+
+def _solution_answer(solution: Solution, out: Path | None = None) -> Answer:
+    from perilune.report.export import solution_document
+    from perilune.report.summary import solution_summary
+
+    text = solution_summary(solution) + (f"\n\nwritten to {out}" if out is not None else "")
+    return Answer(text=text, document=solution_document(solution), exit_code=solution.outcome.exit_code)
+
+
+@app.command()
+def sweep(
+    file: ScenarioFile,
+    vary: Annotated[
+        str, typer.Option("--vary", metavar="KEY=START:STOP:STEP", help='E.g. "retro.delta_v=0:1600:50 m/s".')
+    ],
+    changes: Changes = None,
+    out: Out = None,
+    as_json: Json = False,
+    verbose: Verbose = False,
+    force: Force = False,
+    level: Level = 1,
+) -> None:
+    """Solve along one parameter; table as CSV on stdout, with --out also as JSON and figure."""
+    deliver(as_json, lambda: _sweep(file, vary, changes or [], out, verbose, force, level))
+
+
+def _sweep(
+    file: Path, vary: str, changes: list[str], out: Path | None, verbose: bool, force: bool, level: int
+) -> Answer:
+    from perilune.scenario import load_file, values_of
+
+    key, _, text = vary.partition("=")
+    values = values_of(key.strip(), text)
+    problem = load_file(file, changes).problem
+    refuse_used(out, force)
+    with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
+        family = _family(problem, key.strip().replace(".", "_"), values, level, watch)
+    from perilune.report.family import family_csv, family_document, write_family
+
+    if out is not None:
+        write_family(family, out, force)
+    codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
+    # At level 0 no proof was asked for, so none is missing.
+    worst = max((c for c in codes if c != 5 or level), default=0, key=(0, 5, 4).index)
+    code = INTERRUPTED if family.interrupted else worst
+    return Answer(text=family_csv(family), document=family_document(family), exit_code=code)
+
+
+def _family(
+    problem: Problem, name: str, values: list[float], level: int, watch: Callable[..., None]
+) -> Family:
+    """The family, in which values that pre-flight refuses, or that burn more than there is, say so."""
+    from perilune.models.preflight import check_propellant, preflight
+    from perilune.sweep import FamilyPoint, sweep as sweep_problem
+
+    refused: dict[float, FamilyPoint] = {}
+    for value in values:
+        try:
+            preflight(problem.with_given(**{name: value}))
+        except PeriluneError as error:
+            refused[value] = FamilyPoint(value=value, solution=None, message=str(error))
+    possible = [value for value in values if value not in refused]
+    if not possible:
+        raise InfeasibleError(
+            f"no value of {name} is possible", got=refused[values[0]].message, advice="try another range"
+        )
+    family = sweep_problem(problem, {name: possible}, level=level, watch=watch)
+    solved = {point.value: point for point in family.points}
+    for value, point in solved.items():
+        try:
+            if point.solution is not None:
+                check_propellant(point.solution)
+        except InfeasibleError as error:
+            solved[value] = FamilyPoint(value=value, solution=None, message=str(error))
+    return replace(
+        family, points=tuple({**refused, **solved}[v] for v in values if v in refused or v in solved)
+    )
+
+
+@app.command()
+def check(file: ScenarioFile, changes: Changes = None, as_json: Json = False) -> None:
+    """Validate a scenario and compare it with what physics allows, without solving."""
+    deliver(as_json, lambda: _check(file, changes or []))
+
+
+def _check(file: Path, changes: list[str]) -> Answer:
+    from perilune.models.preflight import findings, refuse_impossible
+    from perilune.scenario import load_file
+
+    problem = load_file(file, changes).problem
+    found = findings(problem)
+    rows = [
+        {
+            "name": f.name,
+            "value": f.value,
+            "relation": "at least" if f.at_least else "at most",
+            "limit": f.limit,
+            "unit": f.unit,
+            "verdict": f.verdict,
+            "meaning": f.meaning if not f.passed else "",
+        }
+        for f in found
+    ]
+    lines = [problem.title]
+    for row in rows:
+        limit = f"({row['relation']} {row['limit']:.6g})"
+        lines.append(f"  {row['verdict']:10} {row['name']}: {row['value']:.6g} {row['unit']} {limit}")
+        lines += [f"             {row['meaning']}"] if row["meaning"] else []
+    try:
+        refuse_impossible(found)
+    except InfeasibleError as error:
+        said = refusal(error, error.exit_code)
+        lines.append(str(error))
+        return replace(said, text="\n".join(lines), document={**said.document, "findings": rows})
+    warned = any(f.verdict == "warning" for f in found)
+    document = {"problem": problem.name, "outcome": "POSSIBLE", "warnings": warned, "findings": rows}
+    return Answer(text="\n".join(lines), document=document)
+
+
+@app.command()
+def verify(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="What `perilune solve --out` wrote.")],
+    as_json: Json = False,
+    level: Annotated[int, typer.Option("--level", min=1, max=3, help="Verification level to prove.")] = 3,
+) -> None:
+    """Prove a saved solution again, from its file alone."""
+
+    def work() -> Answer:
+        from perilune.models.preflight import check_propellant
+        from perilune.report.reload import read_solution
+        from perilune.solve import prove
+
+        solution = prove(read_solution(directory), level)
+        check_propellant(solution)
+        return _solution_answer(solution)
+
+    deliver(as_json, work)
+
+
+@app.command()
+def reproduce(
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="cho-2015")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the report goes.")],
+    as_json: Json = False,
+    verbose: Verbose = False,
+    force: Force = False,
+) -> None:
+    """Compute every number and figure of a paper and set them beside the printed ones."""
+
+    def work() -> Answer:
+        from perilune.problem import unknown_name
+
+        if paper != "cho-2015":
+            raise unknown_name("paper", paper, ["cho-2015"])
+        from perilune.report import cho2015
+
+        refuse_used(out, force)
+        with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
+            made = cho2015.reproduce(out, force=force, watch=watch)
+        code = max(s.outcome.exit_code for s in (made.hybrid, made.ordinary))
+        report = str(out / "report.md")
+        document = {"paper": paper, "outcome": made.hybrid.outcome.name, "report": report}
+        return Answer(text=f"written to {report}", document=document, exit_code=code)
+
+    deliver(as_json, work)
+
+
+@app.command()
+def new(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", help="Where to write; to stdout if left out.")
+    ] = None,
+    as_json: Json = False,
+    force: Force = False,
+) -> None:
+    """Write a commented scenario to start from."""
+
+    def work() -> Answer:
+        from perilune.scenario import template
+
+        text = template()
+        if file is None:
+            return Answer(text=text, document={"template": text})
+        try:
+            with file.open("w" if force else "x", encoding="utf-8") as opened:
+                opened.write(text)
+        except FileExistsError:
+            raise PeriluneError(
+                "the file is there already", got=str(file), advice="choose another name, or pass --force"
+            ) from None
+        return Answer(
+            text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)}
+        )
+
+    deliver(as_json, work)
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Show versions and which optional parts are there."""
+
+    def work() -> Answer:
+        import platform
+        from importlib.util import find_spec
+
+        from perilune.report.export import versions
+
+        kernels = find_spec("llvmlite") is not None
+        document: dict[str, Any] = {
+            "versions": versions(),
+            "platform": f"{platform.system()} {platform.machine()}",
+            "machine_code": kernels,
+        }
+        lines = [f"{name:10} {version}" for name, version in document["versions"].items()]
+        lines += [f"{'platform':10} {document['platform']}"]
+        lines += ["machine code for arcs: " + ("yes" if kernels else "no, llvmlite is not installed: slower")]
+        return Answer(text="\n".join(lines), document=document)
+
+    deliver(as_json, work)

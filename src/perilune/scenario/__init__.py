@@ -1,0 +1,94 @@
+"""A scenario file: TOML in, a `Problem` out; it may come from a stranger, so it is checked before it is used.
+
+Size, nesting and lengths are limited before anything is parsed; every quantity is a text with a whitelisted
+unit; every refusal names the key as the user writes it (``vehicle.specific_impulse``). Beside what is wrong,
+what *looks* wrong is refused too, with the slip it looks like: an exhaust velocity for a specific impulse, km
+for m, degrees for radians.
+
+    [body]      name, or gravitational_parameter, radius and rotation_rate
+    [vehicle]   mass, thrust, specific_impulse; standard_gravity, dry_mass may be given
+    [retro]     specific_impulse; delta_v fixes the burn; without the section the landing is an ordinary one
+    [orbit]     parking_altitude, perilune_altitude
+    [landing]   altitude (0 m unless given)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.preflight import geometry, refuse_impossible
+from perilune.problem import Given, Problem
+from perilune.scenario.plausible import body_of, check_altitudes, check_vehicle
+from perilune.scenario.schema import checked, values_of
+from perilune.scenario.text import apply, parse, read, written
+
+__all__ = ["Scenario", "load_file", "load_text", "template", "values_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """A problem and the text it was made of, with every change made to it."""
+
+    text: str
+    problem: Problem
+
+
+def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path
+        The TOML file.
+    changes
+        ``"section.key=value"`` each; checked like the file itself.
+
+    Raises
+    ------
+    PeriluneError
+        If the file cannot be read, is no scenario, or a value is wrong or looks wrong.
+    InfeasibleError
+        If the orbit it states is impossible.
+    """
+    text = read(Path(path))
+    document = parse(text)
+    if changes:
+        for change in changes:
+            apply(document, change)
+        text = written(document, changes)
+    return Scenario(text=text, problem=_problem(document))
+
+
+def load_text(text: str) -> Problem:
+    """The problem of a scenario's text; errors as `load_file`."""
+    return _problem(parse(text))
+
+
+def template() -> str:
+    """A commented scenario to start from."""
+    return resources.files("perilune.scenario").joinpath("template.toml").read_text(encoding="utf-8")
+
+
+def _problem(document: Mapping[str, Any]) -> Problem:
+    sections = checked(document)
+    body, orbit, vehicle = body_of(sections.body), sections.orbit, sections.vehicle
+    refuse_impossible(geometry(orbit.perilune_altitude, orbit.parking_altitude, sections.landing.altitude))
+    check_altitudes(orbit, body)
+    check_vehicle(vehicle)
+    problem = hybrid_landing(
+        Vehicle(**vehicle.model_dump(exclude={"dry_mass"})),
+        None if sections.retro is None else Retro(**sections.retro.model_dump()),
+        Orbit(**orbit.model_dump()),
+        body,
+        sections.landing.altitude,
+    )
+    if vehicle.dry_mass is None:
+        return problem
+    return replace(
+        problem, given={**problem.given, "vehicle_dry_mass": Given(value=vehicle.dry_mass, unit="kg")}
+    )

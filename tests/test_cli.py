@@ -1,0 +1,275 @@
+"""The command line: one document on stdout, everything else on stderr, the exit code that is written down."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from command_line import HYBRID, ORDINARY, read_json, snapshot
+from perilune.cli import run
+from perilune.outcome import InfeasibleError, NotConvergedError, Outcome
+from perilune.problem import Problem
+from perilune.solution import Iteration, Solution
+
+
+def answer_with(monkeypatch: pytest.MonkeyPatch, act: Callable[..., Solution]) -> None:
+    """Put another solver in place of `perilune.solve.solve`."""
+    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", act)
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution) -> list[Problem]:
+    """A solver that knows the two landings of the paper already; the list of what it was asked."""
+    asked: list[Problem] = []
+
+    def solve(problem: Problem, *, level: int = 3, watch: Any = None) -> Solution:
+        asked.append(problem)
+        if watch is not None:
+            watch("rung: known")
+            watch(Iteration(number=7, residual=1e-12, step=2e-3, damping=1.0))
+        known = ordinary if "retro_delta_v" in problem.given else hybrid
+        # The answer to a problem of the same numbers, so it is the answer to this one.
+        assert {k: g.value for k, g in problem.given.items() if k in known.problem.given} == pytest.approx(
+            {k: g.value for k, g in known.problem.given.items()}
+        )
+        return replace(known, problem=problem)
+
+    answer_with(monkeypatch, solve)
+    return asked
+
+
+# --- refusals
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "outcome"),
+    [
+        (["solve", HYBRID, "--set", "vehicle.mass=-300 kg"], 2, "REFUSED"),
+        (["solve", HYBRID, "--set", "vehicle.thrst=1 N"], 2, "REFUSED"),
+        (["solve", "none.toml"], 2, "REFUSED"),
+        (["solve", HYBRID, "--level", "9"], 2, "REFUSED"),
+        (["solve", HYBRID, "--no-such-option"], 2, "REFUSED"),
+        (["solve"], 2, "REFUSED"),
+        (["slve", HYBRID], 2, "REFUSED"),
+        (["solve", HYBRID, "--set", "orbit.perilune_altitude=-1 km"], 3, "INFEASIBLE"),
+        (["solve", HYBRID, "--set", "vehicle.thrust=4 N"], 3, "INFEASIBLE"),
+        (["check", HYBRID, "--set", "vehicle.thrust=4 N"], 3, "INFEASIBLE"),
+        (["sweep", HYBRID, "--vary", "vehicle.thrust=4 N"], 2, "REFUSED"),
+        (["sweep", HYBRID, "--vary", "vehicle.thrust=1:4:1 N"], 3, "INFEASIBLE"),
+        (["sweep", HYBRID], 2, "REFUSED"),
+        (["verify", "nowhere"], 2, "REFUSED"),
+        (["reproduce", "liu-2019", "--out", "x"], 2, "REFUSED"),
+    ],
+)
+def test_a_refusal_has_its_code_and_its_parts(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    outcome: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run([*arguments, "--json"]) == code
+    told = capsys.readouterr()
+    document = read_json(told.out)
+    assert document["outcome"] == outcome
+    assert set(document["error"]) == {"what", "got", "expected", "try"}
+    assert document["error"]["what"] in told.err
+    assert run(arguments) == code
+    told = capsys.readouterr()
+    assert told.out == "" or arguments[0] == "check"
+    assert "Traceback" not in told.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([]) == 2
+    assert "Commands:" in capsys.readouterr().err
+
+
+def test_a_solve_that_fails_says_and_saves_what_was_tried(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fails(problem: Problem, *, level: int, watch: Any) -> Solution:
+        watch("rung: one")
+        raise NotConvergedError(
+            "no solution found",
+            got="touchdown_altitude 12 m",
+            advice="raise vehicle.thrust",
+            partial={"residuals": {"touchdown_altitude": 12.0, "worst": float("nan")}, "tried": ["one"]},
+        )
+
+    answer_with(monkeypatch, fails)
+    out = tmp_path / "out"
+    assert run(["solve", HYBRID, "--out", str(out), "--json"]) == 4
+    told = capsys.readouterr()
+    document = read_json(told.out)
+    assert document["outcome"] == "NOT_CONVERGED"
+    assert document["partial"]["residuals"] == {"touchdown_altitude": 12.0, "worst": None}
+    assert "touchdown_altitude 12 m" in told.err
+    kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
+    assert kept["log"] == ["rung: one"]
+    assert kept["partial"] == document["partial"]
+    assert kept["scenario"]["text"] == Path(HYBRID).read_text(encoding="utf-8")
+    assert snapshot(tmp_path).keys() == {"out/failure.json"}
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "outcome"),
+    [
+        (InfeasibleError("too weak"), 3, "INFEASIBLE"),
+        (KeyboardInterrupt(), 130, "INTERRUPTED"),
+        (OSError(28, "No space left on device"), 2, "REFUSED"),
+        (ZeroDivisionError("oops"), 1, "FAULT"),
+    ],
+)
+def test_whatever_happens_there_is_one_document(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    code: int,
+    outcome: str,
+) -> None:
+    def fails(*_: Any, **__: Any) -> Solution:
+        raise error
+
+    answer_with(monkeypatch, fails)
+    assert run(["solve", HYBRID, "--json"]) == code
+    told = capsys.readouterr()
+    assert read_json(told.out)["outcome"] == outcome
+    assert "Traceback" not in told.err
+
+
+def test_a_used_directory_is_refused_before_the_work(
+    capsys: pytest.CaptureFixture[str], solved: list[Problem], tmp_path: Path
+) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    assert run(["solve", HYBRID, "--out", str(tmp_path)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert not solved
+    assert snapshot(tmp_path) == {"mine.txt": b"mine"}
+
+
+# --- answers
+
+
+def test_solve_says_its_answer_and_shows_every_iteration(
+    capsys: pytest.CaptureFixture[str], solved: list[Problem]
+) -> None:
+    assert run(["solve", HYBRID, "--verbose"]) == Outcome.SOLVED.exit_code == 5
+    told = capsys.readouterr()
+    assert "160.618584 kg" in told.out
+    assert "iteration   7  residual 1.000e-12  step 2.000e-03  damping 1" in told.err
+    assert "residual" not in told.out
+    assert len(solved) == 1
+
+
+def test_what_solve_writes_can_be_verified_again(
+    capsys: pytest.CaptureFixture[str], solved: list[Problem], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run(["solve", ORDINARY, "--out", str(out), "--json", "--set", "vehicle.dry_mass=100 kg"])
+    document = read_json(capsys.readouterr().out)
+    files = snapshot(out)
+    assert {"solution.json", "trajectory.csv", "report.md"} <= files.keys()
+    assert {Path(name).suffix for name in files if name.startswith("figures")} == {".png", ".svg"}
+    assert run(["verify", str(out), "--level", "1", "--json"]) == 0
+    again = read_json(capsys.readouterr().out)
+    assert again["outcome"] == "PROVED"
+    assert again["results"] == document["results"]
+    assert snapshot(out) == files
+
+    saved = json.loads(files["solution.json"])
+    saved["phases"][0]["control"]["values"] = [[-b, a] for a, b in saved["phases"][0]["control"]["values"]]
+    (out / "solution.json").write_text(json.dumps(saved))
+    assert run(["verify", str(out), "--level", "1", "--json"]) == 5
+    assert read_json(capsys.readouterr().out)["outcome"] == "NOT_PROVED"
+
+
+def test_a_landing_below_the_dry_mass_is_infeasible(
+    capsys: pytest.CaptureFixture[str], solved: list[Problem]
+) -> None:
+    # 154.54 kg land, more than the rocket equation alone forbids.
+    assert run(["solve", ORDINARY, "--json", "--set", "vehicle.dry_mass=160 kg"]) == 3
+    assert "not enough propellant" in read_json(capsys.readouterr().out)["error"]["what"]
+    assert len(solved) == 1
+
+
+def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", HYBRID, "--json"]) == 0
+    document = read_json(capsys.readouterr().out)
+    assert document["outcome"] == "POSSIBLE"
+    verdicts = {f["name"]: f["verdict"] for f in document["findings"]}
+    assert verdicts["thrust against weight at ignition"] == "warning"
+    assert set(verdicts.values()) == {"ok", "warning"}
+    assert run(["check", HYBRID]) == 0
+    assert "cannot hover" in capsys.readouterr().out
+
+
+def test_sweep_reports_what_is_impossible_and_goes_on(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
+) -> None:
+    module = importlib.import_module("perilune.sweep")
+    asked: list[list[float]] = []
+
+    def sweep(problem: Problem, over: dict[str, list[float]], *, level: int, watch: Any) -> Any:
+        ((name, values),) = over.items()
+        asked.append(values)
+        points = [module.FamilyPoint(value=values[0], solution=ordinary)]
+        points += [
+            module.FamilyPoint(value=v, solution=None, message="did not\nconverge") for v in values[1:]
+        ]
+        return module.Family(problem=problem, parameter=name, unit="N", points=tuple(points))
+
+    monkeypatch.setattr(module, "sweep", sweep)
+    out = tmp_path / "family"
+    arguments = ["sweep", ORDINARY, "--vary", "vehicle.thrust=440:0.4:-219.8 N", "--out", str(out)]
+    assert run([*arguments, "--json"]) == 4
+    document = read_json(capsys.readouterr().out)
+    assert asked == [[440.0, pytest.approx(220.2)]]
+    assert [p["value"] for p in document["points"]] == pytest.approx([440.0, 220.2, 0.4])
+    assert "too weak" in document["points"][2]["message"]
+    assert {"family.csv", "family.json", "family.png", "family.svg"} == set(snapshot(out))
+    assert run([*arguments, "--force"]) == 4
+    assert capsys.readouterr().out == (out / "family.csv").read_text(encoding="utf-8")
+
+
+def test_a_real_sweep_through_the_jump(capsys: pytest.CaptureFixture[str]) -> None:
+    # The retro burn stops paying at an impulsive Isp of 277.9 s: Cho et al. 2015 read about 280 s off their
+    # Fig 10.
+    assert (
+        run(["sweep", HYBRID, "--vary", "retro.specific_impulse=278:277:-1 s", "--json", "--level", "1"]) == 0
+    )
+    points = read_json(capsys.readouterr().out)["points"]
+    assert [round(p["results"]["delta_v"]["value"]) for p in points] == [1087, 0]
+    assert all(p["outcome"] == "PROVED" for p in points)
+
+
+def test_new_writes_a_scenario_that_may_be_solved(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    assert run(["new", str(path)]) == 0
+    assert run(["check", str(path)]) == 0
+    path.write_text("mine")
+    assert run(["new", str(path)]) == 2
+    assert path.read_text() == "mine"
+    assert run(["new", str(path), "--force"]) == 0
+    written = path.read_text(encoding="utf-8")
+    capsys.readouterr()
+    assert run(["new"]) == 0
+    assert capsys.readouterr().out == written
+
+
+def test_version_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:
+    from perilune import __version__
+
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"perilune {__version__}\n"
+    assert run(["doctor", "--json"]) == 0
+    assert {"python", "numpy", "casadi"} <= read_json(capsys.readouterr().out)["versions"].keys()

@@ -1,0 +1,132 @@
+"""The command line in a process of its own: the main job, Ctrl-C, start-up, and files that mean harm."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
+
+
+def test_the_main_job_in_a_process_of_its_own() -> None:
+    done = subprocess.run(
+        [*COMMAND, "solve", HYBRID, "--json"], capture_output=True, text=True, env=ENVIRONMENT, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    document = read_json(done.stdout)
+    assert document["outcome"] == "PROVED"
+    assert document["verification"]["level"] == 3
+    assert all(check["passed"] for check in document["verification"]["checks"])
+    value = {name: entry["value"] for name, entry in document["results"].items()}
+    # The table "truth to reach" of the project, computed independently; V0 also printed in Cho et al. 2015,
+    # (25).
+    assert value["landed_mass"] == pytest.approx(160.618584, abs=1e-6)
+    assert value["delta_v"] == pytest.approx(1200.944, abs=1e-3)
+    assert value["flight_time"] == pytest.approx(286.864, abs=1e-3)
+    assert value["perilune_speed"] == pytest.approx(1691.96926, abs=1e-5)
+    assert value["propellant"] == pytest.approx(300.0 - value["landed_mass"], abs=1e-9)
+    natures = [(round(e["delta_v"]), e["nature"]) for e in document["extremals"]]
+    assert natures[0] == (1201, "global optimum")
+    assert {delta_v for delta_v, _ in natures} == {1201, 0, 129}
+
+
+def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [*COMMAND, "solve", HYBRID, "--out", str(out), "--verbose", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith("iteration"):
+            break
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in stderr
+    assert read_json(stdout)["outcome"] == "INTERRUPTED"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert set(snapshot(out)) == {"failure.json"}
+    kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
+    assert any(line.startswith("iteration") for line in kept["log"])
+
+
+def test_help_is_quick_and_loads_nothing_heavy() -> None:
+    heavy = "numpy scipy casadi matplotlib pydantic llvmlite rich"
+    program = (
+        "import sys, perilune.cli\n"
+        "code = perilune.cli.run(['--help'])\n"
+        f"print(code, [m for m in {heavy.split()} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT)
+    assert done.stderr.strip() == "0 []"
+    assert "solve" in done.stdout
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "perilune", "--help"], capture_output=True, env=ENVIRONMENT, check=True
+        )
+        took.append(time.perf_counter() - start)
+    assert min(took) < 0.5  # 0.17 s measured on an idle machine; the goal of 0.25 s is for benchmarks/
+
+
+BAD_FILES: dict[str, bytes] = {
+    "empty": b"",
+    "nested": b"x = " + b"[\n" * 30_000,
+    "tables": b"[" + b"a." * 450 + b"a]\n" + b"b=1\n",
+    "many tables": b"".join(b"[a%d]\n" % k for k in range(8000)),
+    "dotted": b"\n".join(b".".join([b"a"] * 400) + b".b%d = 1" % k for k in range(75)),
+    "huge": b"#" * 50_000_000,
+    "binary": bytes(range(256)) * 100,
+    "long number": b"x = " + b"9" * 60_000,
+    "quotes": b'x = """' + b'"\\' * 30_000,
+    "power": b'[vehicle]\nmass = "9**9**9 kg"\n',
+}
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peak memory is read from /proc")
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_answers_quickly_and_small(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(BAD_FILES[name])
+    # Not getrusage: its peak survives exec, so it would be that of this test process.
+    program = (
+        "import sys; from perilune.cli import run\n"
+        "code = run(sys.argv[1:])\n"
+        "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
+        "print(peak.split()[1], file=sys.stderr)\n"
+        "sys.exit(code)"
+    )
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", program, "solve", str(path), "--json"],
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+    )
+    took = time.perf_counter() - start
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert read_json(done.stdout)["error"]["what"]
+    assert int(done.stderr.split()[-1]) * 1024 < 200e6
+    assert took < 2.0  # 0.6 s measured
+
+
+def test_a_reader_that_leaves_early_is_no_fault() -> None:
+    process = subprocess.Popen(
+        [*COMMAND, "new"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT
+    )
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait(timeout=30) == 0

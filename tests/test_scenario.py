@@ -1,0 +1,265 @@
+"""Scenario files: what they say is what is solved, and what cannot be right is refused by name."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from perilune.models.bodies import MOON
+from perilune.outcome import InfeasibleError, PeriluneError
+from perilune.scenario import load_file, load_text, template, values_of
+from perilune.scenario.text import LARGEST_FILE
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+HYBRID = EXAMPLES / "hybrid_lander.toml"
+TEXT = HYBRID.read_text(encoding="utf-8")
+
+
+def refused(*changes: str) -> PeriluneError:
+    """The refusal of the example with changes."""
+    with pytest.raises(PeriluneError) as caught:
+        load_file(HYBRID, changes)
+    return caught.value
+
+
+def test_the_example_is_the_papers_lander() -> None:
+    # Cho et al. 2015, with the constants that reproduce its digits.
+    problem = load_file(HYBRID).problem
+    given = {name: g.value for name, g in problem.given.items()}
+    assert given == {
+        "body_gravitational_parameter": pytest.approx(4902.7779e9, rel=1e-15),
+        "body_radius": pytest.approx(1738.14e3, rel=1e-15),
+        "body_rotation_rate": 2.6617e-6,
+        "vehicle_mass": 300.0,
+        "vehicle_thrust": 440.0,
+        "vehicle_specific_impulse": 310.0,
+        "vehicle_standard_gravity": 9.81,
+        "retro_specific_impulse": 310.0,
+        "orbit_parking_altitude": 100e3,
+        "orbit_perilune_altitude": 15e3,
+        "landing_altitude": 0.0,
+    }
+    assert problem.free_names == ("retro_delta_v", "flight_time")
+
+
+def test_without_retro_the_landing_is_ordinary() -> None:
+    problem = load_file(EXAMPLES / "ordinary_lander.toml").problem
+    assert problem.given["retro_delta_v"].value == 0.0
+    assert problem.free_names == ("flight_time",)
+
+
+def test_delta_v_zero_fixes_the_burn() -> None:
+    problem = load_file(HYBRID, ["retro.delta_v=0 m/s"]).problem
+    assert problem.given["retro_delta_v"].value == 0.0
+
+
+def test_a_body_by_name_and_defaults() -> None:
+    problem = load_text(template())
+    assert problem.given["body_radius"].value == MOON.radius
+    assert problem.given["vehicle_standard_gravity"].value == 9.80665
+
+
+def test_the_template_names_every_key() -> None:
+    # The template with every comment sign before a key removed holds all keys of all sections.
+    from perilune.scenario.schema import SECTIONS
+
+    written = set(re.findall(r"^(?:# )?(\w+) = ", template(), re.MULTILINE))
+    assert written == {name for model in SECTIONS.values() for name in model.model_fields}
+
+
+def test_changes_are_in_the_text_that_is_kept() -> None:
+    scenario = load_file(
+        HYBRID, ["vehicle.thrust=500 N", 'landing.altitude="-1 km"', "vehicle.dry_mass=100 kg"]
+    )
+    assert scenario.problem.given["vehicle_thrust"].value == 500.0
+    assert scenario.problem.given["vehicle_dry_mass"].value == 100.0
+    again = load_text(scenario.text)
+    assert dict(again.given) == dict(scenario.problem.given)
+    assert load_file(HYBRID).text == TEXT
+
+
+def test_a_change_may_add_a_section() -> None:
+    problem = load_file(EXAMPLES / "ordinary_lander.toml", ["retro.specific_impulse=300 s"]).problem
+    assert problem.free_names == ("retro_delta_v", "flight_time")
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "advice"),
+    [
+        ("vehicle.specific_impulse=3041 s", "vehicle.specific_impulse is out of range", "exhaust velocity"),
+        ("vehicle.specific_impulse=3041 m/s", "vehicle.specific_impulse - the unit", "exhaust velocity"),
+        ("retro.specific_impulse=3.041 s", "retro.specific_impulse is out of range", "exhaust velocity"),
+        ("vehicle.thrst=3 N", "no key of this name in [vehicle]", "'thrust'"),
+        ("vehicle.Thrust=3 N", "no key of this name in [vehicle]", "'thrust'"),
+        ("vehicel.thrust=3 N", "no section of this name", "'vehicle'"),
+        ("vehicle.mass=300", "vehicle.mass - this is not a quantity", "quotes"),
+        ("vehicle.mass=nan kg", "vehicle.mass - this is not a quantity", ""),
+        ("vehicle.mass=-300 kg", "vehicle.mass is out of range", ""),
+        ("vehicle.mass=0 kg", "vehicle.mass is out of range", ""),
+        ("vehicle.mass=300 lb", "vehicle.mass - this is not a unit", ""),
+        ("vehicle.mass=9**9**9 m", "vehicle.mass - this is not a unit", ""),
+        ("vehicle.mass=300 g", "vehicle.thrust is more than a lander withstands", "g in place of kg"),
+        ("vehicle.thrust=440 kN", "vehicle.thrust is more than a lander withstands", "kN in place of N"),
+        ("vehicle.dry_mass=300 kg", "vehicle.dry_mass leaves no propellant", ""),
+        ("vehicle.standard_gravity=1.62 m/s^2", "vehicle.standard_gravity is out of range", "leave it out"),
+        ("body.radius=1738.14 m", "do not belong together", "m in place of km"),
+        ("body.radius=1738140 km", "do not belong together", "km in place of m"),
+        ("body.gravitational_parameter=4902.8 m^3/s^2", "do not belong together", "m in place of km"),
+        ("body.rotation_rate=1.52504e-4 rad/s", "mixes degrees and radians", "deg/s"),
+        ("body.rotation_rate=2.6617e-6 deg/s", "mixes degrees and radians", "deg/s"),
+        ("body.rotation_rate=13.2 rad/s", "throw the ground into space", "deg/s"),
+        ("body.rotation_rate=13.2 deg", "body.rotation_rate - the unit has the wrong dimension", "deg/s"),
+        ("body.name=mars", "a name and quantities", "leave out"),
+        ("orbit.perilune_altitude=15 m", "lower than the terrain", "m in place of km"),
+        ("orbit.parking_altitude=100000 km", "no longer rules the orbit", "km in place of m"),
+        ("retro.delta_v=-1 m/s", "retro.delta_v is out of range", ""),
+        ("thrust=3 N", "this is not a change", "vehicle.thrust"),
+        ("vehicle.thrust", "this is not a change", "vehicle.thrust"),
+    ],
+)
+def test_a_slip_is_named_with_what_to_try(change: str, what: str, advice: str) -> None:
+    error = refused(change)
+    assert what in error.what
+    assert advice in error.advice
+    assert error.expected
+    assert error.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ("orbit.perilune_altitude=-15 km", "below the surface"),
+        ("orbit.perilune_altitude=0 km", "below the surface"),
+        ("orbit.perilune_altitude=150 km", "above the parking orbit"),
+        ("landing.altitude=20 km", "below the landing site"),
+    ],
+)
+def test_an_impossible_orbit_is_infeasible(change: str, what: str) -> None:
+    error = refused(change)
+    assert isinstance(error, InfeasibleError)
+    assert what in error.what
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ('mass = "300 kg"', "mass = 300", "vehicle.mass must be a number and a unit in quotes"),
+        ('mass = "300 kg"', "mass = nan", "vehicle.mass must be a number and a unit in quotes"),
+        ('mass = "300 kg"', 'mass = ["300 kg"]', "vehicle.mass must be a number and a unit in quotes"),
+        ('mass = "300 kg"', "", "vehicle.mass is missing"),
+        ('mass = "300 kg"', 'mass = "300 kg" # kg\nmas = "3 kg"', "no key of this name in [vehicle]"),
+        ('mass = "300 kg"', 'mass = "' + "0" * 250 + '1 kg"', "vehicle.mass the text is too long"),
+        ("[landing]", "[lander]", "no section of this name"),
+        ("[landing]\n", "[landing]\nsites.north = 1\n", "no key of this name in [landing]"),
+        ("[vehicle]", "[vehicle", "not valid TOML"),
+        ('radius = "1738.14 km"', "", "body.radius is missing"),
+        ("[body]", '[body]\nname = "moon"', "a name and quantities"),
+        ("[body]", "[body]\nname = 3", "body.name has the wrong type"),
+    ],
+)
+def test_a_file_that_is_wrong_is_refused(old: str, new: str, what: str) -> None:
+    assert old in TEXT
+    with pytest.raises(PeriluneError) as caught:
+        load_text(TEXT.replace(old, new))
+    assert what in caught.value.what.replace(" - ", " ")
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "empty"),
+        ("# nothing\n", "empty"),
+        ("body = 3\nvehicle = 3\norbit = 3\n", "wrong type"),
+        ("x = " + "[" * 20_000 + "]" * 20_000, "too long"),
+        ("x = " + "[\n" * 20_000 + "]" * 900, "nested too deeply"),
+        ("x = " + "{y = " * 150 + "1" + "}" * 150, "nested too deeply"),
+        (".".join("a" * 400) + " = 1", "no section of this name"),
+        ("x = " + "9" * 900, "no section of this name"),
+        ("a = 1\n" * 3, "not valid TOML"),
+        (
+            "[body]\nname = 'earth'\n[vehicle]\nmass='3 kg'\nthrust='3 N'\nspecific_impulse='300 s'\n"
+            "[orbit]\nparking_altitude='9 km'\nperilune_altitude='8 km'",
+            "no body of this name",
+        ),
+    ],
+)
+def test_a_hostile_or_empty_text_is_refused(text: str, what: str) -> None:
+    with pytest.raises(PeriluneError) as caught:
+        load_text(text)
+    assert what in caught.value.what
+    assert len(str(caught.value)) < 1000
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    for path, what in (
+        (tmp_path / "none.toml", "no scenario file"),
+        (tmp_path, "not a file"),
+        (Path("/dev/zero"), "file"),
+    ):
+        with pytest.raises(PeriluneError, match=what):
+            load_file(path)
+    path = tmp_path / "large.toml"
+    path.write_bytes(b"#" * (LARGEST_FILE + 1))
+    with pytest.raises(PeriluneError, match="too large"):
+        load_file(path)
+    path.write_bytes(b"\xff\xfe[body]")
+    with pytest.raises(PeriluneError, match="UTF-8"):
+        load_file(path)
+
+
+def test_a_byte_order_mark_and_windows_lines_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "windows.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + TEXT.replace("\n", "\r\n").encode())
+    assert dict(load_file(path).problem.given) == dict(load_file(HYBRID).problem.given)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.text(max_size=300))
+def test_any_text_is_a_problem_or_a_refusal(text: str) -> None:
+    with pytest.raises(PeriluneError):
+        load_text(text)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_file_with_one_line_damaged_is_a_problem_or_a_refusal(data: st.DataObject) -> None:
+    lines = TEXT.split("\n")
+    k = data.draw(st.integers(0, len(lines) - 1))
+    lines[k] = data.draw(st.text(max_size=60))
+    try:
+        load_text("\n".join(lines))
+    except PeriluneError as error:
+        assert error.what
+
+
+def test_the_range_of_a_sweep() -> None:
+    assert values_of("retro.specific_impulse", "310s:300s:-5s") == [310.0, 305.0, 300.0]
+    assert values_of("retro.delta_v", "0:100:50 m/s") == [0.0, 50.0, 100.0]
+    assert values_of("orbit.perilune_altitude", "10 km : 12 km : 1000 m") == [10e3, 11e3, 12e3]
+    tenths = values_of("vehicle.mass", "1:2:0.1 kg")
+    assert len(tenths) == 11
+    assert all(b > a for a, b in itertools.pairwise(tenths))
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "what"),
+    [
+        ("retro.delta_v", "0:100", "three parts"),
+        ("retro.delta_v", "", "three parts"),
+        ("retro.delta_v", "0:100:-50 m/s", "no end"),
+        ("retro.delta_v", "0:100:0 m/s", "no end"),
+        ("retro.delta_v", "0:1e9:1e-3 m/s", "too long"),
+        ("retro.delta_v", "0:100:50", "retro.delta_v - this is not a quantity"),
+        ("retro.delta_v", "0:100:50 kg", "wrong dimension"),
+        ("vehicle.specific_impulse", "300:3000:100 s", "out of range"),
+        ("vehicle.thrus", "1:2:1 N", "no key"),
+        ("body.name", "1:2:1", "no key"),
+    ],
+)
+def test_a_range_that_is_none_is_refused(key: str, text: str, what: str) -> None:
+    with pytest.raises(PeriluneError, match=re.escape(what)):
+        values_of(key, text)

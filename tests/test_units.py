@@ -1,0 +1,87 @@
+"""Units: text to SI, and nothing else that the text might ask for."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, strategies as st
+
+from perilune.outcome import PeriluneError
+from perilune.units import Scales, dimension_text, parse_quantity, unit
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted", "value"),
+    [
+        ("15 km", "m", 15e3),
+        ("4902.7779 km^3/s^2", "m^3/s^2", 4902.7779e9),
+        ("4902.7779km**3/s**2", "m^3/s^2", 4902.7779e9),
+        ("2.6617e-6 rad/s", "rad/s", 2.6617e-6),
+        ("180 deg", "rad", math.pi),
+        ("360 deg/day", "rad/s", 2 * math.pi / 86400),
+        (" 1.5 t ", "kg", 1500.0),
+        ("3 kN*s", "kg*m/s", 3000.0),
+        ("-.5 m/s", "km/h", -0.5),
+        ("0.25", "1", 0.25),
+        ("72 km/h", "m/s", 20.0),
+    ],
+)
+def test_a_quantity_becomes_si(text: str, wanted: str, value: float) -> None:
+    assert parse_quantity(text, wanted) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted", "said"),
+    [
+        ("15", "m", "not a quantity"),
+        ("", "m", "not a quantity"),
+        ("km", "m", "not a quantity"),
+        ("15 miles", "m", "not a unit"),
+        ("9**9**9 m", "m", "not a unit"),
+        ("2*3 m", "m", "not a unit"),
+        ("15 km km", "m", "not a unit"),
+        ("1 m^99999999", "m", "not a unit"),
+        ("1 m//s", "m/s", "not a unit"),
+        ("1 __import__('os')", "m", "not a unit"),
+        ("1 m; import os", "m", "not a unit"),
+        ("nan m", "m", "not a quantity"),
+        ("inf m", "m", "not a quantity"),
+        ("1e999 m", "m", "not finite"),
+        ("15 kg", "m", "wrong dimension"),
+        ("310 m/s", "s", "wrong dimension"),
+        ("1 deg", "rad/s", "wrong dimension"),
+        ("9" * 5000 + " m", "m", "not a quantity"),
+    ],
+)
+def test_what_is_no_quantity_is_refused_with_its_reason(text: str, wanted: str, said: str) -> None:
+    with pytest.raises(PeriluneError, match=said) as caught:
+        parse_quantity(text, wanted)
+    assert caught.value.got
+    assert len(str(caught.value)) < 600
+
+
+@given(st.text(max_size=200))
+def test_any_text_is_a_finite_number_or_a_refusal(text: str) -> None:
+    try:
+        assert math.isfinite(parse_quantity(text, "m"))
+    except PeriluneError:
+        pass
+
+
+@given(st.floats(-1e30, 1e30), st.sampled_from([("km", 1e3), ("m", 1.0), ("mm", 1e-3)]))
+def test_a_written_number_is_read_back(value: float, length: tuple[str, float]) -> None:
+    name, factor = length
+    assert parse_quantity(f"{value!r} {name}", "m") == pytest.approx(value * factor, rel=1e-15)
+
+
+@given(st.integers(-3, 3), st.integers(-3, 3), st.integers(-3, 3))
+def test_a_dimension_is_written_so_that_it_can_be_read(a: int, b: int, c: int) -> None:
+    assert unit(dimension_text((a, b, c))) == (1.0, (a, b, c))
+
+
+def test_scales_divide_what_has_their_dimension() -> None:
+    scales = Scales(length=2.0, time=3.0, mass=5.0)
+    assert scales.of("N") == pytest.approx(5.0 * 2.0 / 9.0)
+    assert scales.of("km/s") == scales.of("m/s") == pytest.approx(2.0 / 3.0)
+    assert scales.of("rad") == 1.0
