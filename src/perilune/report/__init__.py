@@ -1,0 +1,50 @@
+"""What leaves the program: documents, tables, figures, reports. matplotlib is imported for figures only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from perilune.solution import Solution
+
+
+def write_all(
+    solution: Solution,
+    out_dir: str | Path,
+    *,
+    scenario_text: str,
+    ordinary: Solution | None = None,
+    force: bool = False,
+) -> None:
+    """Write everything about a solution: ``solution.json``, ``trajectory.csv``, figures, ``report.md``.
+
+    Parameters
+    ----------
+    solution
+        What to write.
+    out_dir
+        Directory; its files appear together, when all are complete.
+    scenario_text
+        The scenario that the problem was made of, with every change made to it.
+    ordinary
+        The landing without a retro burn, drawn into the same figures.
+    force
+        Whether files of the same names may be replaced.
+
+    Raises
+    ------
+    PeriluneError
+        If the directory cannot be written, or is not empty and `force` is false.
+    """
+    from perilune.report.export import write_solution_files
+    from perilune.report.figures import save, solution_figures
+    from perilune.report.files import fresh_directory
+    from perilune.report.summary import solution_markdown
+
+    with fresh_directory(out_dir, force) as work:
+        write_solution_files(solution, work, scenario_text)
+        (work / "figures").mkdir()
+        drawn = solution_figures(solution, ordinary)
+        for name, figure in drawn.items():
+            save(figure, work / "figures", name)
+        report = solution_markdown(solution, drawn, scenario_text)
+        (work / "report.md").write_text(report, encoding="utf-8")

@@ -1,0 +1,110 @@
+"""A family of landings along one parameter: table (CSV, JSON) and figure, failures named.
+
+The parameter leaves in its scenario unit where the boundary speaks in degrees, else in SI.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from perilune.report.export import results
+from perilune.report.files import finite, fresh_directory, json_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from perilune.sweep import Family
+
+FAMILY_NAME = "family"
+
+
+def family_document(family: Family) -> dict[str, Any]:
+    """Make the tree: parameter, unit, and for each point its value, outcome, results and message."""
+    factor, unit = _shown(family.unit)
+    points = []
+    for point in family.points:
+        solution = point.solution
+        points.append(
+            {
+                "value": float(point.value) * factor,
+                "outcome": solution.outcome.name if solution else "NOT_CONVERGED",
+                "verification_level": solution.verification.level if solution else 0,
+                "results": results(solution) if solution else {},
+                "message": point.message,
+            }
+        )
+    return finite({"parameter": family.parameter, "unit": unit, "points": points})
+
+
+def family_csv(family: Family) -> str:
+    """Write comma-separated values, one row for each point; empty cells where there is no solution."""
+    document = family_document(family)
+    names = _result_units(document)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    heads = [f"{name} [{unit}]" for name, unit in names.items()]
+    writer.writerow([f"{document['parameter']} [{document['unit']}]", *heads, "outcome", "message"])
+    for point in document["points"]:
+        values = [point["results"].get(name, {}).get("value") for name in names]
+        cells = ["" if v is None else repr(v) for v in (point["value"], *values)]
+        writer.writerow([*cells, point["outcome"], " ".join(str(point["message"] or "").split())])
+    return text.getvalue()
+
+
+def family_figure(family: Family) -> Figure:
+    """Each result that varies, one panel below the other, against the parameter; failed points as crosses."""
+    from perilune.report.figures import family_panels
+
+    document = family_document(family)
+    value = np.array([point["value"] for point in document["points"]])
+    table = {
+        f"{name.replace('_', ' ')} ({unit})": np.array(
+            [point["results"].get(name, {}).get("value", math.nan) for point in document["points"]],
+            dtype=float,
+        )
+        for name, unit in _result_units(document).items()
+    }
+    shown = {
+        text: y for text, y in table.items() if np.isfinite(y).any() and _varies(y) and not _same(y, value)
+    }
+    name = document["parameter"].replace("_", " ")
+    return family_panels(value, shown or table, f"{name} ({document['unit']})")
+
+
+def write_family(family: Family, directory: str | Path, force: bool = False) -> None:
+    """Write ``family.csv``, ``family.json`` and ``family.png`` / ``.svg``; arguments of `fresh_directory`."""
+    from perilune.report.figures import save
+
+    with fresh_directory(directory, force) as work:
+        (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(family)), encoding="utf-8")
+        (work / f"{FAMILY_NAME}.csv").write_text(family_csv(family), encoding="utf-8", newline="")
+        save(family_figure(family), work, FAMILY_NAME)
+
+
+def _result_units(document: dict[str, Any]) -> dict[str, str]:
+    """Find the unit of every result that any point has, in order of first appearance."""
+    units: dict[str, str] = {}
+    for point in document["points"]:
+        units |= {name: entry["unit"] for name, entry in point["results"].items() if name not in units}
+    return units
+
+
+def _varies(values: np.ndarray) -> bool:
+    finite_values = values[np.isfinite(values)]
+    return bool(np.ptp(finite_values) > 1e-9 * np.abs(finite_values).max())
+
+
+def _same(values: np.ndarray, parameter: np.ndarray) -> bool:
+    """Whether a result is the parameter itself, which needs no panel."""
+    known = np.isfinite(values)
+    return bool(np.allclose(values[known], parameter[known], rtol=1e-12))
+
+
+def _shown(unit: str) -> tuple[float, str]:
+    return (180 / math.pi, "deg") if unit == "rad" else (1.0, unit)

@@ -1,0 +1,118 @@
+"""The path over the limb of the body: ground and flight in one picture, downrange to scale, height stretched.
+
+A landing from 15 km covers some hundred kilometres of ground, so at true scale its height would be a hair's
+width. The height above the ground is stretched by a round factor, which the picture names; angles at the
+centre are true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from perilune.report.figures import BLUE, GREEN, GREY, VERMILION, flight_columns, new_figure, styled
+from perilune.report.history import columns, flown_control
+from perilune.solution import Solution
+
+WIDTH = 7.0  # inches: two columns, as the path is long and flat
+
+
+@styled
+def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
+    """Path of each flight from ignition to touchdown, thrust shown by strokes along the exhaust."""
+    radius = next(iter(flights.values())).parameters.body_radius
+    paths = {who: _path(solution) for who, solution in flights.items()}
+    begin = min(float(phi[0]) for phi, _ in paths.values())
+    end = max(float(phi[-1]) for phi, _ in paths.values())
+    highest = max(float(height.max()) for _, height in paths.values())
+    stretch = _round_factor(0.16 * radius * (end - begin) / highest)
+    margin = 0.07 * (end - begin)
+    middle = 0.5 * (begin + end)
+
+    def place(phi: Any, height: Any) -> tuple[Any, Any]:
+        """Kilometres right and up from the ground at the middle; flight is to the right."""
+        r = radius + stretch * np.asarray(height)
+        return r * np.sin(phi - middle) / 1e3, (r * np.cos(phi - middle) - radius) / 1e3
+
+    figure, axes = new_figure(height=2.2, width=WIDTH)
+    ground = place(np.linspace(begin - margin, end + margin, 300), np.zeros(300))
+    span = float(ground[0][-1] - ground[0][0])
+    # Room for the scale bars under the top of the limb.
+    floor = min(float(ground[1].min()) - 0.02 * span, -0.11 * span)
+    axes.fill_between(*ground, floor, color="#C9C9C9", linewidth=0, zorder=2)
+    axes.plot(*ground, color=GREY, linewidth=0.8, zorder=2)
+    for (who, (phi, height)), colour, dash in zip(
+        paths.items(), (BLUE, VERMILION, GREEN), ("-", "--", ":"), strict=False
+    ):
+        axes.plot(*place(phi, height), dash, color=colour, label=who, zorder=3)
+        axes.plot(*place(phi[-1], height[-1]), "v", color=colour, markersize=5, zorder=4)
+        _thrust_strokes(axes, flights[who], place, colour, 0.035 * radius * (end - begin))
+    x, y = place(phi[0], height[0])
+    axes.plot(x, y, "ko", markersize=4, zorder=5)
+    axes.annotate(
+        "ignition\nat perilune",
+        (x, y),
+        (-6, 0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        fontsize=7,
+    )
+    _scale_bars(axes, stretch, floor, span)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _path(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Position angle [rad] and height above the body's radius [m] along the flight."""
+    phi = np.radians(np.concatenate([c.values for _, c in flight_columns(solution, "phi")]))
+    r = np.concatenate([c.values for _, c in flight_columns(solution, "r")])
+    return phi, r - solution.parameters.body_radius
+
+
+def _round_factor(value: float) -> float:
+    """Largest of 1, 2, 5, 10, ... that is not above the value."""
+    if value < 1:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= value))
+
+
+def _thrust_strokes(axes: Any, solution: Solution, place: Any, colour: str, length: float) -> None:
+    """Strokes from the path along the exhaust, opposite the thrust, at equal times."""
+    phase, trajectory = solution.problem.phases[0], solution.trajectories[0]
+    t = np.linspace(0.02, 0.98, 12) * trajectory.duration
+    table = columns(solution, 0, t)
+    phi, height = np.radians(table["phi"].values), table["r"].values - solution.parameters.body_radius
+    for angle, h, (transverse, radial) in zip(phi, height, flown_control(phase, trajectory, t), strict=True):
+        x, y = place(angle, h)
+        across, up = place(angle + 1e-4, h)[0] - x, place(angle + 1e-4, h)[1] - y
+        east = np.array([across, up]) / np.hypot(across, up)
+        north = np.array([-east[1], east[0]])
+        stroke = -(transverse * east + radial * north) * length / 1e3
+        axes.plot([x, x + stroke[0]], [y, y + stroke[1]], color=colour, linewidth=0.6, alpha=0.7, zorder=1)
+
+
+def _scale_bars(axes: Any, stretch: float, floor: float, span: float) -> None:
+    """Draw a bar along the ground and one up, inside the body, each with its length in true kilometres."""
+    along, up = _round_factor(span / 8), _round_factor(0.07 * span / stretch)
+    x0, y0 = -0.12 * span, floor + 0.02 * span
+    axes.plot([x0, x0, x0 + along], [y0 + up * stretch, y0, y0], color="black", linewidth=1, zorder=3)
+    axes.annotate(
+        f"{along:g} km",
+        (x0 + along, y0),
+        (4, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=7,
+        zorder=3,
+    )
+    axes.annotate(
+        f"{up:g} km" + (f"  (height × {stretch:g})" if stretch > 1 else ""),
+        (x0, y0 + up * stretch / 2), (4, 2), textcoords="offset points", va="center", fontsize=7, zorder=3,
+    )  # fmt: skip

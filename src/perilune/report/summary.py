@@ -1,0 +1,162 @@
+"""One solution in words and tables: a few lines for the terminal, a Markdown report for the directory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from perilune.report.export import extremals_document, results
+from perilune.solution import Solution
+from perilune.verification import LEVEL_NAMES
+
+_DIGITS = {"kg": 6, "m/s": 4, "s": 4}
+
+_CAPTIONS = {
+    "path": "Path over the limb; strokes show the exhaust",
+    "altitude": "Altitude",
+    "horizontal_velocity": "Horizontal velocity",
+    "vertical_velocity": "Vertical velocity",
+    "thrust_angle": "Thrust angle",
+    "mass": "Mass",
+    "costates": "Costates",
+    "hamiltonian": "Hamiltonian, and what turning the thrust away would cost",
+}
+
+
+def solution_summary(solution: Solution) -> str:
+    """Plain text for a terminal, 80 columns: results, extremals, proof, how it was found."""
+    lines = [
+        f"{solution.problem.title or solution.problem.name}: {solution.outcome.name}",
+        f"  {solution.outcome.value}",
+        "",
+    ]
+    for name, entry in results(solution).items():
+        lines.append(
+            f"  {name.replace('_', ' '):16}{quantity(entry['value'], entry['unit']):>16} {entry['unit']}"
+        )
+    rows = _extremal_rows(solution)
+    if len(rows) > 1:
+        lines += ["", "extremals, best first"]
+        lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
+    verification = solution.verification
+    lines += ["", f"verification: level {verification.level} ({LEVEL_NAMES[verification.level]})"]
+    for c in verification.checks:
+        mark = "ok  " if c.passed else "FAIL"
+        lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g} (limit {c.limit:.2g}) {c.unit}")
+        if not c.passed:
+            lines.append(f"         {c.meaning}")
+    lines += ["", _how(solution)]
+    return "\n".join(lines)
+
+
+def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_text: str = "") -> str:
+    """Markdown report of one solution.
+
+    Parameters
+    ----------
+    solution
+        The solution.
+    figures
+        Names of the figures that lie in ``figures/``.
+    scenario_text
+        Shown at the end, so that the report says what it answers.
+    """
+    title = solution.problem.title or solution.problem.name
+    parts = [f"# {title}", f"**{solution.outcome.name}**: {solution.outcome.value}.", "## Results"]
+    parts.append(
+        table(
+            ["quantity", "value", "unit"],
+            [
+                [n.replace("_", " "), quantity(e["value"], e["unit"]), e["unit"]]
+                for n, e in results(solution).items()
+            ],
+        )
+    )
+    rows = _extremal_rows(solution)
+    if len(rows) > 1:
+        parts += [
+            "## Extremals",
+            "Every root of the necessary conditions that was found, best first; the first is this solution.",
+            table(rows[0], rows[1:]),
+        ]
+    parts += ["## Proof", _proof(solution), "## How it was found", _how(solution)]
+    names = list(figures)
+    if names:
+        parts += [
+            "## Figures",
+            *(f"![{_CAPTIONS.get(n, n)}](figures/{n}.png)\n\n*{_CAPTIONS.get(n, n)}.*" for n in names),
+        ]
+    if scenario_text:
+        parts += [
+            "## Scenario",
+            f"```toml\n{scenario_text.replace('```', '')}\n```".replace("\n\n```", "\n```"),
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Markdown table; a bar inside a cell is escaped."""
+
+    def row(cells: Sequence[Any]) -> str:
+        return "| " + " | ".join(str(c).replace("|", "\\|").replace("\n", " ") for c in cells) + " |"
+
+    return "\n".join([row(head), "|" + "---|" * len(head), *(row(r) for r in rows)])
+
+
+def quantity(value: float, unit: str) -> str:
+    """Write a number with the decimals that are worth reading in its unit."""
+    return f"{value:.{_DIGITS.get(unit, 6)}f}" if math.isfinite(value) else "unknown"
+
+
+def _extremal_rows(solution: Solution) -> list[list[str]]:
+    """Heading and one row for each extremal."""
+    documents = extremals_document(solution)
+    heads = {
+        "delta_v": "delta v (m/s)",
+        "landed_mass": "landed mass (kg)",
+        "objective": "objective",
+        "nature": "nature",
+    }
+    units = {"delta_v": "m/s", "landed_mass": "kg", "objective": ""}
+    keys = [key for key in heads if documents and key in documents[0]]
+    return [[heads[k] for k in keys]] + [
+        [d[k] if k == "nature" else quantity(d[k], units[k]) for k in keys] for d in documents
+    ]
+
+
+def _padded(rows: list[list[str]], row: list[str]) -> Iterable[tuple[str, int]]:
+    return zip(row, [max(len(r[i]) for r in rows) for i in range(len(row))], strict=True)
+
+
+def _proof(solution: Solution) -> str:
+    verification = solution.verification
+    lines = [
+        f"Level {verification.level}: {LEVEL_NAMES[verification.level]}. A check passes within its limit."
+    ]
+    if not verification.checks:
+        return "Not verified. `perilune verify` proves a saved solution."
+    rows = [
+        [
+            c.level,
+            c.name,
+            f"{c.value:.3g}",
+            f"{c.limit:.3g}",
+            c.unit,
+            "passed" if c.passed else "**FAILED**",
+            c.meaning,
+        ]
+        for c in verification.checks
+    ]
+    return "\n\n".join([*lines, table(["level", "check", "value", "limit", "unit", "", "meaning"], rows)])
+
+
+def _how(solution: Solution) -> str:
+    s = solution.statistics
+    text = f"method {solution.method}"
+    if s.rung:
+        text += f"; start: {s.rung}"
+    if len(s.tried) > 1:
+        text += f" (tried: {', '.join(s.tried)})"
+    text += f"; {s.iterations} iterations"
+    return text + (f"; {s.wall_time:.2f} s" if math.isfinite(s.wall_time) else "")

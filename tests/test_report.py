@@ -1,0 +1,431 @@
+"""Reports, figures and saved solutions, on landings solved by SciPy alone (`landing_by_scipy`)."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from landing_by_scipy import cho_problem, shoot, solution_of
+from perilune.models.landing import Retro
+from perilune.outcome import Outcome, PeriluneError
+from perilune.problem import Problem
+from perilune.report import write_all
+from perilune.report.export import results, solution_document, trajectory_csv, write_solution
+from perilune.report.family import family_csv, family_document, write_family
+from perilune.report.files import fresh_directory, json_text
+from perilune.report.history import columns, costate_unit, flown_control, hamiltonian
+from perilune.report.reload import hash_of, read_solution
+from perilune.report.summary import solution_markdown, solution_summary, table
+from perilune.solution import Extremal, Nature, Solution, Statistics
+from perilune.verification import Check, Verification
+
+SCENARIO = "[retro]\nspecific_impulse = '310 s'  # Cho's, µ\n"
+CHECKS = (
+    Check(
+        name="touchdown altitude",
+        level=1,
+        value=2e-7,
+        limit=1e-3,
+        unit="m",
+        meaning="re-flown from the export",
+    ),
+    Check(name="H", level=2, value=math.nan, limit=1e-9, unit="1", meaning="the Hamiltonian vanishes"),
+)
+
+
+@pytest.fixture(scope="module")
+def hybrid() -> Solution:
+    """Solve the paper's hybrid landing; the start is a rough one, the root SciPy's."""
+    problem = cho_problem(Retro(specific_impulse=310.0))
+    found = solution_of(problem, shoot(problem, np.array([-0.2, 0.29, 0.0, -0.9, 0.28, 0.7])))
+    free = {name: float(value) for name, value in found.free.items()}
+    return replace(
+        found,
+        free=free,
+        outcome=Outcome.PROVED,
+        multipliers={"descent.touchdown_altitude": 3.8e-4},
+        extremals=(
+            Extremal(free=free, objective=found.objective, nature=Nature.GLOBAL_OPTIMUM),
+            Extremal(
+                free={"retro_delta_v": 0.0, "flight_time": 1005.0},
+                objective=-154.5,
+                nature=Nature.BOUNDARY_OPTIMUM,
+            ),
+        ),
+        statistics=Statistics(rung="test", tried=("test",), iterations=7),
+        verification=Verification(checks=CHECKS),
+    )
+
+
+@pytest.fixture(scope="module")
+def ordinary() -> Solution:
+    """Solve the paper's landing without a retro burn."""
+    problem = cho_problem(None)
+    return solution_of(problem, shoot(problem, np.array([0.1, 0.29, -0.1, -0.5, 0.97])))
+
+
+def load(text: str) -> Problem:
+    """Stand-in for the scenario reader: there is one scenario."""
+    assert text == SCENARIO
+    return cho_problem(Retro(specific_impulse=310.0))
+
+
+# --- documents ---
+
+
+def test_results_are_the_papers(hybrid: Solution, ordinary: Solution) -> None:
+    """Table 1, (25) and (26) within the error of the printed digits; units named."""
+    found = results(hybrid)
+    assert found["landed_mass"]["value"] == pytest.approx(160.6186, abs=5e-5)
+    assert found["propellant"]["value"] == pytest.approx(139.3814, abs=5e-5)
+    assert found["perilune_speed"]["value"] == pytest.approx(1691.96926, abs=5e-6)
+    assert found["flight_time"]["value"] == pytest.approx(286.864, abs=1e-3)
+    assert [entry["unit"] for entry in found.values()] == ["kg", "kg", "m/s", "s", "m/s"]
+    assert results(ordinary)["landed_mass"]["value"] == pytest.approx(154.5413, abs=5e-5)
+    assert results(ordinary)["delta_v"]["value"] == 0.0
+
+
+def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
+    """Keys of the issue, and a NaN leaves as null."""
+    document = json.loads(json_text(solution_document(hybrid)))
+    assert list(document) == [
+        "problem",
+        "method",
+        "outcome",
+        "results",
+        "extremals",
+        "verification",
+        "statistics",
+    ]
+    assert document["outcome"] == "PROVED"
+    assert set(document["extremals"][1]) == {"delta_v", "landed_mass", "nature"}
+    assert document["extremals"][1] == {
+        "delta_v": 0.0,
+        "landed_mass": 154.5,
+        "nature": "local optimum, at a bound",
+    }
+    assert document["verification"]["level"] == 1
+    assert document["verification"]["checks"][1]["value"] is None
+    assert document["verification"]["checks"][1]["passed"] is False
+    assert document["statistics"]["wall_time"] is None
+
+
+@pytest.mark.parametrize(
+    ("state", "unit"), [("m", "kg/m"), ("m/s", "kg/(m/s)"), ("kg", "1"), ("1", "kg"), ("rad", "kg/rad")]
+)
+def test_costate_units(state: str, unit: str) -> None:
+    """A costate is measured in objective per state."""
+    assert costate_unit("kg", state) == unit
+
+
+def test_columns_satisfy_the_optimality_conditions(hybrid: Solution) -> None:
+    """H vanishes, the thrust is straight retro at first, and turning it either way can only raise H."""
+    t = np.linspace(0.0, hybrid.trajectories[0].duration, 200)
+    found = columns(hybrid, 0, t)
+    assert np.abs(found["H"].values).max() < 1e-9
+    assert found["thrust_angle"].unit == "deg"
+    assert found["thrust_angle"].values[0] == pytest.approx(180.0, abs=1e-8)
+    assert found["thrust_acceleration"].values == pytest.approx(440.0 / found["m"].values)
+    u = flown_control(hybrid.problem.phases[0], hybrid.trajectories[0], t)
+    assert np.linalg.norm(u, axis=1) == pytest.approx(np.ones(200), abs=1e-15)
+    for turn in (-0.1, 0.1, 3.0):
+        c, s = math.cos(turn), math.sin(turn)
+        turned = np.column_stack([c * u[:, 0] - s * u[:, 1], s * u[:, 0] + c * u[:, 1]])
+        assert (hamiltonian(hybrid, 0, t, turned) > found["H"].values).all()
+
+
+def test_the_table_of_the_trajectory_is_exact_and_has_units(hybrid: Solution) -> None:
+    """The CSV gives back the doubles; angles in degrees."""
+    rows = list(csv.reader(io.StringIO(trajectory_csv(hybrid))))
+    head = rows[0]
+    assert head[:3] == ["time [s]", "altitude [m]", "thrust_angle [deg]"]
+    assert {"m [kg]", "phi [deg]", "lambda_u [kg/(m/s)]", "H [kg/s]"} <= set(head)
+    body = np.array(rows[1:], dtype=float)
+    assert (body[:, 0] == hybrid.trajectories[0].time).all()
+    assert (body[:, head.index("m [kg]")] == hybrid.trajectories[0].state.values[:, 4]).all()
+    assert body[0, head.index("phi [deg]")] == pytest.approx(180.0)
+    assert body[-1, 1] == pytest.approx(0.0, abs=1e-3)
+
+
+# --- saved solutions ---
+
+
+def test_a_saved_solution_comes_back_exactly_but_unproved(hybrid: Solution, tmp_path) -> None:
+    """Every number survives; what the file claims of its proof is not believed."""
+    write_solution(hybrid, tmp_path / "a", SCENARIO, False)
+    back = read_solution(tmp_path / "a", load)
+    assert back.outcome is Outcome.SOLVED
+    assert back.verification.checks == ()
+    assert dict(back.free) == dict(hybrid.free)
+    assert back.objective == hybrid.objective
+    assert dict(back.multipliers) == dict(hybrid.multipliers)
+    assert back.extremals == hybrid.extremals
+    assert back.unknowns is not None and (back.unknowns == hybrid.unknowns).all()
+    assert back.statistics.rung == "test" and math.isnan(back.statistics.wall_time)
+    old, new = hybrid.trajectories[0], back.trajectories[0]
+    assert old.costate is not None and new.costate is not None
+    for a, b in ((old.state, new.state), (old.control, new.control), (old.costate, new.costate)):
+        assert (a.time == b.time).all() and (a.values == b.values).all() and (a.rates == b.rates).all()
+
+
+def test_a_saved_solution_explains_itself(hybrid: Solution, tmp_path) -> None:
+    """Format, interpolation rule, units, scenario and versions are in the file."""
+    write_solution(hybrid, tmp_path, SCENARIO, False)
+    document = json.loads((tmp_path / "solution.json").read_text(encoding="utf-8"))
+    assert document["format"]["name"] == "perilune-solution" and document["format"]["version"] == 1
+    assert set(document["format"]["fields"]) - {"null"} <= {
+        *document,
+        *(f"phases.{key}" for key in document["phases"][0]),
+    }
+    assert (
+        document["phases"][0]["interpolation"]["control of kind direction"]
+        == "cubic Hermite, then normalised"
+    )
+    assert document["scenario"] == {"text": SCENARIO, "sha256": hash_of(SCENARIO)}
+    assert document["free"]["flight_time"]["unit"] == "s"
+    assert document["multipliers"]["descent.touchdown_altitude"]["unit"] == "kg/m"
+    assert set(document["versions"]) >= {"perilune", "python", "numpy"}
+
+
+def _set(document: Any, path: str, value: Any) -> None:
+    *way, last = [int(key) if key.isdigit() else key for key in path.split("/")]
+    for key in way:
+        document = document[key]
+    document[last] = value
+
+
+CURVE = "phases/0/state"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("format/version", 99, "not a saved solution"),
+        ("format", None, "not a saved solution"),
+        ("scenario/text", "[retro]\n", "scenario in the saved solution was altered"),
+        ("scenario/text", 5, "text"),
+        ("given/vehicle_mass/value", 301.0, "given.vehicle_mass"),
+        ("given/vehicle_mass/value", 10**400, "finite"),
+        ("given/wings", {"value": 2.0, "unit": "1"}, "wings"),
+        ("free", {}, "free"),
+        ("free/flight_time/value", "286", "a number"),
+        ("free/flight_time/value", True, "a number"),
+        ("outcome/name", "SPLENDID", "unknown word"),
+        ("extremals/0/nature", "nice", "unknown word"),
+        ("extremals", [3], "extremals"),
+        ("phases", [], "phases"),
+        ("phases/0/name", "ascent", "the phase descent"),
+        (f"{CURVE}/time", [0.0], "increasing times"),
+        (f"{CURVE}/time/0", 1.0, "increasing times"),
+        (f"{CURVE}/values", [[1.0, 2.0], [3.0]], "table"),
+        (f"{CURVE}/values/0/0", "1738140", "phases[0].state.values"),
+        (f"{CURVE}/values/0/0", None, "phases[0].state.values"),
+        (f"{CURVE}/rates", [], "phases[0].state.rates"),
+        ("phases/0/control/time/0", -1.0, "begin at 0"),
+        ("unknowns", [[1.0]], "unknowns"),
+        ("statistics", [], "a record"),
+    ],
+)
+def test_an_altered_file_is_refused(hybrid: Solution, tmp_path, path: str, value: Any, message: str) -> None:
+    """Each alteration is named; nothing but a PeriluneError comes out."""
+    write_solution(hybrid, tmp_path, SCENARIO, False)
+    file = tmp_path / "solution.json"
+    document = json.loads(file.read_text(encoding="utf-8"))
+    _set(document, path, value)
+    file.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(PeriluneError, match=re.escape(message)):
+        read_solution(tmp_path, load)
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        (b"", "not readable JSON"),
+        (b"\xff\xfe", "not readable JSON"),
+        (b"[" * 200_000, "not readable JSON"),
+        (b"9" * 10_000, "not readable JSON"),
+        (b"[]", "not a saved solution"),
+        (b'{"format": NaN}', "not finite"),
+        (b" " * (64 * 2**20 + 1), "too large"),
+    ],
+    ids=["empty", "binary", "deep", "long number", "list", "NaN", "huge"],
+)
+def test_a_strange_file_is_refused(tmp_path, raw: bytes, message: str) -> None:
+    """Without a traceback and without reading more than the limit."""
+    (tmp_path / "solution.json").write_bytes(raw)
+    with pytest.raises(PeriluneError, match=message):
+        read_solution(tmp_path, load)
+
+
+def test_a_missing_file_is_refused(tmp_path) -> None:
+    """With what would be right."""
+    with pytest.raises(PeriluneError, match="perilune solve --out"):
+        read_solution(tmp_path / "nowhere", load)
+
+
+# --- files ---
+
+
+def test_nothing_is_overwritten_without_force(tmp_path) -> None:
+    """And with force only files of the same names."""
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "mine.txt").write_text("keep")
+    with pytest.raises(PeriluneError, match="not empty"), fresh_directory(target):
+        pass
+    with fresh_directory(target, force=True) as work:
+        (work / "new.txt").write_text("new")
+    assert sorted(path.name for path in target.iterdir()) == ["mine.txt", "new.txt"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_an_interruption_leaves_nothing(tmp_path, error: type[BaseException]) -> None:
+    """Neither half a result nor the temporary directory."""
+    with pytest.raises(error), fresh_directory(tmp_path / "out") as work:
+        (work / "half.txt").write_text("half")
+        raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_is_no_directory(tmp_path) -> None:
+    """Named, not a traceback."""
+    (tmp_path / "out").write_text("")
+    for target in (tmp_path / "out", tmp_path / "out" / "deeper"):
+        with pytest.raises(PeriluneError, match="output directory"), fresh_directory(target):
+            pass
+
+
+# --- figures and reports ---
+
+
+def test_everything_is_written(hybrid: Solution, ordinary: Solution, tmp_path) -> None:
+    """Solution, table, report and every figure twice; the report's pictures exist."""
+    write_all(hybrid, tmp_path / "out", scenario_text=SCENARIO, ordinary=ordinary)
+    made = {
+        str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()
+    }
+    assert {"solution.json", "trajectory.csv", "report.md"} <= made
+    report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+    pictures = re.findall(r"\((figures/\w+\.png)\)", report)
+    assert len(pictures) == 8
+    for picture in pictures:
+        assert picture in made and picture.replace(".png", ".svg") in made
+        assert (tmp_path / "out" / picture).stat().st_size > 5000
+    assert "160.618584" in report and "**FAILED**" in report and "specific_impulse = '310 s'" in report
+
+
+def test_figures_are_deterministic_and_show_both_landings(
+    hybrid: Solution, ordinary: Solution, tmp_path
+) -> None:
+    """Equal bytes on equal input; what is drawn is what was computed."""
+    from perilune.report.figures import save, solution_figures
+
+    for name in ("a", "b"):
+        figure = solution_figures(hybrid, ordinary)["altitude"]
+        save(figure, tmp_path, name)
+        drawn: list[Any] = [line for line in figure.axes[0].lines if len(np.asarray(line.get_xdata())) > 1]
+        assert [line.get_ydata()[0] for line in drawn] == pytest.approx([15.0, 15.0])
+        assert [line.get_xdata()[-1] for line in drawn] == pytest.approx([286.864, 1005.351], abs=1e-3)
+        assert max(drawn[1].get_ydata()) > 20 > 15.0001 > max(drawn[0].get_ydata())
+        assert figure.axes[0].get_ylabel() == "altitude (km)"
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_summary_says_what_failed(hybrid: Solution) -> None:
+    """A failed check is not hidden, and extremals are listed with their nature."""
+    text = solution_summary(hybrid)
+    assert "160.618584 kg" in text and "local optimum, at a bound" in text
+    assert "FAIL 2 H: nan" in text and "the Hamiltonian vanishes" in text
+    assert "Not verified" in solution_markdown(replace(hybrid, verification=Verification()))
+
+
+def test_a_bar_in_a_cell_does_not_break_the_table() -> None:
+    """Markdown cells escape bars and line ends."""
+    assert table(["a", "b"], [["|x|", "1\n2"]]).splitlines()[-1] == "| \\|x\\| | 1 2 |"
+
+
+# --- families ---
+
+
+@pytest.fixture
+def family(hybrid: Solution, ordinary: Solution) -> Any:
+    """Three members, the middle one failed."""
+    point = SimpleNamespace
+    return SimpleNamespace(
+        parameter="retro_specific_impulse",
+        unit="s",
+        points=(
+            point(value=310.0, solution=hybrid, message=""),
+            point(value=290.0, solution=None, message="no solution\n  try: less"),
+            point(value=270.0, solution=ordinary, message=""),
+        ),
+    )
+
+
+def test_a_family_is_a_table_with_its_failures(family: Any) -> None:
+    """A failed member has empty cells and its reason on the same row."""
+    rows = list(csv.reader(io.StringIO(family_csv(family))))
+    assert rows[0][0] == "retro_specific_impulse [s]" and "landed_mass [kg]" in rows[0]
+    assert [row[0] for row in rows[1:]] == ["310.0", "290.0", "270.0"]
+    assert rows[2][1:] == ["", "", "", "", "", "NOT_CONVERGED", "no solution try: less"]
+    document = family_document(family)
+    assert document["points"][0]["results"]["landed_mass"]["value"] == pytest.approx(160.6186, abs=5e-5)
+    assert document["points"][1]["results"] == {}
+
+
+def test_a_family_is_written_with_its_figure(family: Any, tmp_path) -> None:
+    """CSV, JSON, PNG and SVG; refuses to overwrite."""
+    write_family(family, tmp_path / "f")
+    assert sorted(path.name for path in (tmp_path / "f").iterdir()) == [
+        "family.csv", "family.json", "family.png", "family.svg",
+    ]  # fmt: skip
+    json.loads((tmp_path / "f" / "family.json").read_text(encoding="utf-8"))
+    with pytest.raises(PeriluneError, match="--force"):
+        write_family(family, tmp_path / "f")
+
+
+# --- the paper ---
+
+
+def test_printed_numbers_are_never_passed_off_as_computed(hybrid: Solution, ordinary: Solution) -> None:
+    """The computed column follows the solutions: swap them and it changes, the printed column does not."""
+    from perilune.report.cho2015 import PRINTED, computed_numbers
+
+    right: Any = SimpleNamespace(hybrid=hybrid, ordinary=ordinary)
+    swapped: Any = SimpleNamespace(hybrid=ordinary, ordinary=hybrid)
+    for name, (printed, _, _) in PRINTED.items():
+        computed = computed_numbers(right)[name]
+        assert computed != printed
+        assert computed == pytest.approx(printed, abs=5e-2 if name == "optimal retro burn" else 5e-5)
+        if name != "perilune speed V0":
+            assert abs(computed_numbers(swapped)[name] - printed) > 1.0
+
+
+def test_gain_of_the_retro_burn_compares_the_best_of_each_kind() -> None:
+    """The locally worst extremal does not count."""
+    from perilune.report.cho2015 import best_with_retro_burn, gain_of_retro_burn
+
+    def extremal(delta_v: float, mass: float, nature: Nature) -> Extremal:
+        return Extremal(free={"retro_delta_v": delta_v}, objective=-mass, nature=nature)
+
+    solution: Any = SimpleNamespace(
+        extremals=(
+            extremal(0.0, 154.0, Nature.BOUNDARY_GLOBAL_OPTIMUM),
+            extremal(130.0, 152.0, Nature.WORST),
+            extremal(1080.0, 153.5, Nature.LOCAL_OPTIMUM),
+        )
+    )
+    assert best_with_retro_burn(solution).free["retro_delta_v"] == 1080.0
+    assert gain_of_retro_burn(solution) == pytest.approx(-0.5)
+    with pytest.raises(PeriluneError, match="no extremal with a retro burn"):
+        best_with_retro_burn(SimpleNamespace(extremals=solution.extremals[:1]))  # type: ignore[arg-type]
