@@ -1,0 +1,37 @@
+"""Draw the pictures of the documentation: ``python docs/make_images.py`` writes them into ``docs/images``.
+
+They show the landing of Cho, Kim, Leeghim 2015 as solved here, drawn by the program's own report.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from perilune.solution import Solution
+
+IMAGES = Path(__file__).parent / "images"
+
+
+def draw(hybrid: Solution, ordinary: Solution, directory: Path) -> list[Path]:
+    """Write every picture as PNG and return their paths."""
+    from perilune.report.figures import save, solution_figures
+
+    made = solution_figures(hybrid, ordinary)
+    names = {"path": "hybrid_landing", "thrust_angle": "thrust_angle"}
+    for figure, name in names.items():
+        save(made[figure], directory, name)
+        (directory / f"{name}.svg").unlink()
+    return [directory / f"{name}.png" for name in names.values()]
+
+
+if __name__ == "__main__":
+    from perilune.models.landing import Retro
+    from perilune.report.cho2015 import CONSTANTS, problem
+    from perilune.solve import solve
+
+    IMAGES.mkdir(exist_ok=True)
+    with_burn = problem(Retro(specific_impulse=CONSTANTS.specific_impulse))
+    for path in draw(solve(with_burn), solve(problem()), IMAGES):
+        print(path.name)

@@ -1,0 +1,22 @@
+"""Every test of the kernels runs on machine code and on the interpreter, with a cache of its own."""
+
+from __future__ import annotations
+
+import pytest
+
+from perilune.kernels import native
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _cache_of_the_session(tmp_path_factory: pytest.TempPathFactory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PERILUNE_CACHE", str(tmp_path_factory.mktemp("kernels")))
+        yield
+
+
+@pytest.fixture(params=["native", "interpreter"])
+def backend(request: pytest.FixtureRequest) -> str:
+    """Machine code, where it can be made, and the interpreter."""
+    if request.param == "native" and not native.available():
+        pytest.skip("llvmlite is not installed")
+    return request.param

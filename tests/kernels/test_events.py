@@ -1,0 +1,211 @@
+"""Events: location, direction, ends, switches with their saltation, jumps, layers of an atmosphere."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from meditch import COST, EXHAUST, FINAL_TIME, PARAMETERS, START, SWITCH, modes_and_switch
+
+from perilune.kernels import ArcStatus, Event, compile_arcs
+from perilune.outcome import PeriluneError
+
+
+def fall() -> tuple[ca.Function, ca.Function]:
+    """A stone under gravity p, and its height."""
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    return ca.Function("fall", [z, p], [ca.vertcat(z[1], -p)]), ca.Function("height", [z, p], [z[0]])
+
+
+def oscillator() -> ca.Function:
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    return ca.Function("oscillator", [z, p], [ca.vertcat(z[1], -(p**2) * z[0])])
+
+
+def test_impact_ends_the_arc_where_it_should(backend: str) -> None:
+    rhs, height = fall()
+    e = compile_arcs(rhs, columns=2, events=[Event(function=height, direction=-1, terminal=True)], backend=backend)
+    starts = np.array([[h, 1.0] for h in (0.5, 1.0, 2.0, 30.0, 7.0)])
+    arcs = e.propagate(starts, [2.0], 5.0, np.eye(2))
+    exact = (1 + np.sqrt(1 + 4 * starts[:, 0])) / 2
+    hit = exact < 5.0
+    np.testing.assert_array_equal(arcs.status, np.where(hit, ArcStatus.EVENT, ArcStatus.REACHED))
+    np.testing.assert_allclose(arcs.time[hit], exact[hit], rtol=0, atol=5e-12)  # 1e-12 of the arc
+    np.testing.assert_allclose(arcs.event_time[hit, 0], exact[hit], rtol=0, atol=5e-12)
+    np.testing.assert_array_equal(arcs.event_index[:, 0], np.where(hit, 0, -1))
+
+
+@pytest.mark.parametrize(("direction", "turns"), [(1, [1.5]), (-1, [0.5, 2.5]), (0, [0.5, 1.5, 2.5])])
+def test_direction(backend: str, direction: int, turns: list[float]) -> None:
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    event = Event(function=ca.Function("g", [z, p], [z[0]]), direction=direction)
+    arcs = compile_arcs(oscillator(), events=[event], backend=backend).propagate([1.0, 0.0], [np.pi], 3.2)
+    assert arcs.status[0] == ArcStatus.REACHED
+    np.testing.assert_allclose(arcs.event_time[0, : len(turns)], turns, atol=3e-12)
+    assert np.all(np.isnan(arcs.event_time[0, len(turns) :]))
+
+
+def test_two_crossings_inside_one_step_are_found(backend: str) -> None:
+    """A parabola is flown in few steps; it dips below the level for a hundredth of its time."""
+    rhs, _ = fall()
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    level = Event(function=ca.Function("level", [z, p], [0.999 - z[0]]))
+    arcs = compile_arcs(rhs, events=[level], backend=backend).propagate([0.0, 2.0], [2.0], 2.0)
+    half = np.sqrt(1e-3)  # z = 2t - t^2 passes 0.999 at 1 -+ sqrt(0.001)
+    np.testing.assert_allclose(arcs.event_time[0, :2], [1 - half, 1 + half], atol=1e-11)
+
+
+def test_backwards_over_an_event(backend: str) -> None:
+    rhs, height = fall()
+    e = compile_arcs(rhs, events=[Event(function=height, direction=-1, terminal=True)], backend=backend)
+    arcs = e.propagate([1.0, 0.0], [2.0], -3.0)  # z = 1 - t^2 falls through zero at t = -1, flown backwards
+    np.testing.assert_allclose(arcs.time, [-1.0], atol=1e-12)
+
+
+def test_a_ball_bounces_with_its_columns(backend: str) -> None:
+    rhs, height = fall()
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    bounce = ca.Function("bounce", [z, p], [ca.vertcat(z[0], -0.5 * z[1])])
+    e = compile_arcs(rhs, columns=2, events=[Event(function=height, direction=-1, jump=bounce)], backend=backend)
+    arcs = e.propagate([1.0, 0.0], [2.0], 1.7, np.eye(2))  # impact at t = 1 with v = -2, leaves with +1
+    np.testing.assert_allclose(arcs.z[0], [0.7 - 0.49, 1.0 - 1.4], atol=1e-11)
+    # z(t) = c (t - T) - (t - T)^2, c = 0.5 sqrt(v0^2 + 4 h0), T = (v0 + sqrt(v0^2 + 4 h0))/2
+    dT_dh, dT_dv, dc_dh, dc_dv = 0.5, 0.5, 0.5, 0.0
+    tau, c = 0.7, 1.0
+    exact = [
+        [dc_dh * tau + (2 * tau - c) * dT_dh, dc_dv * tau + (2 * tau - c) * dT_dv],
+        [dc_dh + 2 * dT_dh, dc_dv + 2 * dT_dv],
+    ]
+    np.testing.assert_allclose(arcs.columns[0], exact, atol=1e-10)
+
+
+def test_a_ball_that_bounces_for_ever_is_stopped(backend: str) -> None:
+    rhs, height = fall()
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    bounce = ca.Function("bounce", [z, p], [ca.vertcat(z[0], -0.5 * z[1])])
+    e = compile_arcs(rhs, events=[Event(function=height, direction=-1, jump=bounce)], backend=backend)
+    assert e.propagate([1.0, 0.0], [2.0], 9.0).status[0] == ArcStatus.STEP_LIMIT
+
+
+def test_meditch_lands_by_its_switch(backend: str) -> None:
+    """From the closed form's costates (12 digits printed) the lander comes to rest at the ground."""
+    modes, events = modes_and_switch()
+    arcs = compile_arcs(modes, columns=6, events=events, backend=backend).propagate(
+        START, PARAMETERS, FINAL_TIME, np.eye(6)
+    )
+    np.testing.assert_allclose(arcs.z[0, :2], 0.0, atol=5e-11)
+    np.testing.assert_allclose(arcs.event_time[0, 0], SWITCH, atol=2e-11)
+    np.testing.assert_allclose((1 - arcs.z[0, 2]) * EXHAUST, COST, atol=2e-11)
+    assert arcs.mode[0] == 1
+    assert list(arcs.event_index[0, :2]) == [0, -1]
+    S, J = arcs.columns[0], np.block([[np.zeros((3, 3)), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])
+    np.testing.assert_allclose(S.T @ J @ S, J, atol=1e-12)  # saltation keeps the symplectic form
+
+
+def test_saltation_against_finite_differences(backend: str) -> None:
+    modes, events = modes_and_switch()
+    e = compile_arcs(modes, columns=6, events=events, backend=backend)
+    S = e.propagate(START, PARAMETERS, FINAL_TIME, np.eye(6)).columns[0]
+    h = 1e-4
+    offsets = np.array([k * h * row for row in np.eye(6) for k in (-2, -1, 1, 2)])
+    z = e.propagate(START + offsets, PARAMETERS, FINAL_TIME).z.reshape(6, 4, 6)
+    difference = (z[:, 0] - 8 * z[:, 1] + 8 * z[:, 2] - z[:, 3]) / (12 * h)
+    np.testing.assert_allclose(difference.T, S, rtol=1e-6, atol=1e-7)
+
+
+def test_meditch_back_over_the_switch(backend: str) -> None:
+    modes, events = modes_and_switch()
+    e = compile_arcs(modes, events=events, backend=backend)
+    end = e.propagate(START, PARAMETERS, FINAL_TIME)
+    back = e.propagate(end.z, PARAMETERS, -FINAL_TIME, mode=1)
+    np.testing.assert_allclose(back.z[0], START, atol=2e-11)
+    assert back.mode[0] == 0
+
+
+def layered_entry() -> tuple[list[ca.Function], list[Event], np.ndarray]:
+    """Vertical fall with drag through three layers: scale heights differ and density jumps in slope."""
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    bases, densities, scales = [0.0, 1.0, 2.0], [1.0, np.exp(-2.0), np.exp(-3.0)], [0.5, 1.0, 0.7]
+    modes = [
+        ca.Function("layer", [z, p], [ca.vertcat(z[1], -1 + p * rho * ca.exp(-(z[0] - base) / scale) * z[1] ** 2)])
+        for base, rho, scale in zip(bases, densities, scales, strict=True)
+    ]
+    events = []
+    for upper in (2, 1):
+        g = ca.Function("g", [z, p], [z[0] - bases[upper]])
+        events.append(Event(function=g, direction=-1, switches={upper: upper - 1}))
+    return modes, events, np.array(bases)
+
+
+def test_layers_of_an_atmosphere_against_restarts(backend: str) -> None:
+    modes, events, bases = layered_entry()
+    e = compile_arcs(modes, columns=2, events=events, backend=backend)
+    arcs = e.propagate([3.0, -1.0], [0.8], 2.5, np.eye(2), mode=2)
+    state, t, times = np.array([3.0, -1.0]), 0.0, []
+    for layer in (2, 1):
+        t_hit, state = oracle(modes[layer], state, bases[layer])
+        t += t_hit
+        times.append(t)
+    _, state = oracle(modes[0], state, None, 2.5 - t)
+    np.testing.assert_allclose(arcs.event_time[0, :2], times, atol=1e-11)
+    np.testing.assert_allclose(arcs.z[0], state, atol=1e-11)
+    assert list(arcs.event_index[0, :3]) == [0, 1, -1]
+    h = 1e-4
+    offsets = np.array([k * h * row for row in np.eye(2) for k in (-2, -1, 1, 2)])
+    z = e.propagate(np.array([3.0, -1.0]) + offsets, [0.8], 2.5, mode=2).z.reshape(2, 4, 2)
+    difference = (z[:, 0] - 8 * z[:, 1] + 8 * z[:, 2] - z[:, 3]) / (12 * h)
+    np.testing.assert_allclose(difference.T, arcs.columns[0], atol=1e-7)
+
+
+def oracle(
+    rhs: ca.Function, state: np.ndarray, level: float | None, duration: float = 10.0
+) -> tuple[float, np.ndarray]:
+    """SciPy's integrator in one layer, to a level (polished by whole arcs) or for a time."""
+    from scipy.integrate import solve_ivp
+    from scipy.optimize import brentq
+
+    def fly(t: float) -> np.ndarray:
+        settings = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}
+        return solve_ivp(lambda _, z: np.asarray(rhs(z, 0.8)).ravel(), (0, t), state, **settings).y[:, -1]
+
+    if level is None:
+        return duration, fly(duration)
+    hit = float(np.asarray(brentq(lambda t: fly(t)[0] - level, 1e-3, 1.5, xtol=1e-14)))
+    return hit, fly(hit)
+
+
+def test_lanes_in_different_modes(backend: str) -> None:
+    modes, events, _ = layered_entry()
+    e = compile_arcs(modes, events=events, backend=backend)
+    starts = np.array([[3.0, -1.0], [1.5, -0.5], [0.5, -0.1], [2.2, 0.0], [2.9, -2.0]])
+    mode = np.array([2, 1, 0, 2, 2])
+    together = e.propagate(starts, [0.8], 1.2, mode=mode)
+    for lane in range(5):
+        alone = e.propagate(starts[lane], [0.8], 1.2, mode=mode[lane])
+        np.testing.assert_allclose(together.z[lane], alone.z[0], atol=1e-12)
+        assert together.mode[lane] == alone.mode[0]
+
+
+def test_dense_output_over_a_switch(backend: str) -> None:
+    modes, events = modes_and_switch()
+    e = compile_arcs(modes, events=events, backend=backend)
+    d = e.dense(START, PARAMETERS, FINAL_TIME)
+    for t in (0.1, SWITCH, 0.3, 1.2):
+        np.testing.assert_allclose(d(t), e.propagate(START, PARAMETERS, t).z[0], atol=1e-10)
+
+
+def test_events_that_contradict_themselves_are_refused() -> None:
+    rhs, height = fall()
+    with pytest.raises(PeriluneError, match="direction"):
+        Event(function=height, direction=2)
+    with pytest.raises(PeriluneError, match="cannot end the arc"):
+        Event(function=height, terminal=True, switches={0: 1})
+    with pytest.raises(PeriluneError, match="modes that do not exist"):
+        compile_arcs(rhs, events=[Event(function=height, switches={0: 1})])
+
+
+def test_an_event_of_another_state_is_refused() -> None:
+    rhs, _ = fall()
+    z, p = ca.SX.sym("z", 3), ca.SX.sym("p")
+    with pytest.raises(PeriluneError, match="another z or p"):
+        compile_arcs(rhs, events=[Event(function=ca.Function("g", [z, p], [z[0]]))])

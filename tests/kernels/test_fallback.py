@@ -1,0 +1,37 @@
+"""Without llvmlite the same interface works, and says once that it is slower."""
+
+from __future__ import annotations
+
+import sys
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from perilune.kernels import compile_arcs, engine
+
+
+def decay() -> ca.Function:
+    z, p = ca.SX.sym("z"), ca.SX.sym("p")
+    return ca.Function("decay", [z, p], [-p * z])
+
+
+@pytest.fixture
+def without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "llvmlite", None)
+    monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
+    monkeypatch.setattr(engine, "_told", [])
+
+
+@pytest.mark.usefixtures("without_llvmlite")
+def test_falls_back_and_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
+    for _ in range(2):
+        arcs = compile_arcs(decay()).propagate([1.0], [1.0], 1.0)
+    assert arcs.z[0, 0] == pytest.approx(np.exp(-1), rel=1e-12)
+    assert [record.message.count("slower") for record in caplog.records] == [1]
+
+
+def test_the_default_is_machine_code() -> None:
+    pytest.importorskip("llvmlite")
+    assert compile_arcs(decay()).backend == "native"
+    assert compile_arcs(decay(), backend="interpreter").backend == "interpreter"
