@@ -14,7 +14,7 @@ LAYERS = {
     "records": {"problem", "verification", "solution"},
     "mathematics": {
         "symbolic", "pontryagin", "kernels", "propagate", "collocation", "mesh", "nlp", "rootfind", "shooting",
-        "continuation", "extremals", "genetic", "first_guess",
+        "lanes", "continuation", "extremals", "genetic", "first_guess",
         "contradictions", "segments",
     },
     "methods": {"methods"},

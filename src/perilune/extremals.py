@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve
 
 from perilune.continuation import Member, follow
+from perilune.lanes import lanes
 from perilune.rootfind import Root, Watch
 from perilune.shooting import Shooting
 from perilune.types import Vector
@@ -46,6 +47,16 @@ class HeldFamily:
     shooting: Shooting
     p: Vector
     index: int
+
+    def at_once(self, first: Member, values: Vector) -> list[tuple[float, Vector | None]]:
+        """(value, Y) for each value, all lanes started from `first`; None where a lane found no root."""
+        together = lanes(self.shooting.conditions, self.index)
+        if together is None or len(first.root.y) != len(self.shooting.conditions.unknowns):
+            return [(float(v), None) for v in values]
+        start = np.tile(first.root.y, (len(values), 1))
+        start[:, self.shooting.conditions.free_at.start + self.index] = values
+        Y, converged = together.solve(start, self.p, values)
+        return [(float(v), y if ok else None) for v, y, ok in zip(values, Y, converged, strict=True)]
 
     def correct(self, y: Vector, value: float, watch: Watch | None = None) -> Root:
         """Newton with q held at `value`."""
@@ -93,8 +104,9 @@ def scan(
         Receives one line about a family that ends before a bound.
     """
     grid = np.linspace(*bounds, points)
-    below = [m for m in follow(first, grid[grid < first.value][::-1].tolist(), family.correct, family.tangent) if m]
-    above = [m for m in follow(first, grid[grid > first.value].tolist(), family.correct, family.tangent) if m]
+    tried = family.at_once(first, grid)
+    below = _chain(family, first, [(v, y) for v, y in tried[::-1] if v < first.value])
+    above = _chain(family, first, [(v, y) for v, y in tried if v > first.value])
     members = [*below[::-1], first, *above]
     slopes = [family.slope(m.root) for m in members]
     for end, bound, limit in ((0, -1, bounds[0]), (-1, 1, bounds[1])):
@@ -112,6 +124,23 @@ def scan(
                 value = float(root.y[family.shooting.conditions.free_at.start + family.index])
                 yield Found(root=root, value=value, bound=0, minimum=family.curvature(root) > 0)
     yield from _dips(family, members, slopes)
+
+
+def _chain(family: HeldFamily, first: Member, tried: list[tuple[float, Vector | None]]) -> list[Member]:
+    """Members outwards from `first`: a lane's root where it continues the branch, else one reached step by step."""
+    members, here, stride = [], first, np.inf
+    for value, y in tried:
+        if y is not None and np.linalg.norm(y - here.root.y) <= 3 * stride + 0.05 * (1 + np.linalg.norm(here.root.y)):
+            member = Member(value=value, root=replace(first.root, y=y))
+        else:
+            origin = Member(value=here.value, root=family.correct(here.root.y, here.value))
+            member = next(iter(follow(origin, [value], family.correct, family.tangent)))
+            if member is None:
+                break
+        stride = float(np.linalg.norm(member.root.y - here.root.y))
+        members.append(member)
+        here = member
+    return members
 
 
 def _between(family: HeldFamily, a: Member, b: Member, slope_a: float, slope_b: float) -> Root | None:

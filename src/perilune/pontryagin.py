@@ -102,6 +102,13 @@ class Conditions:
         Slices of y: the free parameters, and each phase's lambda(0).
     stationarity_at
         Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals.
+    silent
+        For each phase the entries of z that vanish on every extremal: costates of coordinates that neither the
+        dynamics nor the end know of. Cho et al. (13), (19): lambda_phi.
+    silent_rows
+        (row of the residual, unknown) of each of them: the condition that it vanishes at the end.
+    needed
+        For each phase the entries of the end z on which the rest depends.
     """
 
     phases: tuple[PhaseExtremal, ...]
@@ -112,6 +119,9 @@ class Conditions:
     free_at: slice
     costate_at: tuple[slice, ...]
     stationarity_at: slice
+    silent: tuple[tuple[int, ...], ...]
+    silent_rows: tuple[tuple[int, int], ...]
+    needed: tuple[tuple[int, ...], ...]
 
 
 def minimising_control(
@@ -306,6 +316,9 @@ def _derive(structure: _Structure) -> Conditions:
             stationarity[problem.free_names.index(phase.duration)] += _hamiltonian(extremal, zf, numbers)
     residual = ca.vertcat(*conditions, *costates, stationarity)
     zf = ca.vertcat(*ends)
+    silent = tuple(_silent(e, z, rows) for e, z, rows in zip(phases, ends, costates, strict=True))
+    silent_rows = _silent_rows(phases, silent, sum(c.numel() for c in conditions))
+    needed = _needed(phases, ends, residual, starts, silent, {row for row, _ in silent_rows})
     count = sum(e.half for e in phases)
     unknowns, residuals = _names(problem, tuple(phases))
     return Conditions(
@@ -321,7 +334,53 @@ def _derive(structure: _Structure) -> Conditions:
         free_at=slice(count, count + len(problem.free)),
         costate_at=_slices([e.half for e in phases]),
         stationarity_at=slice(residual.numel() - len(problem.free), residual.numel()),
+        silent=silent,
+        silent_rows=silent_rows,
+        needed=needed,
     )
+
+
+def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:
+    """Costates with rate zero in every mode whose condition at the end is that they vanish."""
+    half, p = extremal.half, ca.SX.sym("p", extremal.modes[0].size1_in(1))
+    rates = [mode(zf, p) for mode in extremal.modes]
+    return tuple(
+        half + i
+        for i in range(half)
+        if ca.substitute(transversality[i], zf[half + i], 0).is_zero() and all(r[half + i].is_zero() for r in rates)
+    )
+
+
+def _silent_rows(
+    phases: list[PhaseExtremal], silent: tuple[tuple[int, ...], ...], first_row: int
+) -> tuple[tuple[int, int], ...]:
+    found, at = [], 0
+    for extremal, entries in zip(phases, silent, strict=True):
+        found += [(first_row + at + i - extremal.half, at + i - extremal.half) for i in entries]
+        at += extremal.half
+    return tuple(found)
+
+
+def _needed(
+    phases: list[PhaseExtremal],
+    ends: list[ca.SX],
+    residual: ca.SX,
+    starts: tuple[ca.Function, ...],
+    silent: tuple[tuple[int, ...], ...],
+    silent_rows: set[int],
+) -> tuple[tuple[int, ...], ...]:
+    """Entries of each end that the other rows of the residual, or the next phase's start, depend on."""
+    rows = residual[[i for i in range(residual.numel()) if i not in silent_rows]]
+    for zf, entries in zip(ends, silent, strict=True):
+        for i in entries:
+            rows = ca.substitute(rows, zf[i], 0)
+    found = []
+    for k, zf in enumerate(ends):
+        wanted = set(ca.jacobian(ca.simplify(rows), zf).sparsity().get_triplet()[1])
+        if k + 1 < len(phases):
+            wanted |= set(starts[k + 1].sparsity_out(3).get_triplet()[1])
+        found.append(tuple(sorted(wanted - set(silent[k]))))
+    return tuple(found)
 
 
 def _hamiltonian(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:

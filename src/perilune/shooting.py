@@ -1,5 +1,8 @@
 """The shooting function of a boundary value problem and its Jacobian by the state-transition matrix.
 
+Entries of z on which no condition depends are not flown; a costate that vanishes on every extremal has the condition
+that it vanishes in place of its flight.
+
 Single shooting as in Cho et al. 2015 (20)-(24): fly every phase from its start, evaluate the residual at the ends.
 With several segments to a phase, the states at the joints are further unknowns and continuity is a further residual
 (multiple shooting), for arcs on which errors grow too much.
@@ -18,7 +21,7 @@ import numpy as np
 
 from perilune.kernels.mapped import compile_map
 from perilune.pontryagin import Conditions
-from perilune.propagate import engine
+from perilune.propagate import engine, equations
 from perilune.rootfind import Root, Watch, damped_newton
 from perilune.types import Matrix, Vector
 
@@ -100,6 +103,11 @@ class Shooting:
             if jacobian:
                 J[row] = 0.0
                 J[row, self.conditions.free_at.start + index] = 1.0
+        for row, index in self.conditions.silent_rows:
+            h[row] = y[index]
+            if jacobian:
+                J[row] = 0.0
+                J[row, index] = 1.0
         if gaps:
             h = np.concatenate([h, *gaps])
             J = np.vstack([J, *gap_jacobians]) if jacobian else J
@@ -133,7 +141,7 @@ class Shooting:
         for k, start in enumerate(self.conditions.starts):
             z0, duration = (out.ravel() for out in _compiled(start)(y, before, p)[:2])
             extremal = self.conditions.phases[k]
-            curve = engine(extremal, 0).dense(z0, p, float(duration[0]), mode=extremal.mode(z0, p))
+            curve = engine(equations(extremal, (), ()), 0).dense(z0, p, float(duration[0]), mode=extremal.mode(z0, p))
             at = curve(np.linspace(0.0, float(duration[0]), self.segments + 1))
             if not np.all(np.isfinite(at)):
                 return None
@@ -173,13 +181,15 @@ class Shooting:
         """End of an arc and its derivative by all unknowns, or None."""
         if not (np.all(np.isfinite(z)) and np.isfinite(T)):
             return None
-        moving = np.nonzero(np.any(dz != 0.0, axis=0))[0] if jacobian else np.zeros(0, dtype=int)
         extremal = self.conditions.phases[phase]
-        arc = engine(extremal, len(moving)).propagate(
-            z,
+        flown = equations(extremal, self.conditions.needed[phase], self.conditions.silent[phase])
+        kept = flown.kept
+        moving = np.nonzero(np.any(dz[kept] != 0.0, axis=0))[0] if jacobian else np.zeros(0, dtype=int)
+        arc = engine(flown, len(moving)).propagate(
+            z[kept],
             p,
             T,
-            dz[:, moving] if jacobian else None,
+            dz[np.ix_(kept, moving)] if jacobian else None,
             rtol=self.rtol,
             atol=self.rtol,
             mode=extremal.mode(z, p),
@@ -187,8 +197,9 @@ class Shooting:
         self.arcs += 1
         if not arc.succeeded[0]:
             return None
-        out = np.zeros_like(dz)
+        end, out = np.zeros_like(z), np.zeros_like(dz)
+        end[kept] = arc.z[0]
         if jacobian:
-            out[:, moving] = arc.columns[0]
-            out += np.outer(_compiled(extremal.modes[int(arc.mode[0])])(arc.z[0], p)[0], dT)
-        return arc.z[0], out
+            out[np.ix_(kept, moving)] = arc.columns[0]
+            out[kept] += np.outer(_compiled(flown.modes[int(arc.mode[0])])(arc.z[0], p)[0], dT)
+        return end, out

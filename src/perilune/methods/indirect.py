@@ -28,9 +28,7 @@ class Indirect:
     Parameters
     ----------
     starts
-        Most random starts of the first rung.
-    confirm
-        The first rung stops when this many starts agree on the best extremal found.
+        Random starts of the first rung.
     seed
         Of the random starts; the same seed gives the same answer.
     scan_points
@@ -42,7 +40,6 @@ class Indirect:
     """
 
     starts: int = 24
-    confirm: int = 1
     seed: int = 0
     scan_points: int = 33
     segments: int = 6

@@ -14,6 +14,7 @@ import numpy as np
 
 from perilune.continuation import Member
 from perilune.extremals import Found, HeldFamily, scan
+from perilune.lanes import lanes
 from perilune.methods.assemble import (
     controls,
     fly,
@@ -32,7 +33,7 @@ from perilune.rootfind import Root
 from perilune.shooting import Shooting
 from perilune.solution import Deferred, Extremal, Iteration, Nature, Solution, Statistics
 from perilune.symbolic import canonical_free, free_scales, state_scales
-from perilune.types import Vector
+from perilune.types import Matrix, Vector
 
 if TYPE_CHECKING:
     from perilune.methods.indirect import Indirect
@@ -178,29 +179,39 @@ class Search:
 
     def _sphere(self, held: float, starts: int) -> Iterator[Root]:
         """Distinct roots from random directions of the initial costates, those that keep the path conditions first."""
-        rng = np.random.default_rng(self.settings.seed)
-        typical = canonical_free(self.problem, {f.name: f.typical for f in self.problem.free})
         roots: list[Root] = []
-        agreed: dict[int, int] = {}
-        c = self.conditions
-        for _ in range(starts):
-            y = np.zeros(len(c.unknowns))
-            lam = rng.normal(size=c.free_at.start)
-            y[: c.free_at.start] = lam / np.linalg.norm(lam)
-            y[c.free_at] = typical * np.exp(rng.uniform(-0.4, 0.4, size=len(typical)))
-            root = self._newton(y, self._hold(held), max_step=0.5)
-            if not (root.converged and self._within_bounds(root.y)):
-                continue
-            same = next((i for i, r in enumerate(roots) if np.allclose(r.y, root.y, rtol=0, atol=1e-6)), len(roots))
-            if same == len(roots):
+        for root in self._roots_from(self._sphere_starts(starts), held):
+            if self._within_bounds(root.y) and not any(np.allclose(r.y, root.y, rtol=0, atol=1e-6) for r in roots):
                 roots.append(root)
-            agreed[same] = agreed.get(same, 0) + 1
-            if agreed[same] >= self.settings.confirm and self._breach(root.y) is None:
-                break
         self.tried.append(f"costates on the unit sphere: {len(roots)} extremals from {starts} starts")
         keeps = [self._breach(r.y) is None for r in roots]
         order = sorted(range(len(roots)), key=lambda i: (not keeps[i], self._objective(roots[i].y)))
         yield from (roots[i] for i in order)
+
+    def _sphere_starts(self, count: int) -> Matrix:
+        """Unknowns with random costates of length one and free parameters around their typical values."""
+        rng, c = np.random.default_rng(self.settings.seed), self.conditions
+        Y = np.zeros((count, len(c.unknowns)))
+        directions = rng.normal(size=(count, c.free_at.start))
+        Y[:, : c.free_at.start] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        typical = canonical_free(self.problem, {f.name: f.typical for f in self.problem.free})
+        Y[:, c.free_at] = typical * np.exp(rng.uniform(-0.4, 0.4, size=(count, len(typical))))
+        return Y
+
+    def _roots_from(self, Y: Matrix, held: float) -> Iterator[Root]:
+        """Roots from many starts: in lanes where the problem allows, and those polished; else one after another."""
+        together = lanes(self.conditions, self.scanned)
+        if together is None:
+            found = (self._newton(y, self._hold(held), max_step=0.5) for y in Y)
+        else:
+            if self.scanned is not None:
+                Y[:, self.conditions.free_at.start + self.scanned] = held
+            ends, converged = together.solve(Y, self.p, np.full(len(Y), held))
+            distinct = np.unique(np.round(ends[converged], 6), axis=0, return_index=True)[1]
+            found = (self.correct(y, held) for y in ends[converged][np.sort(distinct)])
+            if not converged.any() and len(Y):
+                self.correct(ends[0], held)  # for the report of how near it came
+        yield from (root for root in found if root.converged)
 
     def _newton(self, y: Vector, held: dict[int, float] | None = None, **settings: float) -> Root:
         return self._count(self.shooting.root(y, self.p, held or {}, self._iteration, **settings))
