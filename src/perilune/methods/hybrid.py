@@ -1,0 +1,132 @@
+"""Two methods in a row: a genetic algorithm from random values, and another method from the best it finds.
+
+Peng, Li, Shen, Tang 2012, section 3.2, hand the transcribed program itself to the genetic algorithm: several
+hundred variables tied by nearly as many equations. Here it searches what is left when the dynamics hold
+(`perilune.methods.fitness`): controls at a few nodes for a direct method, initial costates for the indirect one.
+Each of its k best distinct individuals starts the second method, and the best answer is returned: one that has
+converged, never the population's own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from perilune.genetic import Generation, Genetic
+from perilune.methods.indirect import Indirect
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.outcome import NotConvergedError, PeriluneError
+from perilune.problem import Problem
+from perilune.solution import Extremal, Iteration, Nature, Solution
+
+Watch = Callable[[Iteration | str], None]
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """A population search, then another method.
+
+    Parameters
+    ----------
+    first
+        Settings of the search; its `best` is the number of starts it hands on.
+    second
+        ``Indirect(...)`` or ``Pseudospectral(...)``.
+    nodes
+        Control nodes of each phase in the search for a direct method.
+    """
+
+    first: Genetic
+    second: Indirect | Pseudospectral
+    nodes: int = 5
+
+    name = "hybrid"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.first, Genetic) or not isinstance(self.second, Indirect | Pseudospectral):
+            raise PeriluneError(
+                "a hybrid is a genetic search and another method",
+                got=f"Hybrid({type(self.first).__name__}, {type(self.second).__name__})",
+                expected="Hybrid(Genetic(...), Pseudospectral(...)) or Hybrid(Genetic(...), Indirect(...))",
+            )
+        if self.nodes < 2:
+            raise PeriluneError("nodes is too small", got=str(self.nodes), expected=">= 2")
+
+    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+        """Solve from random values.
+
+        Parameters
+        ----------
+        problem
+            What to solve.
+        guess
+            Not used: the search starts from random values within the bounds.
+        watch
+            Receives one line for each generation, and what the second method says.
+
+        Returns
+        -------
+        Solution
+            Of the second method, unverified; `extremals` names every different objective reached, best first.
+
+        Raises
+        ------
+        NotConvergedError
+            If the second method converged from no individual; the message is that of its first failure.
+        InfeasibleError
+            As the second method says.
+        KeyboardInterrupt
+            If the user stopped it; `watch` has then received the best fitness so far.
+        """
+        from perilune.methods.fitness import ControlFitness, CostateFitness
+
+        say: Watch = watch or (lambda _: None)
+        began = time.perf_counter()
+        fitness = CostateFitness(problem) if isinstance(self.second, Indirect) else ControlFitness(problem, self.nodes)
+        survivors = self.first.search(fitness, fitness.lower, fitness.upper, lambda g: say(_line(g)))
+        tried = [_line(survivors.generations[-1])] if survivors.generations else []
+        if survivors.interrupted:
+            say("interrupted; " + (tried[0] if tried else "no generation was finished"))
+            raise KeyboardInterrupt
+        answers: list[Solution] = []
+        failure: NotConvergedError | None = None
+        for number, (genes, value) in enumerate(zip(survivors.points, survivors.values, strict=True), 1):
+            start = f"individual {number} of fitness {value:.3g}"
+            try:
+                answers.append(self.second.run(problem, fitness.guess(genes), say))
+            except NotConvergedError as error:
+                failure = failure or error
+                tried.append(f"{start}: {error.what}")
+            else:
+                tried.append(f"{start}: J = {answers[-1].objective:.9g} {problem.objective_unit}")
+        if not answers:
+            assert failure is not None
+            failure.partial["tried"] = [*tried, *failure.partial.get("tried", ())]
+            raise failure
+        return _best(answers, tuple(tried), time.perf_counter() - began)
+
+
+def _best(answers: list[Solution], tried: tuple[str, ...], wall_time: float) -> Solution:
+    answers = sorted(answers, key=lambda s: s.objective)
+    best = answers[0]
+    known = list(best.extremals) or [
+        Extremal(free=best.free, objective=best.objective, nature=Nature.GLOBAL_OPTIMUM)
+    ]  # fmt: skip
+    for other in answers[1:]:
+        # Nearer than the methods' own accuracy is the same answer.
+        if other.objective - known[-1].objective > 1e-6 * abs(best.objective):
+            known.append(Extremal(free=other.free, objective=other.objective, nature=Nature.LOCAL_OPTIMUM))
+    statistics = replace(
+        best.statistics,
+        rung=f"genetic search, then {best.statistics.rung}",
+        tried=(*tried, *best.statistics.tried),
+        iterations=sum(a.statistics.iterations for a in answers),
+        arcs=sum(a.statistics.arcs for a in answers),
+        wall_time=wall_time,
+    )
+    return replace(best, extremals=tuple(known), statistics=statistics)
+
+
+def _line(generation: Generation) -> str:
+    return f"generation {generation.number}: fitness {generation.least:.4g}, median {generation.median:.4g}"

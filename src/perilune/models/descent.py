@@ -1,0 +1,379 @@
+"""Powered descent in three dimensions to a place on a rotating body: Peng, Li, Shen, Tang 2012, section 4.
+
+From a state over the body to rest at a named site, anywhere on the great circle towards it, or anywhere. With
+constant thrust, as in the paper, minimum time (19) is maximum landed mass (29), and the two objectives differ
+in the costates only. The coordinates, and the equations in them, are those of
+`perilune.models.descent_frames`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, Literal
+
+from perilune.maths import NUMERIC
+from perilune.models.bodies import MOON, Body
+from perilune.models.descent_frames import CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
+from perilune.models.landing import Vehicle
+from perilune.models.rotating import dot, local_axes
+from perilune.outcome import InfeasibleError, PeriluneError
+from perilune.problem import Bounded, Control, Direction, Free, Given, Phase, Problem
+from perilune.types import Physics
+from perilune.units import Scales
+
+# Of the rocket-equation bounds, for the rotation and J2 that they leave out.
+_SLACK = 1.02
+_FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
+_START_UNITS = {
+    **dict.fromkeys(("altitude",), "m"),
+    **dict.fromkeys(("longitude", "latitude", "heading"), "rad"),
+    **dict.fromkeys(("forward_speed", "sideways_speed", "vertical_speed"), "m/s"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ignition:
+    """Where the powered descent begins, relative to the rotating body.
+
+    Parameters
+    ----------
+    altitude, longitude, latitude
+        [m], [rad]; over a pole the longitude names the meridian from which the heading is measured.
+    heading
+        gamma, from north towards east to the axis oy [rad].
+    forward_speed, sideways_speed, vertical_speed
+        u, v, w: along oy, along oz = up x oy, and up [m/s].
+    """
+
+    altitude: float
+    longitude: float
+    latitude: float
+    heading: float
+    forward_speed: float
+    sideways_speed: float = 0.0
+    vertical_speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        _place_on_sphere("start", self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """Where it ends at rest: altitude above the body's radius [m], longitude and latitude [rad]."""
+
+    altitude: float
+    longitude: float
+    latitude: float
+
+    def __post_init__(self) -> None:
+        _place_on_sphere("site", self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steering:
+    """Bounds of the thrust's elevation alpha and azimuth beta [rad], Peng et al. (24)."""
+
+    elevation: tuple[float, float] = (-0.5 * math.pi, 0.5 * math.pi)
+    azimuth: tuple[float, float] = (0.0, 2 * math.pi)
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in (("elevation", (-90.0, 90.0)), ("azimuth", (0.0, 360.0))):
+            low, high = (math.degrees(v) for v in getattr(self, name))
+            if not least - 1e-9 <= low < high <= most + 1e-9:
+                raise PeriluneError(
+                    f"bounds of the thrust's {name} are not a range",
+                    got=f"{low:g} to {high:g} deg",
+                    expected=f"lower < upper, within {least:g} to {most:g} deg",
+                )
+
+
+def _place_on_sphere(what: str, record: Any) -> None:
+    for name, value in vars(record).items():
+        if not math.isfinite(value):
+            raise PeriluneError(f"{what} {name} is not finite", got=str(value), expected="a finite number")
+    if abs(record.latitude) > 0.5 * math.pi + 1e-12:
+        raise PeriluneError(
+            f"{what} latitude lies beyond the pole",
+            got=f"{math.degrees(record.latitude):g} deg",
+            expected="between -90 and 90 deg",
+            advice="is it in radians inside, and longitude and latitude not exchanged?",
+        )
+
+
+def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
+    """Peng et al. (29): H = 0 along the optimum."""
+    return -x.m
+
+
+def _flight_time(x: Any, p: Any, m: Any) -> Any:
+    """Peng et al. (19): H = -1 along the optimum."""
+    return p.flight_time
+
+
+def _check_given(p: Any) -> None:
+    """Repeat the records' own checks, for values that a sweep sets, and what no record can see alone."""
+    Vehicle(
+        mass=p.vehicle_mass,
+        thrust=p.vehicle_thrust,
+        specific_impulse=p.vehicle_specific_impulse,
+        standard_gravity=p.vehicle_standard_gravity,
+    )
+    start = {name: getattr(p, f"start_{name}") for name in Ignition.__dataclass_fields__}
+    site = {name: getattr(p, f"site_{name}") for name in Site.__dataclass_fields__}
+    Ignition(**start)
+    Site(**site)
+    if not -p.body_radius < p.site_altitude < p.start_altitude:
+        raise PeriluneError(
+            "the descent begins below the landing site",
+            got=f"start {p.start_altitude / 1e3:g} km, site {p.site_altitude / 1e3:g} km",
+            expected="start altitude > site altitude",
+        )
+    if not 0 < propellant(p) <= p.vehicle_mass:
+        raise PeriluneError(
+            "the vehicle's dry mass leaves no propellant",
+            got=f"dry mass {p.vehicle_dry_mass:g} kg of {p.vehicle_mass:g} kg",
+            expected="0 <= dry_mass < mass",
+        )
+
+
+def propellant(p: Any) -> float:
+    """Mass that may be burnt [kg]; all of it where no dry mass is given."""
+    return p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)
+
+
+def _check_speed(p: Any) -> tuple[float, float]:
+    """Return the speed to lose and the velocity change to be had [m/s], or refuse.
+
+    The speed that a fall to the site's level would give, s^2 = |v|^2 + 2 (U(site) - U(r)) with U = -mu/r, is
+    changed by thrust acceleration a by at most a. So s at the start must not exceed the velocity change B
+    that all propellant gives. Rotation and J2 are left out; `_SLACK` allows for them.
+    """
+    r_start, r_site = p.body_radius + p.start_altitude, p.body_radius + p.site_altitude
+    fall = 2 * p.body_gravitational_parameter * (1 / r_site - 1 / r_start)
+    speed = math.hypot(p.start_forward_speed, p.start_sideways_speed, p.start_vertical_speed)
+    to_lose = math.sqrt(speed * speed + fall)
+    burnt = propellant(p)
+    exhaust_speed = p.vehicle_specific_impulse * p.vehicle_standard_gravity
+    budget = math.inf
+    if burnt < p.vehicle_mass:
+        budget = exhaust_speed * math.log(p.vehicle_mass / (p.vehicle_mass - burnt))
+    if to_lose > _SLACK * budget:
+        raise InfeasibleError(
+            "the propellant cannot take away the speed of the start and of the fall to the site",
+            got=f"{to_lose:.1f} m/s to lose",
+            expected=f"at most {budget:.1f} m/s, by the rocket equation with {burnt:g} kg of propellant",
+            advice="more propellant, a higher specific impulse, or a slower start",
+        )
+    return to_lose, budget
+
+
+def _check_reach(p: Any, to_lose: float, budget: float) -> None:
+    """Refuse a site beyond what a burn at full thrust can fly.
+
+    The speed s of `_check_speed` must come back to 0, so that it never exceeds (s(0) + B)/2.
+    """
+    places = ((p.start_longitude, p.start_latitude), (p.site_longitude, p.site_latitude))
+    above_start, above_site = (local_axes(*where, NUMERIC)[0] for where in places)
+    cosine = min(1.0, max(-1.0, float(dot(above_start, above_site))))
+    way = (p.body_radius + p.site_altitude) * math.acos(cosine)
+    reach = _SLACK * _longest_burn(p) * 0.5 * (to_lose + budget)
+    if way > reach:
+        raise InfeasibleError(
+            "the site cannot be reached with this propellant",
+            got=f"{way / 1e3:.1f} km from the point under the start",
+            expected=f"at most {reach / 1e3:.1f} km",
+            advice="a nearer site, more propellant, or the target 'downrange' or 'anywhere'",
+        )
+
+
+def _longest_burn(p: Any) -> float:
+    """Time in which full thrust burns all propellant [s]."""
+    return propellant(p) * p.vehicle_specific_impulse * p.vehicle_standard_gravity / p.vehicle_thrust
+
+
+def _ranges(p: Any, m: Any, *, to_site: bool, throttled: bool) -> dict[str, tuple[float, float, float]]:
+    """Bounds and order of magnitude of the flight time; refuses given values that are no descent."""
+    _check_given(p)
+    to_lose, budget = _check_speed(p)
+    if to_site and not throttled:
+        _check_reach(p, to_lose, budget)
+    exhaust_speed = p.vehicle_specific_impulse * p.vehicle_standard_gravity
+    exhausted = p.vehicle_mass * exhaust_speed / p.vehicle_thrust
+    speed = m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
+    # To stop the whole speed (rocket equation), and part of the time to drop the height by burns down and up.
+    stop = exhausted * (1 - m.exp(-speed / exhaust_speed))
+    drop = m.sqrt((p.start_altitude - p.site_altitude) * p.vehicle_mass / p.vehicle_thrust)
+    longest = math.inf if throttled else _longest_burn(p)
+    return {"flight_time": (0.0, longest, m.fmin(stop + drop, 0.9 * _longest_burn(p)))}
+
+
+def _controls(coordinates: str, steering: Steering | None, throttle: tuple[float, float] | None) -> tuple[Control, ...]:
+    controls: tuple[Control, ...] = (Direction(names=("toward_x", "toward_y", "toward_z")),)
+    if coordinates == "spherical":
+        bounds = steering or Steering()
+        controls = tuple(
+            Bounded(name=name, unit="rad", lower=lower, upper=upper)
+            for name, (lower, upper) in (("alpha", bounds.elevation), ("beta", bounds.azimuth))
+        )
+    return controls if throttle is None else (*controls, throttle_control(*throttle))
+
+
+def throttle_control(lower: float, upper: float) -> Bounded:
+    """Return the control `throttle`, the share of full thrust."""
+    if not 0 <= lower < upper <= 1:
+        raise PeriluneError(
+            "the throttle's bounds are no range of shares of full thrust",
+            got=f"{lower:g} to {upper:g}",
+            expected="0 <= lower < upper <= 1",
+        )
+    return Bounded(name="throttle", lower=lower, upper=upper)
+
+
+def _phase(coordinates: str, target: str, steering: Steering | None, controls: tuple[Control, ...]) -> Phase:
+    frame = _FRAMES[coordinates]
+    end, end_conditions = frame.ends[target]
+    path, path_conditions = frame.path, variables("m", "height_above_site")
+    if coordinates == "cartesian" and steering is not None:
+        margins = (
+            "elevation_above_lower",
+            "elevation_below_upper",
+            "azimuth_above_lower",
+            "azimuth_below_upper",
+        )
+        path, path_conditions = steered_path, (*path_conditions, *variables("rad", *margins))
+    return Phase(
+        name="descent",
+        states=frame.states,
+        controls=controls,
+        dynamics=frame.dynamics,
+        duration="flight_time",
+        end=end,
+        end_conditions=end_conditions,
+        path=path,
+        path_conditions=path_conditions,
+        outputs=frame.outputs,
+        output_variables=OUTPUTS,
+        typical_end=frame.typical_end,
+    )
+
+
+def body_and_vehicle(body: Body, vehicle: Vehicle, dry_mass: float | None, j2: float) -> dict[str, Given]:
+    """Given parameters of a body and a vehicle."""
+    given = {
+        "body_gravitational_parameter": Given(value=body.gravitational_parameter, unit="m^3/s^2"),
+        "body_radius": Given(value=body.radius, unit="m"),
+        "body_rotation_rate": Given(value=body.rotation_rate, unit="rad/s"),
+        "body_j2": Given(value=j2),
+        "vehicle_mass": Given(value=vehicle.mass, unit="kg"),
+        "vehicle_thrust": Given(value=vehicle.thrust, unit="N"),
+        "vehicle_specific_impulse": Given(value=vehicle.specific_impulse, unit="s"),
+        "vehicle_standard_gravity": Given(value=vehicle.standard_gravity, unit="m/s^2"),
+    }
+    return given if dry_mass is None else {**given, "vehicle_dry_mass": Given(value=dry_mass, unit="kg")}
+
+
+def section(name: str, record: Any, units: Mapping[str, str]) -> dict[str, Given]:
+    """Given parameters ``name_field`` of a record of numbers."""
+    return {f"{name}_{field}": Given(value=value, unit=units[field]) for field, value in vars(record).items()}
+
+
+def _check_choices(coordinates: str, target: str, minimise: str) -> None:
+    for what, got, known in (
+        ("coordinates", coordinates, tuple(_FRAMES)),
+        ("target", target, tuple(CARTESIAN.ends)),
+        ("minimise", minimise, ("propellant", "flight_time")),
+    ):
+        if got not in known:
+            raise PeriluneError(f"unknown {what}", got=repr(got), expected="one of " + ", ".join(map(repr, known)))
+
+
+def _places(start: Ignition, site: Site) -> dict[str, Given]:
+    return section("start", start, _START_UNITS) | section("site", site, _START_UNITS)
+
+
+def _at(given: Mapping[str, Given], ranges: Physics) -> Any:
+    return ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)
+
+
+def _scales(start: Ignition, vehicle: Vehicle, ranges: Mapping[str, tuple[float, float, float]]) -> Scales:
+    time = float(ranges["flight_time"][2])
+    speed = max(math.hypot(start.forward_speed, start.sideways_speed, start.vertical_speed), start.altitude / time)
+    return Scales(length=speed * time, time=time, mass=vehicle.mass)
+
+
+def _steering_limits(steering: Steering | None) -> dict[str, Given]:
+    if steering is None:
+        return {}
+    return {
+        f"steering_{name}_{side}": Given(value=value, unit="rad")
+        for name in ("elevation", "azimuth")
+        for side, value in zip(("lower", "upper"), getattr(steering, name), strict=True)
+    }
+
+
+def powered_descent(
+    vehicle: Vehicle,
+    start: Ignition,
+    site: Site,
+    body: Body = MOON,
+    *,
+    coordinates: Literal["cartesian", "spherical"] = "cartesian",
+    target: Literal["site", "downrange", "anywhere"] = "site",
+    steering: Steering | None = None,
+    throttle: tuple[float, float] | None = None,
+    minimise: Literal["propellant", "flight_time"] = "propellant",
+    dry_mass: float | None = None,
+    j2: float = 0.0,
+) -> Problem:
+    """Powered descent of Peng et al. (17)-(24).
+
+    Parameters
+    ----------
+    vehicle, start, site, body
+        The lander, where the burn begins, where it ends at rest, and on what body.
+    coordinates
+        ``"cartesian"`` (thrust direction free on the sphere; no singular point) or ``"spherical"`` (the
+        paper's; bounded angles; singular at the poles).
+    target
+        ``"site"``; ``"downrange"``: anywhere on the great circle from the point under the start to the site,
+        at the site's altitude; ``"anywhere"`` at that altitude.
+    steering
+        Bounds of elevation and azimuth (24); in Cartesian coordinates they are path conditions.
+    throttle
+        Least and greatest share of full thrust; None is constant full thrust.
+    minimise
+        ``"propellant"``: J = -m(t_f) (29); ``"flight_time"``: J = t_f (19).
+    dry_mass, j2
+        What cannot be burnt [kg], None leaving that open; second zonal harmonic of the body, unnormalised.
+
+    Returns
+    -------
+    Problem
+        States and units as in `perilune.models.descent_frames`; free `flight_time` [s]. Parameters are named
+        like the scenario's keys with ``_`` for the dot.
+
+    Raises
+    ------
+    PeriluneError, InfeasibleError
+        If the given values are no descent, or the rocket equation forbids it.
+    """
+    _check_choices(coordinates, target, minimise)
+    given = body_and_vehicle(body, vehicle, dry_mass, j2) | _places(start, site)
+    given |= _steering_limits(steering if coordinates == "cartesian" else None)
+    ranges = partial(_ranges, to_site=target == "site", throttled=throttle is not None)
+    return Problem(
+        name="powered_descent",
+        title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over the {body.name}",
+        phases=(_phase(coordinates, target, steering, _controls(coordinates, steering, throttle)),),
+        start=_FRAMES[coordinates].start,
+        given=given,
+        free=(Free(name="flight_time", unit="s"),),
+        objective=_minus_landed_mass if minimise == "propellant" else _flight_time,
+        objective_unit="kg" if minimise == "propellant" else "s",
+        ranges=ranges,
+        scales=_scales(start, vehicle, _at(given, ranges)),
+    )

@@ -1,0 +1,266 @@
+"""Precision landing: the last kilometres, with a throttle range, a pointing limit and a glide slope.
+
+Frame: east, north, up at the landing site, turning with the body; position from the site, velocity relative
+to it. The rotation axis is (0, cos latitude, sin latitude) there, and the mechanics are those of
+`perilune.models.rotating`.
+
+    r'' = g + (throttle T/m) d - 2 Omega x r' - Omega x (Omega x r),   m' = -throttle T/(Isp g0)
+    d_up >= cos(tilt)                                      pointing limit: the vehicle stays near upright
+    up >= tan(slope) (sqrt(east^2 + north^2 + a^2) - a)    glide slope: the ground is not flown into
+
+The glide slope is a hyperboloid with pad radius a. It lies between the cone from the site, whose tip has no
+normal, and the cone from the rim of the pad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+from perilune.maths import NUMERIC
+from perilune.models.bodies import MOON, Body
+from perilune.models.descent import Site, body_and_vehicle, section, throttle_control
+from perilune.models.descent_frames import MASS, mass_rate, thrust, variables
+from perilune.models.landing import Vehicle
+from perilune.models.rotating import combine, free_acceleration
+from perilune.outcome import InfeasibleError, PeriluneError
+from perilune.problem import Direction, Free, Given, Phase, Problem
+from perilune.units import Scales
+
+
+@dataclass(frozen=True, kw_only=True)
+class Approach:
+    """Position [m] from the site and velocity [m/s] relative to it at the start."""
+
+    east: float
+    north: float
+    up: float
+    east_speed: float = 0.0
+    north_speed: float = 0.0
+    up_speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise PeriluneError(f"approach {name} is not finite", got=str(value), expected="a finite number")
+        if self.up <= 0:
+            raise PeriluneError("the approach begins below the site", got=f"up {self.up:g} m", expected="> 0 m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corridor:
+    """What the flight must keep to.
+
+    Parameters
+    ----------
+    tilt
+        Largest angle of the thrust from the vertical [rad].
+    slope
+        Least elevation of the vehicle above the horizon as seen from the site [rad].
+    pad_radius
+        Where the glide slope begins [m].
+    """
+
+    tilt: float
+    slope: float
+    pad_radius: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name in ("tilt", "slope"):
+            degrees = math.degrees(getattr(self, name))
+            if not 0 < degrees < 90:
+                raise PeriluneError(f"corridor {name} is no angle", got=f"{degrees:g} deg", expected="0 to 90 deg")
+        if not self.pad_radius > 0:
+            raise PeriluneError("corridor pad_radius must be positive", got=f"{self.pad_radius:g} m", expected="> 0 m")
+
+
+def _centre_to(x: Any, p: Any) -> tuple[Any, Any, Any]:
+    return x.east, x.north, x.up + p.body_radius + p.site_altitude
+
+
+def _axis(p: Any, m: Any) -> tuple[Any, Any, Any]:
+    return 0.0, m.cos(p.site_latitude), m.sin(p.site_latitude)
+
+
+def _dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    velocity = (x.v_east, x.v_north, x.v_up)
+    acceleration = combine(
+        (1, free_acceleration(_centre_to(x, p), velocity, _axis(p, m), p, m)),
+        (thrust(u, p) / x.m, (u.toward_east, u.toward_north, u.toward_up)),
+    )
+    return (*velocity, *acceleration, mass_rate(u, p))
+
+
+def _start(p: Any, m: Any) -> Sequence[Any]:
+    position = (p.approach_east, p.approach_north, p.approach_up)
+    return (*position, p.approach_east_speed, p.approach_north_speed, p.approach_up_speed, p.vehicle_mass)
+
+
+def _touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    return x.east, x.north, x.up, x.v_east, x.v_north, x.v_up
+
+
+def _above_slope(x: Any, p: Any, m: Any) -> Any:
+    a = p.corridor_pad_radius
+    return x.up - m.tan(p.corridor_slope) * (m.sqrt(x.east * x.east + x.north * x.north + a * a) - a)
+
+
+def _path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    return _above_slope(x, p, m), u.toward_up - m.cos(p.corridor_tilt)
+
+
+def _outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    horizontal = m.sqrt(u.toward_east * u.toward_east + u.toward_north * u.toward_north)
+    return m.atan2(horizontal, u.toward_up), thrust(u, p) / x.m
+
+
+def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
+    return -x.m
+
+
+def _typical_end(p: Any, m: Any) -> Sequence[Any]:
+    return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
+
+
+def _check_throttle(p: Any, lower: float, upper: float) -> None:
+    """Refuse an engine that cannot hold the vehicle, or cannot let it down."""
+    centre = (0.0, 0.0, p.body_radius + p.site_altitude)
+    weight = -float(free_acceleration(centre, (0.0, 0.0, 0.0), _axis(p, NUMERIC), p, NUMERIC)[2])
+    lightest = getattr(p, "vehicle_dry_mass", 0.0)
+    if upper * p.vehicle_thrust < weight * lightest:
+        raise InfeasibleError(
+            "even at its greatest throttle the engine cannot stop the descent",
+            got=f"{upper * p.vehicle_thrust:.1f} N under an empty vehicle of {weight * lightest:.1f} N",
+            expected="thrust above weight",
+            advice="more thrust, or a lighter vehicle",
+        )
+    # Within the pointing limit the throttle floor lifts by at least this much, more on a lighter vehicle and
+    # more higher up. A hundredth is left to the Coriolis acceleration.
+    lift = lower * p.vehicle_thrust * math.cos(p.corridor_tilt) / p.vehicle_mass - weight
+    down = max(-p.approach_up_speed, 0.0)
+    if lift > 0 and down * down < 2 * lift * p.approach_up * 0.99:
+        raise InfeasibleError(
+            "the throttle floor hovers or climbs: the vehicle cannot come down to the site",
+            got=f"at least {lift:.3f} m/s^2 upward ends {down:.1f} m/s of descent after "
+            f"{down * down / (2 * lift):.0f} m of {p.approach_up:g} m",
+            expected=f"a throttle floor below {weight * p.vehicle_mass / p.vehicle_thrust:.3f}",
+            advice="a lower throttle floor, or a heavier vehicle",
+        )
+
+
+def _given(
+    vehicle: Vehicle, approach: Approach, site: Site, corridor: Corridor, body: Body, dry_mass: float | None, j2: float
+) -> dict[str, Given]:
+    place = {"altitude": "m", "longitude": "rad", "latitude": "rad"}
+    units = {name: "m/s" if name.endswith("speed") else "m" for name in vars(approach)}
+    return {
+        **body_and_vehicle(body, vehicle, dry_mass, j2),
+        **section("site", site, place),
+        **section("approach", approach, units),
+        **section("corridor", corridor, {"tilt": "rad", "slope": "rad", "pad_radius": "m"}),
+    }
+
+
+def _ranges(p: Any, m: Any, *, throttle: tuple[float, float]) -> dict[str, tuple[float, float, float]]:
+    """Order of magnitude of the flight time; refuses given values that are no landing."""
+    throttle_control(*throttle)
+    _check_throttle(p, *throttle)
+    start = SimpleNamespace(east=p.approach_east, north=p.approach_north, up=p.approach_up)
+    margin = float(_above_slope(start, p, m))
+    if margin < 0:
+        raise InfeasibleError(
+            "the approach begins below the glide slope",
+            got=f"{-margin:.1f} m below",
+            expected="on it or above",
+            advice="a higher or nearer start, or a flatter corridor.slope",
+        )
+    return {"flight_time": (0.0, math.inf, _typical_time(p))}
+
+
+def _phase(throttle: tuple[float, float], dry_mass: float | None) -> Phase:
+    return Phase(
+        name="landing",
+        states=(
+            *variables("m", "east", "north", "up"),
+            *variables("m/s", "v_east", "v_north", "v_up"),
+            replace(MASS, lower=dry_mass or 0.0),
+        ),
+        controls=(Direction(names=("toward_east", "toward_north", "toward_up")), throttle_control(*throttle)),
+        dynamics=_dynamics,
+        duration="flight_time",
+        end=_touchdown,
+        end_conditions=(
+            *variables("m", "site_east", "site_north", "site_up"),
+            *variables("m/s", "rest_east", "rest_north", "rest_up"),
+        ),
+        path=_path,
+        path_conditions=(*variables("m", "height_above_glide_slope"), *variables("1", "pointing_margin")),
+        outputs=_outputs,
+        output_variables=(*variables("rad", "thrust_tilt"), *variables("m/s^2", "thrust_acceleration")),
+        typical_end=_typical_end,
+    )
+
+
+def precision_landing(
+    vehicle: Vehicle,
+    approach: Approach,
+    site: Site,
+    corridor: Corridor,
+    throttle: tuple[float, float],
+    body: Body = MOON,
+    *,
+    dry_mass: float | None = None,
+    j2: float = 0.0,
+) -> Problem:
+    """Landing on a named point with the least propellant, within a corridor.
+
+    Parameters
+    ----------
+    vehicle, approach, site, corridor, body
+        The lander, where it begins, where it lands, what it must keep to, and on what body.
+    throttle
+        Least and greatest share of full thrust.
+    dry_mass
+        What cannot be burnt [kg]; None leaves that open.
+    j2
+        Second zonal harmonic of the body, unnormalised.
+
+    Returns
+    -------
+    Problem
+        States east, north, up [m], v_east, v_north, v_up [m/s], m [kg]; free `flight_time` [s]; J = -m(t_f)
+        [kg].
+
+    Raises
+    ------
+    PeriluneError, InfeasibleError
+        If the given values are no landing: below the glide slope, too weak, or too strong to come down.
+    """
+    given = _given(vehicle, approach, site, corridor, body, dry_mass, j2)
+    ranges = partial(_ranges, throttle=throttle)
+    time = ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)["flight_time"][2]
+    way = math.hypot(approach.east, approach.north, approach.up)
+    return Problem(
+        name="precision_landing",
+        title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on the {body.name}",
+        phases=(_phase(throttle, dry_mass),),
+        start=_start,
+        given=given,
+        free=(Free(name="flight_time", unit="s"),),
+        objective=_minus_landed_mass,
+        objective_unit="kg",
+        ranges=ranges,
+        scales=Scales(length=way, time=time, mass=vehicle.mass),
+    )
+
+
+def _typical_time(p: Any) -> float:
+    """Time in which the mean of start and end speed covers the way, or a fall from rest does."""
+    way = math.hypot(p.approach_east, p.approach_north, p.approach_up)
+    speed = math.hypot(p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
+    fall = math.sqrt(2 * p.approach_up * p.body_radius**2 / p.body_gravitational_parameter)
+    return min(2 * way / speed, 3 * fall) if speed > 0 else 2 * fall

@@ -1,0 +1,85 @@
+"""Mechanics beside a rotating body: gravity with J2, apparent accelerations, places on the sphere.
+
+Vectors are triples of whatever the caller computes with (numbers, arrays, symbols), in any Cartesian frame
+that turns with the body; `axis` is the unit vector of the rotation, Omega = omega axis, in that frame:
+
+    r'' = g(r) + thrust/m - 2 Omega x r' - Omega x (Omega x r)
+    U   = -(mu/r) (1 - J2 (R/r)^2 (3 s^2 - 1)/2),   s = r.axis/r,   g = -grad U
+
+(Vallado, Fundamentals of Astrodynamics, 2013, section 8.7). The gradient stands in closed form in `gravity`,
+because the numeric namespace cannot differentiate; the tests differentiate `potential` and compare.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+Triple = tuple[Any, Any, Any]
+
+
+def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """Scalar product of two triples."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Sequence[Any], b: Sequence[Any]) -> Triple:
+    """Vector product of two triples."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def combine(*terms: tuple[Any, Sequence[Any]]) -> Triple:
+    """Sum of factor times triple."""
+    x, y, z = (sum(factor * vector[i] for factor, vector in terms) for i in range(3))
+    return x, y, z
+
+
+def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
+    """Gravity potential U [m^2/s^2]; `p` holds body_gravitational_parameter, body_radius, body_j2."""
+    r = m.sqrt(dot(position, position))
+    s = dot(position, axis) / r
+    return -p.body_gravitational_parameter / r * (1 - p.body_j2 * (p.body_radius / r) ** 2 * (3 * s * s - 1) / 2)
+
+
+def gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
+    """-grad U: a part along the position and, from J2, a part along the axis."""
+    r = m.sqrt(dot(position, position))
+    s = dot(position, axis) / r
+    oblate = 1.5 * p.body_j2 * (p.body_radius / r) ** 2
+    strength = -p.body_gravitational_parameter / (r * r)
+    return combine((strength * (1 + oblate * (1 - 5 * s * s)) / r, position), (strength * 2 * oblate * s, axis))
+
+
+def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
+    """Acceleration without thrust as the rotating frame sees it: gravity, Coriolis, centrifugal."""
+    omega = p.body_rotation_rate
+    return combine(
+        (1, gravity(position, axis, p, m)),
+        (-2 * omega, cross(axis, velocity)),
+        (-omega * omega, cross(axis, cross(axis, position))),
+    )
+
+
+def local_axes(longitude: Any, latitude: Any, m: Any) -> tuple[Triple, Triple, Triple]:
+    """Return the unit vectors up, north, east at a place, in the frame whose z is the rotation axis.
+
+    At a pole, north and east are those of the meridian `longitude`, by continuity.
+    """
+    sin_lon, cos_lon, sin_lat, cos_lat = m.sin(longitude), m.cos(longitude), m.sin(latitude), m.cos(latitude)
+    up = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)
+    north = (-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat)
+    return up, north, (-sin_lon, cos_lon, 0.0)
+
+
+def heading_axes(longitude: Any, latitude: Any, heading: Any, m: Any) -> tuple[Triple, Triple, Triple]:
+    """Return Peng et al.'s orbit frame: ox up, oy at `heading` from north towards east, oz = ox x oy."""
+    up, north, east = local_axes(longitude, latitude, m)
+    sine, cosine = m.sin(heading), m.cos(heading)
+    return up, combine((cosine, north), (sine, east)), combine((sine, north), (-cosine, east))
+
+
+def place(position: Sequence[Any], m: Any) -> tuple[Any, Any, Any]:
+    """Distance, longitude and latitude of a position in the frame whose z is the rotation axis."""
+    x, y, z = position
+    across = m.sqrt(x * x + y * y)
+    return m.sqrt(dot(position, position)), m.atan2(y, x), m.atan2(z, across)
