@@ -43,7 +43,7 @@ class Indirect:
     seed: int = 0
     scan_points: int = 33
     segments: int = 6
-    transcription: Pseudospectral = field(default=Pseudospectral(nodes=24, refine=0, iterations=150))
+    transcription: Pseudospectral = field(default=Pseudospectral(nodes=40, refine=0))
 
     name = "indirect"
 

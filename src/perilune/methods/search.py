@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 Watch = Callable[[Iteration | str], None]
 
+_ROUGHEST = 0.05  # relative mesh error beyond which a direct solution is not worth quoting
+
 
 @dataclass
 class Search:
@@ -162,7 +164,8 @@ class Search:
             self.tried.append(f"direct transcription: {error.what}")
             self.refusal = error
             return
-        self.rough = rough
+        if rough.statistics.residual < _ROUGHEST:
+            self.rough = rough
         y = unknowns_from(self.problem, rough)
         held = 0.0 if self.scanned is None else float(y[self.conditions.free_at.start + self.scanned])
         for segments, rung in ((1, "direct transcription"), (self.settings.segments, "multiple shooting")):
@@ -209,8 +212,8 @@ class Search:
             ends, converged = together.solve(Y, self.p, np.full(len(Y), held))
             distinct = np.unique(np.round(ends[converged], 6), axis=0, return_index=True)[1]
             found = (self.correct(y, held) for y in ends[converged][np.sort(distinct)])
-            if not converged.any() and len(Y):
-                self.correct(ends[0], held)  # for the report of how near it came
+            if not converged.any():  # lanes damp more simply than `rootfind` does
+                found = (self._newton(y, self._hold(held), max_step=0.5) for y in Y)
         yield from (root for root in found if root.converged)
 
     def _newton(self, y: Vector, held: dict[int, float] | None = None, **settings: float) -> Root:
@@ -318,20 +321,31 @@ class Search:
         if isinstance(self.refusal, InfeasibleError):
             return self.refusal
         broken = next((b for f in found if (b := self._breach(f.root.y))), None)
-        if broken is None:
+        ridden = self._ridden()
+        if broken is None and ridden is None:
             return None
         beside = ""
-        if self.rough is not None:
-            unit = self.problem.objective_unit
-            beside = (
-                f"; the best path that keeps it rides along it (direct method: J = {self.rough.objective:.6g} {unit})"
-            )
+        if self.rough is not None and ridden is not None:
+            best = f"J = {self.rough.objective:.6g} {self.problem.objective_unit}"
+            beside = f"the best path that keeps {ridden} rides along it (direct method: {best})"
         return InfeasibleError(
             "every extremal breaks a condition of the path",
-            got=f"{broken} on the way{beside}",
-            expected="not negative anywhere",
+            got="; ".join(text for text in (f"{broken} on the way" if broken else "", beside) if text),
+            expected="not negative, and not zero along the way",
             advice="more thrust or a higher start; Pseudospectral() where riding along the condition is acceptable",
         )
+
+    def _ridden(self) -> str | None:
+        """Path condition along which the direct solution runs, away from its ends."""
+        if self.rough is None:
+            return None
+        for phase, flown in zip(self.problem.phases, self.rough.trajectories, strict=True):
+            t = np.linspace(0.05, 0.95, 400) * flown.duration
+            values = phase.evaluate("path", flown.state(t).T, flown.control(t).T, self.rough.parameters)
+            for condition, value in zip(phase.path_conditions, values, strict=True):
+                if np.min(value) <= 1e-4 * self.problem.scales.of(condition.unit):
+                    return condition.name
+        return None
 
     def _failure(self) -> NotConvergedError:
         partial: dict[str, Any] = {"tried": list(self.tried), "iterations": self.iterations}
