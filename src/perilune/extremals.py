@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve
 
 from perilune.continuation import Member, follow
 from perilune.lanes import lanes
@@ -71,8 +70,8 @@ class HeldFamily:
         unit = np.zeros(len(root.y))
         unit[self.shooting.conditions.stationarity_at.start + self.index] = 1.0
         try:
-            return solve(root.jacobian, unit)
-        except (LinAlgError, ValueError):
+            return np.linalg.solve(root.jacobian, unit)
+        except np.linalg.LinAlgError:
             return np.full(len(root.y), np.nan)
 
     def slope(self, root: Root) -> float:

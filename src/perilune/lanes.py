@@ -75,7 +75,7 @@ def lanes(conditions: Conditions, index: int | None) -> Lanes | None:
     residual = conditions.residual(whole_y, whole_z, p[:numbers])[0]
     if index is not None:
         residual[conditions.stationarity_at.start + index] = whole_y[conditions.free_at.start + index] - p[numbers]
-    rhs = ca.Function("rhs", [z, p], [flown.modes[0](z, p[:numbers])])
+    rhs = ca.Function("rhs", [z, p], [flown.modes[0](z, p[flown.numbers.tolist()])])
     shooter = BatchShooter(
         rhs,
         ca.Function("start", [y, p], [z0[kept], duration]),

@@ -13,16 +13,21 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.kernels import Engine, Event, compile_arcs
+from perilune.kernels import DenseArc, Engine, Event, compile_arcs
 from perilune.kernels.prune import prune
 from perilune.pontryagin import PhaseExtremal
+from perilune.types import Vector
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """What is integrated: the entries `kept` of z, one right-hand side for each mode, and the switches between them."""
+    """What is integrated: the entries `kept` of z, one right-hand side for each mode, and the switches between them.
+
+    They take only those of the parameters that they know, `numbers`: problems that differ in others share the code.
+    """
 
     kept: NDArray[np.int64]
+    numbers: NDArray[np.int64]
     modes: tuple[ca.Function, ...]
     switches: tuple[Event, ...]
 
@@ -43,8 +48,14 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     z, p = ca.SX.sym("z", len(kept)), ca.SX.sym("p", numbers)
     whole = ca.SX.zeros(size, 1)
     whole[kept] = z
-    modes = tuple(ca.Function("rhs", [z, p], [ca.cse(ca.simplify(mode(whole, p)[kept]))]) for mode in extremal.modes)
-    return Equations(kept=np.array(kept), modes=modes, switches=tuple(_switches(extremal, z, p, whole)))
+    rates = [ca.simplify(mode(whole, p)[kept]) for mode in extremal.modes]
+    switching = extremal.switching(whole, p)
+    known = [i for i in range(numbers) if ca.depends_on(ca.vertcat(*rates, switching), p[i])]
+    modes = tuple(ca.Function("rhs", [z, p[known]], [ca.cse(rate)]) for rate in rates)
+    crossings = [ca.Function("S", [z, p[known]], [switching[i]]) for i in range(switching.numel())]
+    return Equations(
+        kept=np.array(kept), numbers=np.array(known, dtype=int), modes=modes, switches=tuple(_switches(crossings))
+    )
 
 
 @lru_cache(maxsize=256)
@@ -53,13 +64,17 @@ def engine(flown: Equations, columns: int) -> Engine:
     return compile_arcs(flown.modes, columns=columns, events=flown.switches)
 
 
-def _switches(extremal: PhaseExtremal, z: ca.SX, p: ca.SX, whole: ca.SX) -> list[Event]:
+def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
+    """All of z along one arc, as a function of time; settings as for the engine's `dense`."""
+    whole = equations(extremal, (), ())
+    return engine(whole, 0).dense(z0, p[whole.numbers], duration, mode=extremal.mode(z0, p), **settings)
+
+
+def _switches(crossings: list[ca.Function]) -> list[Event]:
     """Two events for each switched control: S rises through zero, off the upper bound; S falls, onto it."""
     events = []
-    count = extremal.switching.size1_out(0)
-    for i in range(count):
-        function = ca.Function("S", [z, p], [extremal.switching(whole, p)[i]])
-        upper = [mode for mode in range(2**count) if mode >> i & 1]
+    for i, function in enumerate(crossings):
+        upper = [mode for mode in range(2 ** len(crossings)) if mode >> i & 1]
         events.append(Event(function=function, direction=1, switches={m: m & ~(1 << i) for m in upper}))
         events.append(Event(function=function, direction=-1, switches={m & ~(1 << i): m for m in upper}))
     return events

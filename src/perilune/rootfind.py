@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgetrf, dgetrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from perilune.solution import Iteration
 from perilune.types import Matrix, Vector
@@ -63,16 +62,16 @@ def damped_newton(
     h, jacobian = function(y, True)
     alpha = 1.0
     for number in range(1, max_iterations + 1):
-        factors = _factor(h, jacobian)
-        if factors is None:
+        inverse = _inverse(h, jacobian)
+        if inverse is None:
             break
-        step = -dgetrs(*factors, h)[0]
+        step = -inverse @ h
         length = float(np.linalg.norm(step))
         if not length < _ASTRAY:
             break
         alpha = min(1.0, 2.0 * alpha, max_step / max(float(np.max(np.abs(step))), 1e-300))
         settled = length <= 1e-7 * (1.0 + float(np.linalg.norm(y)))
-        taken = _damp(function, y, step, factors, alpha)
+        taken = _damp(function, y, step, inverse, alpha)
         if taken is None:
             # At round-off no step is an improvement: that is a root, if the residual says so.
             done = settled and float(np.max(np.abs(h))) <= tolerance
@@ -88,7 +87,7 @@ def damped_newton(
 
 
 def _damp(
-    function: Residual, y: Vector, step: Vector, factors: tuple[Matrix, Vector], alpha: float
+    function: Residual, y: Vector, step: Vector, inverse: Matrix, alpha: float
 ) -> tuple[Vector, Vector, Matrix, float] | None:
     """(y, h, J, alpha) after the longest step that passes the natural monotonicity test; None where none does."""
     length, size = float(np.linalg.norm(step)), float(np.linalg.norm(y))
@@ -96,16 +95,18 @@ def _damp(
         trial = y + alpha * step
         h, jacobian = function(trial, alpha == 1.0)
         if np.max(np.abs(h)) < _ASTRAY:
-            simplified = float(np.linalg.norm(dgetrs(*factors, h)[0]))
+            simplified = float(np.linalg.norm(inverse @ h))
             if simplified <= (1.0 - 0.5 * alpha) * length or length < 1e-12 * (1 + size):
                 return trial, h, jacobian if alpha == 1.0 else function(trial, True)[1], alpha
         alpha *= 0.5
     return None
 
 
-def _factor(h: Vector, jacobian: Matrix) -> tuple[Matrix, Vector] | None:
-    """LAPACK's LU factors and pivots; None where anything is not finite or the matrix is singular."""
+def _inverse(h: Vector, jacobian: Matrix) -> Matrix | None:
+    """J^-1, used for the step and again for each simplified correction; None where anything is lost or singular."""
     if not (np.max(np.abs(h), initial=0.0) < _ASTRAY and np.max(np.abs(jacobian), initial=0.0) < _ASTRAY):
         return None
-    lu, pivots, info = dgetrf(jacobian)
-    return (lu, pivots) if info == 0 else None
+    try:
+        return np.linalg.inv(jacobian)
+    except np.linalg.LinAlgError:
+        return None

@@ -21,7 +21,7 @@ import numpy as np
 
 from perilune.kernels.mapped import compile_map
 from perilune.pontryagin import Conditions
-from perilune.propagate import engine, equations
+from perilune.propagate import engine, equations, flight
 from perilune.rootfind import Root, Watch, damped_newton
 from perilune.types import Matrix, Vector
 
@@ -141,7 +141,7 @@ class Shooting:
         for k, start in enumerate(self.conditions.starts):
             z0, duration = (out.ravel() for out in _compiled(start)(y, before, p)[:2])
             extremal = self.conditions.phases[k]
-            curve = engine(equations(extremal, (), ()), 0).dense(z0, p, float(duration[0]), mode=extremal.mode(z0, p))
+            curve = flight(extremal, z0, p, float(duration[0]))
             at = curve(np.linspace(0.0, float(duration[0]), self.segments + 1))
             if not np.all(np.isfinite(at)):
                 return None
@@ -187,7 +187,7 @@ class Shooting:
         moving = np.nonzero(np.any(dz[kept] != 0.0, axis=0))[0] if jacobian else np.zeros(0, dtype=int)
         arc = engine(flown, len(moving)).propagate(
             z[kept],
-            p,
+            p[flown.numbers],
             T,
             dz[np.ix_(kept, moving)] if jacobian else None,
             rtol=self.rtol,
@@ -201,5 +201,5 @@ class Shooting:
         end[kept] = arc.z[0]
         if jacobian:
             out[np.ix_(kept, moving)] = arc.columns[0]
-            out[kept] += np.outer(_compiled(flown.modes[int(arc.mode[0])])(arc.z[0], p)[0], dT)
+            out[kept] += np.outer(_compiled(flown.modes[int(arc.mode[0])])(arc.z[0], p[flown.numbers])[0], dT)
         return end, out

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve as solve_linear
 
 from perilune.continuation import Member, follow
 from perilune.methods.indirect import Indirect
@@ -152,8 +151,8 @@ def _continue(problem: Problem, name: str, before: float, base: Member, search: 
         step = 1e-6 * max(abs(value), abs(target - before))
         plus, minus = (search.residual(root.y, base.value, numbers(value + s)) for s in (step, -step))
         try:
-            return -solve_linear(root.jacobian, (plus - minus) / (2 * step))
-        except (LinAlgError, ValueError):
+            return -np.linalg.solve(root.jacobian, (plus - minus) / (2 * step))
+        except np.linalg.LinAlgError:
             return np.full(len(root.y), np.nan)
 
     reached = next(iter(follow(Member(value=before, root=base.root), [target], correct, tangent)))

@@ -11,7 +11,7 @@ from perilune.maths import NUMERIC
 from perilune.outcome import PeriluneError
 from perilune.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
 from perilune.problem import Direction, Phase, Problem
-from perilune.propagate import engine, equations
+from perilune.propagate import flight
 from perilune.solution import Curve, Solution, Trajectory, hermite_nodes
 from perilune.symbolic import canonical_free, free_scales, state_scales
 from perilune.types import Matrix, Vector
@@ -51,9 +51,7 @@ def fly(problem: Problem, conditions: Conditions, y: Vector) -> list[DenseArc]:
     p, before, flown = extremal_parameters(problem), np.zeros(0), []
     for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
         z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p)[:2])
-        flown.append(
-            engine(equations(extremal, (), ()), 0).dense(z0, p, float(duration[0]), mode=extremal.mode(z0, p), **_FINE)
-        )
+        flown.append(flight(extremal, z0, p, float(duration[0]), **_FINE))
         before = flown[-1].z[-1]
     return flown
 

@@ -239,7 +239,8 @@ class CostateFitness:
             signs = np.array(self._over(extremal.switching, size)(z0, self._numbers(size))) < 0
             mode = (signs * 2 ** np.arange(len(signs))[:, None]).sum(axis=0).astype(int)
             settings = {"rtol": TOLERANCE, "atol": TOLERANCE, "max_steps": MOST_STEPS, "mode": mode}
-            arcs = engine(equations(extremal, (), ()), 0).propagate(z0.T, self.p, duration.ravel(), **settings)
+            whole = equations(extremal, (), ())
+            arcs = engine(whole, 0).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
             before = np.where(arcs.succeeded, arcs.z.T, np.nan)
             ends.append(before)
         return np.vstack(ends)

@@ -13,12 +13,15 @@ and every extremal on it found (`perilune.extremals`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from perilune.methods.pseudospectral import Pseudospectral
 from perilune.methods.search import Search, Watch
 from perilune.problem import Problem
 from perilune.solution import Solution
+
+if TYPE_CHECKING:
+    from perilune.methods.pseudospectral import Pseudospectral
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,14 +39,14 @@ class Indirect:
     segments
         Arcs for each phase in multiple shooting (third rung).
     transcription
-        The direct method of the second rung; its mesh need not be fine.
+        The direct method of the second rung; its mesh need not be fine. None: 40 nodes, not refined.
     """
 
     starts: int = 24
     seed: int = 0
     scan_points: int = 33
     segments: int = 6
-    transcription: Pseudospectral = field(default=Pseudospectral(nodes=40, refine=0))
+    transcription: Pseudospectral | None = None
 
     name = "indirect"
 

@@ -158,8 +158,10 @@ class Search:
 
     def _transcription(self) -> Iterator[tuple[Member, str]]:
         """A root from a coarse direct solution, in one piece or, where that fails, by multiple shooting."""
+        from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
+
         try:
-            rough = self.settings.transcription.run(self.problem)
+            rough = (self.settings.transcription or Pseudospectral(nodes=40, refine=0)).run(self.problem)
         except PeriluneError as error:
             self.tried.append(f"direct transcription: {error.what}")
             self.refusal = error
@@ -262,16 +264,19 @@ class Search:
         return objective(self.problem, end, free_values(self.problem, self.conditions, y))
 
     def _breach(self, y: Vector) -> str | None:
-        """The worst broken path condition, in the user's words, or None."""
+        """A broken path condition or bound of a state, in the user's words, or None."""
         p = self.problem.parameters(free_values(self.problem, self.conditions, y))
         for phase, extremal, arc in zip(
             self.problem.phases, self.conditions.phases, fly(self.problem, self.conditions, y), strict=True
         ):
-            if phase.path is None:
-                continue
             t = np.linspace(0.0, arc.t[-1], 201)
             z, u = arc(t).T, controls(extremal, arc, t, self.p).T
-            x = z[: extremal.state_count] * state_scales(self.problem, phase)[:, None]
+            scales = state_scales(self.problem, phase)
+            x = z[: extremal.state_count] * scales[:, None]
+            for state, values, scale in zip(phase.states, x, scales, strict=True):
+                for side, limit, reached in (("below", state.lower, min(values)), ("above", state.upper, max(values))):
+                    if not np.clip(reached, state.lower - 1e-9 * scale, state.upper + 1e-9 * scale) == reached:
+                        return f"{state.name} reaches {reached:.6g} {state.unit}, {side} its bound {limit:g}"
             for condition, values in zip(phase.path_conditions, phase.evaluate("path", x, u, p), strict=True):
                 least = float(np.min(values))
                 if not least >= -1e-9 * self.problem.scales.of(condition.unit):
