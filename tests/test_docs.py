@@ -24,7 +24,7 @@ from types import ModuleType
 
 import pytest
 
-from conftest import cho_landing
+from cho import cho_landing
 from perilune.outcome import Outcome
 from perilune.solution import Solution
 from perilune.solve import prove, solve

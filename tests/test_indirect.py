@@ -8,58 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conftest import cho_landing
+from cho import cho_landing
 from perilune.continuation import Member, follow
 from perilune.methods.indirect import Indirect
 from perilune.outcome import NotConvergedError, Outcome, PeriluneError
 from perilune.pontryagin import derive, extremal_parameters
-from perilune.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+from perilune.problem import Bounded, Free, Given, Problem, Variable
 from perilune.rootfind import Root, damped_newton
 from perilune.shooting import Shooting
 from perilune.solution import Curve, Iteration, Solution, hermite_nodes
 from perilune.solve import solve
-from perilune.units import Scales
-
-
-def tangent_steering(split: bool = False) -> Problem:
-    """Linear tangent steering: constant acceleration to height 5, speed (45, 0) in least time; in one phase or two.
-
-    Closed form: t_f = 0.554570878334603 for an acceleration of 100.
-    """
-    states = tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s")))
-
-    def phase(name: str, duration: str, last: bool) -> Phase:
-        return Phase(
-            name=name,
-            states=states,
-            controls=(Direction(names=("cx", "cy")),),
-            dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx, p.a * u.cy),
-            duration=duration,
-            end=(lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None,
-            end_conditions=tuple(
-                Variable(name=n, unit=u) for n, u in (("height", "m"), ("along", "m/s"), ("up", "m/s"))
-            )
-            if last
-            else (),
-        )
-
-    first = Given(value=0.2, unit="s")
-    return Problem(
-        name="linear_tangent_steering",
-        phases=(phase("first", "t1", False), phase("second", "t2", True)) if split else (phase("only", "t2", True),),
-        links=(lambda x, p, m: (x.y, x.vx, x.vy),) if split else (),
-        start=lambda p, m: (0.0, 0.0, 0.0),
-        given={
-            "a": Given(value=100.0, unit="m/s^2"),
-            "height": Given(value=5.0, unit="m"),
-            "speed": Given(value=45.0, unit="m/s"),
-            "t1": first,
-        },
-        free=(Free(name="t2", unit="s", lower=0.0, typical=0.6),),
-        objective=lambda x, p, m: p.t2 + p.t1 if split else p.t2,
-        objective_unit="s",
-        scales=Scales(length=20.0, time=0.5),
-    )
+from problems.ascents import tangent_steering
 
 
 @pytest.mark.parametrize("split", [False, True])
@@ -102,9 +61,7 @@ def test_jacobian_by_taylor_ratio(landing: Problem, hybrid: Solution) -> None:
         rng = np.random.default_rng(1)
         direction = rng.normal(size=len(y))
         h, J = shooting(y, p, {})
-        rests = [
-            np.linalg.norm(shooting(y + e * direction, p, {}, False)[0] - h - e * (J @ direction)) for e in (1e-3, 5e-4)
-        ]
+        rests = [np.linalg.norm(shooting(y + e * direction, p, {})[0] - h - e * (J @ direction)) for e in (1e-3, 5e-4)]
         assert rests[0] / rests[1] == pytest.approx(4.0, rel=0.02)
 
 
@@ -138,7 +95,7 @@ def test_iterations_are_shown(landing: Problem, ordinary: Solution) -> None:
 
 def test_newton_damps_where_full_steps_diverge() -> None:
     """The arctangent from 3: undamped Newton leaves for infinity."""
-    root = damped_newton(lambda y, _: (np.arctan(y), np.diag(1 / (1 + y**2))), np.array([3.0]))
+    root = damped_newton(lambda y: (np.arctan(y), np.diag(1 / (1 + y**2))), np.array([3.0]))
     assert root.converged
     assert root.y[0] == pytest.approx(0.0, abs=1e-11)
     assert root.history[0].damping < 1.0
@@ -146,16 +103,16 @@ def test_newton_damps_where_full_steps_diverge() -> None:
 
 def test_newton_stops_honestly() -> None:
     """No root, a singular Jacobian, and NaN: each ends without convergence."""
-    assert not damped_newton(lambda y, _: (y**2 + 1.0, np.diag(2 * y)), np.array([0.7])).converged
-    assert not damped_newton(lambda y, _: (y - 1.0, np.zeros((1, 1))), np.array([0.0])).converged
-    assert not damped_newton(lambda y, _: (np.full(1, np.nan), np.eye(1)), np.array([0.0])).converged
+    assert not damped_newton(lambda y: (y**2 + 1.0, np.diag(2 * y)), np.array([0.7])).converged
+    assert not damped_newton(lambda y: (y - 1.0, np.zeros((1, 1))), np.array([0.0])).converged
+    assert not damped_newton(lambda y: (np.full(1, np.nan), np.eye(1)), np.array([0.0])).converged
 
 
 def test_continuation_halves_steps_and_reports() -> None:
     """The family y^3 = v, whose tangent is infinite at 0; and y^2 = v, which ends there."""
 
     def root(power: int, y: np.ndarray, v: float) -> Root:
-        return damped_newton(lambda x, _: (x**power - v, np.diag(power * x ** (power - 1))), y)
+        return damped_newton(lambda x: (x**power - v, np.diag(power * x ** (power - 1))), y)
 
     def tangent(power: int, r: Root, v: float) -> np.ndarray:
         return 1 / (power * r.y ** (power - 1))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conftest import CHO_MOON, cho_landing
+from cho import CHO_MOON, cho_landing
 from perilune.maths import NUMERIC
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
 from perilune.outcome import InfeasibleError, PeriluneError

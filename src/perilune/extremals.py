@@ -79,12 +79,13 @@ class HeldFamily:
         return float(self.shooting.stationarity(root.y, self.p)[self.index])
 
     def curvature(self, root: Root) -> float:
-        """d2J/dq2 along the family at a root, from the Jacobian of the free system."""
+        """d2J/dq2 along the family at a root of the free system, from its Jacobian."""
         row = self.shooting.conditions.stationarity_at.start + self.index
         at = self.shooting.conditions.free_at.start + self.index
-        _, jacobian = self.shooting(root.y, self.p, {}, True)
-        _, held = self.shooting(root.y, self.p, {self.index: float(root.y[at])}, True)
-        return float(jacobian[row] @ self.tangent(replace(root, jacobian=held), float(root.y[at])))
+        held = np.array(root.jacobian)
+        held[row] = 0.0
+        held[row, at] = 1.0
+        return float(root.jacobian[row] @ self.tangent(replace(root, jacobian=held), float(root.y[at])))
 
 
 def scan(

@@ -318,7 +318,9 @@ def _derive(structure: _Structure) -> Conditions:
     zf = ca.vertcat(*ends)
     silent = tuple(_silent(e, z, rows) for e, z, rows in zip(phases, ends, costates, strict=True))
     silent_rows = _silent_rows(phases, silent, sum(c.numel() for c in conditions))
-    needed = _needed(phases, ends, residual, starts, silent, {row for row, _ in silent_rows})
+    # J is read off the ends too: a cost that is integrated stands in no condition.
+    read = ca.vertcat(residual, cost)
+    needed = _needed(phases, ends, read, starts, silent, {row for row, _ in silent_rows})
     count = sum(e.half for e in phases)
     unknowns, residuals = _names(problem, tuple(phases))
     return Conditions(
@@ -364,13 +366,13 @@ def _silent_rows(
 def _needed(
     phases: list[PhaseExtremal],
     ends: list[ca.SX],
-    residual: ca.SX,
+    read: ca.SX,
     starts: tuple[ca.Function, ...],
     silent: tuple[tuple[int, ...], ...],
     silent_rows: set[int],
 ) -> tuple[tuple[int, ...], ...]:
-    """Entries of each end that the other rows of the residual, or the next phase's start, depend on."""
-    rows = residual[[i for i in range(residual.numel()) if i not in silent_rows]]
+    """Entries of each end that the other rows (the residual's, and J), or the next phase's start, depend on."""
+    rows = read[[i for i in range(read.numel()) if i not in silent_rows]]
     for zf, entries in zip(ends, silent, strict=True):
         for i in entries:
             rows = ca.substitute(rows, zf[i], 0)

@@ -172,7 +172,7 @@ class Phase:
         """Rates of the states for plain sequences x and u (each component may itself be an array)."""
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
-    def evaluate(self, function: str, x: Sequence[Any], u: Sequence[Any], p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+    def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
         """Values of ``end`` (which takes no control), ``path`` or ``outputs``; empty where the phase has none."""
         physics = getattr(self, function)
         if physics is None:

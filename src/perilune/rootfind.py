@@ -7,6 +7,7 @@ Methods for Nonlinear Problems, 2004, section 3.3).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,10 +16,10 @@ import numpy as np
 from perilune.solution import Iteration
 from perilune.types import Matrix, Vector
 
-Residual = Callable[[Vector, bool], tuple[Vector, Matrix]]  # (y, with Jacobian) -> (h, J); NaN where undefined
+Residual = Callable[[Vector], tuple[Vector, Matrix]]  # y -> (h, J); NaN where undefined
 Watch = Callable[[Iteration], None]
 
-_ASTRAY = 1e100  # an iterate beyond this is lost, and its squares would overflow; a NaN compares as lost too
+_ASTRAY = 1e200  # squares beyond this are of a lost iterate; a NaN compares as lost too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,7 @@ def damped_newton(
     Parameters
     ----------
     function
-        Residual and Jacobian; damped trial points are evaluated without Jacobian first.
+        Residual and Jacobian.
     y
         Start, shape (n,), canonical units.
     tolerance
@@ -59,25 +60,25 @@ def damped_newton(
     """
     history: list[Iteration] = []
     y = np.array(y, dtype=float)
-    h, jacobian = function(y, True)
+    h, jacobian = function(y)
     alpha = 1.0
     for number in range(1, max_iterations + 1):
         inverse = _inverse(h, jacobian)
         if inverse is None:
             break
         step = -inverse @ h
-        length = float(np.linalg.norm(step))
+        length = _length(step)
         if not length < _ASTRAY:
             break
-        alpha = min(1.0, 2.0 * alpha, max_step / max(float(np.max(np.abs(step))), 1e-300))
-        settled = length <= 1e-7 * (1.0 + float(np.linalg.norm(y)))
+        alpha = min(1.0, 2.0 * alpha, max_step / max(float(np.abs(step).max()), 1e-300))
+        settled = length <= 1e-7 * (1.0 + _length(y))
         taken = _damp(function, y, step, inverse, alpha)
         if taken is None:
             # At round-off no step is an improvement: that is a root, if the residual says so.
-            done = settled and float(np.max(np.abs(h))) <= tolerance
+            done = settled and float(np.abs(h).max()) <= tolerance
             return Root(y=y, residual=h, jacobian=jacobian, converged=done, history=tuple(history))
         y, h, jacobian, alpha = taken
-        iteration = Iteration(number=number, residual=float(np.max(np.abs(h))), step=length, damping=alpha)
+        iteration = Iteration(number=number, residual=float(np.abs(h).max()), step=length, damping=alpha)
         history.append(iteration)
         if watch is not None:
             watch(iteration)
@@ -90,21 +91,26 @@ def _damp(
     function: Residual, y: Vector, step: Vector, inverse: Matrix, alpha: float
 ) -> tuple[Vector, Vector, Matrix, float] | None:
     """(y, h, J, alpha) after the longest step that passes the natural monotonicity test; None where none does."""
-    length, size = float(np.linalg.norm(step)), float(np.linalg.norm(y))
+    length, size = _length(step), _length(y)
     while alpha > 1e-4:
         trial = y + alpha * step
-        h, jacobian = function(trial, alpha == 1.0)
-        if np.max(np.abs(h)) < _ASTRAY:
-            simplified = float(np.linalg.norm(inverse @ h))
+        h, jacobian = function(trial)
+        if h @ h < _ASTRAY:
+            simplified = _length(inverse @ h)
             if simplified <= (1.0 - 0.5 * alpha) * length or length < 1e-12 * (1 + size):
-                return trial, h, jacobian if alpha == 1.0 else function(trial, True)[1], alpha
+                return trial, h, jacobian, alpha
         alpha *= 0.5
     return None
 
 
+def _length(v: Vector) -> float:
+    return math.sqrt(v @ v)
+
+
 def _inverse(h: Vector, jacobian: Matrix) -> Matrix | None:
     """J^-1, used for the step and again for each simplified correction; None where anything is lost or singular."""
-    if not (np.max(np.abs(h), initial=0.0) < _ASTRAY and np.max(np.abs(jacobian), initial=0.0) < _ASTRAY):
+    entries = jacobian.ravel()
+    if not (h @ h < _ASTRAY and entries @ entries < _ASTRAY):
         return None
     try:
         return np.linalg.inv(jacobian)

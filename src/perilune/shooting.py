@@ -12,40 +12,26 @@ The derivative of an arc's end by all unknowns is carried from arc to arc: S(T) 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from perilune.kernels.mapped import compile_map
+from perilune.kernels.mapped import compile_single
 from perilune.pontryagin import Conditions
-from perilune.propagate import engine, equations, flight
+from perilune.propagate import Equations, engine, equations, flight
 from perilune.rootfind import Root, Watch, damped_newton
 from perilune.types import Matrix, Vector
 
-
-@lru_cache(maxsize=128)
-def _compiled(function: ca.Function) -> Callable[..., list[Matrix]]:
-    """The function as machine code: arguments as vectors, its outputs as dense matrices."""
-    symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
-    outputs = function.call(symbols)
-    shapes = [tuple(o.shape) for o in outputs]
-    kept = [i for i, size in enumerate(function.size1_in(i) for i in range(function.n_in())) if size]
-    flat = ca.vertcat(*[ca.vec(ca.densify(o).T) for o in outputs])  # row by row, as NumPy reads them
-    mapped = compile_map(ca.Function("flat", [symbols[i] for i in kept], [flat]))
-    cuts = np.cumsum([rows * columns for rows, columns in shapes])[:-1]
-
-    def call(*arguments: Vector) -> list[Matrix]:
-        values = mapped(*[arguments[i] for i in kept])[0]
-        return [part.reshape(shape) for part, shape in zip(np.split(values, cuts), shapes, strict=True)]
-
-    return call
+_FLOWN = (0, 1)  # ArcStatus.REACHED, ArcStatus.EVENT
 
 
 class Shooting:
-    """Shooting function of `conditions` over Y = (y, states at the joints).
+    """Shooting function of `conditions` over Y = (y, states at the joints). One object for each thread.
 
     Parameters
     ----------
@@ -53,8 +39,6 @@ class Shooting:
         The boundary value problem.
     segments
         Arcs for each phase; 1 is single shooting.
-    rtol
-        Tolerance of the arcs.
 
     Attributes
     ----------
@@ -62,11 +46,14 @@ class Shooting:
         How many arcs were flown so far.
     """
 
-    def __init__(self, conditions: Conditions, segments: int = 1, rtol: float = 1e-12) -> None:
-        self.conditions, self.segments, self.rtol, self.arcs = conditions, segments, rtol, 0
+    def __init__(self, conditions: Conditions, segments: int = 1) -> None:
+        self.conditions, self.segments, self.arcs = conditions, segments, 0
         self._size = len(conditions.unknowns)
+        self._last: tuple[Vector, Vector, list[Vector]] | None = None  # what Newton ended with is asked for again
+        self._steps = _steps(conditions, segments, threading.get_ident())
+        self._residual = _lean(conditions.residual, threading.get_ident())
 
-    def __call__(self, Y: Vector, p: Vector, held: Mapping[int, float], jacobian: bool = True) -> tuple[Vector, Matrix]:
+    def __call__(self, Y: Vector, p: Vector, held: Mapping[int, float]) -> tuple[Vector, Matrix]:
         """Residual and Jacobian.
 
         Parameters
@@ -74,43 +61,33 @@ class Shooting:
         Y
             Unknowns, canonical.
         p
-            Given parameters, canonical.
+            Parameters of the canonical equations (`extremal_parameters`).
         held
             Free parameters (by index) held at a value: their stationarity row is replaced by ``q - value``.
-        jacobian
-            Without it the Jacobian is empty.
 
         Returns
         -------
         residual, jacobian
             NaN where an arc could not be flown.
         """
-        flown = self._fly(Y, p, jacobian)
-        total = len(Y)
+        flown = self._fly(Y, p)
         if flown is None:
-            return np.full(total, np.nan), np.full((total, total), np.nan)
+            return np.full(len(Y), np.nan), np.full((len(Y), len(Y)), np.nan)
         ends, end_jacobians, gaps, gap_jacobians = flown
+        self._last = Y, p, ends
         y = Y[: self._size]
-        h, h_y, h_z = _compiled(self.conditions.residual)(y, np.concatenate(ends), p)
-        h = h.ravel()
-        J = np.zeros((0, 0))
-        if jacobian:
-            J = h_z @ np.vstack(end_jacobians)
-            J[:, : self._size] += h_y
-        for index, value in held.items():
-            row = self.conditions.stationarity_at.start + index
-            h[row] = y[self.conditions.free_at.start + index] - value
-            if jacobian:
-                J[row] = 0.0
-                J[row, self.conditions.free_at.start + index] = 1.0
-        for row, index in self.conditions.silent_rows:
-            h[row] = y[index]
-            if jacobian:
-                J[row] = 0.0
-                J[row, index] = 1.0
+        h, h_y, h_z = self._residual(y, ends[0] if len(ends) == 1 else np.concatenate(ends), p)
+        h = h[:, 0].copy()
+        J = h_z @ (end_jacobians[0] if len(ends) == 1 else np.vstack(end_jacobians))
+        J[:, : self._size] += h_y
+        first, free = self.conditions.stationarity_at.start, self.conditions.free_at.start
+        replaced = [(first + index, free + index, value) for index, value in held.items()]
+        for row, unknown, value in (*replaced, *((row, unknown, 0.0) for row, unknown in self.conditions.silent_rows)):
+            h[row] = y[unknown] - value
+            J[row] = 0.0
+            J[row, unknown] = 1.0
         if gaps:
-            h = np.concatenate([h, *gaps])
-            J = np.vstack([J, *gap_jacobians]) if jacobian else J
+            h, J = np.concatenate([h, *gaps]), np.vstack([J, *gap_jacobians])
         return h, J
 
     def root(
@@ -121,26 +98,27 @@ class Shooting:
         Y = np.array(Y, dtype=float)
         for index, value in held.items():
             Y[at + index] = value
-        root = damped_newton(lambda y, jacobian: self(y, p, held, jacobian), Y, watch=watch, **settings)
+        root = damped_newton(lambda y: self(y, p, held), Y, watch=watch, **settings)
         for index, value in held.items():
             root.y[at + index] = value  # Newton leaves the last bit of it
         return root
 
     def stationarity(self, Y: Vector, p: Vector) -> Vector:
         """dJ/dq of each free parameter q along the family of extremals, canonical, held or not."""
-        return self(Y, p, {}, jacobian=False)[0][self.conditions.stationarity_at]
+        return self(Y, p, {})[0][self.conditions.stationarity_at]
 
     def ends(self, y: Vector, p: Vector) -> list[Vector]:
-        """Canonical z at the end of each phase, flown from y; NaN where an arc is lost."""
-        flown = self._fly(y, p, False)
+        """Canonical z at the end of each phase, flown from y, zero where it is not needed; NaN where an arc is lost."""
+        if self._last is not None and np.array_equal(self._last[0], y) and np.array_equal(self._last[1], p):
+            return self._last[2]
+        flown = self._fly(y, p)
         return flown[0] if flown is not None else [np.full(2 * e.half, np.nan) for e in self.conditions.phases]
 
     def joints(self, y: Vector, p: Vector) -> Vector | None:
         """Y for this number of segments from y alone: the states at the joints are those of a flight in one piece."""
         before, nodes = np.zeros(0), [y]
-        for k, start in enumerate(self.conditions.starts):
-            z0, duration = (out.ravel() for out in _compiled(start)(y, before, p)[:2])
-            extremal = self.conditions.phases[k]
+        for step, extremal in zip(self._steps, self.conditions.phases, strict=True):
+            z0, duration = (out.ravel() for out in step.start(y, before, p)[:2])
             curve = flight(extremal, z0, p, float(duration[0]))
             at = curve(np.linspace(0.0, float(duration[0]), self.segments + 1))
             if not np.all(np.isfinite(at)):
@@ -149,18 +127,17 @@ class Shooting:
             before = at[-1]
         return np.concatenate(nodes)
 
-    def _fly(self, Y: Vector, p: Vector, jacobian: bool):
+    def _fly(self, Y: Vector, p: Vector) -> tuple[list[Vector], list[Matrix], list[Vector], list[Matrix]] | None:
+        """Ends, their derivatives by Y, gaps at the joints, their derivatives; None where an arc is lost."""
         y, total = Y[: self._size], len(Y)
         ends, end_jacobians, gaps, gap_jacobians = [], [], [], []
         z, dz, at = np.zeros(0), np.zeros((0, total)), self._size
-        for k, start in enumerate(self.conditions.starts):
-            z0, duration, z0_y, z0_before, T_y = _compiled(start)(y, z, p)
-            z0 = z0.ravel()
-            T, dT = float(duration[0, 0]) / self.segments, np.zeros(total)
-            dT[: self._size] = T_y.ravel() / self.segments
-            dz = z0_before @ dz
+        for k, step in enumerate(self._steps):
+            z0, duration, z0_y, z0_before, T_y = step.start(y, z, p)
+            T, dT = float(duration[0, 0]) / self.segments, T_y[0] / self.segments
+            dz = z0_before @ dz if k else np.zeros((len(z0), total))
             dz[:, : self._size] += z0_y
-            z = z0
+            z = z0[:, 0].copy()
             for j in range(self.segments):
                 if j:
                     node, selector = Y[at : at + len(z)], np.zeros((len(z), total))
@@ -169,7 +146,7 @@ class Shooting:
                     gaps.append(z - node)
                     gap_jacobians.append(dz - selector)
                     z, dz = node, selector
-                end = self._arc(k, z, dz, T, dT, p, jacobian)
+                end = self._arc(step, j, z, dz, T, dT, p)
                 if end is None:
                     return None
                 z, dz = end
@@ -177,29 +154,70 @@ class Shooting:
             end_jacobians.append(dz)
         return ends, end_jacobians, gaps, gap_jacobians
 
-    def _arc(self, phase: int, z: Vector, dz: Matrix, T: float, dT: Vector, p: Vector, jacobian: bool):
+    def _arc(self, step: _Step, j: int, z: Vector, dz: Matrix, T: float, dT: Vector, p: Vector) -> Any:
         """End of an arc and its derivative by all unknowns, or None."""
-        if not (np.all(np.isfinite(z)) and np.isfinite(T)):
-            return None
-        extremal = self.conditions.phases[phase]
-        flown = equations(extremal, self.conditions.needed[phase], self.conditions.silent[phase])
-        kept = flown.kept
-        moving = np.nonzero(np.any(dz[kept] != 0.0, axis=0))[0] if jacobian else np.zeros(0, dtype=int)
-        arc = engine(flown, len(moving)).propagate(
-            z[kept],
-            p[flown.numbers],
-            T,
-            dz[np.ix_(kept, moving)] if jacobian else None,
-            rtol=self.rtol,
-            atol=self.rtol,
-            mode=extremal.mode(z, p),
-        )
+        numbers, mode = p[step.flown.numbers], step.mode(z, p)
+        fly, block = step.arcs[j], step.blocks[j]
         self.arcs += 1
-        if not arc.succeeded[0]:
+        if fly(z[step.flown.kept], numbers, T, dz[block], mode) not in _FLOWN:
             return None
         end, out = np.zeros_like(z), np.zeros_like(dz)
-        end[kept] = arc.z[0]
-        if jacobian:
-            out[np.ix_(kept, moving)] = arc.columns[0]
-            out[kept] += np.outer(_compiled(flown.modes[int(arc.mode[0])])(arc.z[0], p[flown.numbers])[0], dT)
+        end[step.flown.kept] = fly.z
+        out[block] = fly.S
+        if dT.any():
+            rate = step.rates[fly.mode](fly.z, numbers)[0]
+            out[step.flown.kept, : self._size] += rate * dT
         return end, out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Step:
+    """What flies one phase: its start, and for each segment an arc and the block of dz that moves it."""
+
+    start: Callable[..., Sequence[Matrix]]
+    flown: Equations
+    mode: Callable[[Vector, Vector], int]
+    rates: tuple[Callable[..., Sequence[Matrix]], ...]
+    arcs: tuple[Any, ...]
+    blocks: tuple[Any, ...]
+
+
+@lru_cache(maxsize=64)
+def _steps(conditions: Conditions, segments: int, thread: int) -> tuple[_Step, ...]:
+    """The flight plan. Columns that cannot move an arc, by the sparsity of the start, are not carried along it."""
+    steps, at, moving = [], len(conditions.unknowns), set[int]()
+    for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
+        flown = equations(extremal, conditions.needed[k], conditions.silent[k])
+        kept, size = flown.kept.tolist(), extremal.modes[0].size1_in(0)
+        rows, columns = start.sparsity_out(2).get_triplet()
+        moving = (moving if k else set()) | {c for r, c in zip(rows, columns, strict=True) if r in kept}
+        arcs, blocks = [], []
+        for j in range(segments):
+            if j:
+                moving = {at + i for i in kept}
+                at += size
+            arcs.append(engine(flown, len(moving)).single(columns=True))
+            blocks.append(np.ix_(kept, sorted(moving)))
+            moving = moving | set(start.sparsity_out(4).get_triplet()[1])
+        steps.append(
+            _Step(
+                start=_lean(start, thread),
+                flown=flown,
+                mode=extremal.mode,
+                rates=tuple(_lean(mode, thread) for mode in flown.modes),
+                arcs=tuple(arcs),
+                blocks=tuple(blocks),
+            )
+        )
+    return tuple(steps)
+
+
+@lru_cache(maxsize=256)
+def _lean(function: ca.Function, thread: int) -> Callable[..., Sequence[Matrix]]:
+    """The function as machine code for one point; arguments without entries are left out of the call."""
+    symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
+    kept = [i for i in range(function.n_in()) if function.size1_in(i)]
+    evaluate = compile_single(ca.Function("lean", [symbols[i] for i in kept], function.call(symbols)))
+    if len(kept) == len(symbols):
+        return evaluate
+    return lambda *arguments: evaluate(*[arguments[i] for i in kept])

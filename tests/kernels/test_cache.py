@@ -132,6 +132,23 @@ def test_no_cache_writes_nothing(folder: Path) -> None:
     assert cache.report().files == 0
 
 
+@pytest.mark.parametrize("homeless", [False, True])
+def test_without_a_directory_nothing_is_kept_and_all_works(monkeypatch: pytest.MonkeyPatch, homeless: bool) -> None:
+    if homeless:
+        for name in ("PERILUNE_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+            monkeypatch.delenv(name, raising=False)
+        monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    else:
+        monkeypatch.setenv("PERILUNE_CACHE", "off")
+    assert cache.directory() is None
+    assert fly() == pytest.approx(np.exp(-1), rel=1e-12)
+    assert cache.report() == cache.CacheReport(path=None, files=0, size=0, usable=False)
+    assert not cache.save("key", b"body")
+    assert cache.load("key") is None
+    assert cache.clear() == 0
+    assert not Path("off").exists()
+
+
 def test_a_directory_that_cannot_be_made_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("PERILUNE_CACHE", str(tmp_path / "file" / "below"))

@@ -156,6 +156,10 @@ class Engine(Protocol):
         """Fly one arc and return it as a function of time; see `kernels.dense.DenseArc`."""
         ...
 
+    def single(self, columns: bool = False, *, rtol: float = ..., atol: float = ..., max_steps: int = ...) -> Any:
+        """Return what flies one arc at a time without allocating; see `kernels.single.SingleArc`."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
@@ -208,7 +212,7 @@ def request(
     seeds = None
     if columns is not None and nc:
         seeds = np.ascontiguousarray(np.asarray(columns, dtype=float).reshape((-1, *np.shape(columns)[-2:])))
-        if seeds.shape == (1, nz, nc):
+        if seeds.shape == (1, nz, nc) and lanes > 1:
             seeds = np.ascontiguousarray(np.broadcast_to(seeds, (lanes, nz, nc)))
         if seeds.shape != (lanes, nz, nc):
             raise PeriluneError(
@@ -217,7 +221,7 @@ def request(
                 expected=f"({lanes}, {nz}, {nc})",
             )
     starting = _per_lane(mode, lanes, "mode").astype(np.int64)
-    if np.any((starting < 0) | (starting >= modes)):
+    if lanes and not 0 <= starting.min() <= starting.max() < modes:
         raise PeriluneError("an arc starts in a mode that does not exist", got=str(mode), expected=f"0 to {modes - 1}")
     return Request(
         z0=start,
@@ -236,4 +240,8 @@ def _per_lane(value: ArrayLike, lanes: int, name: str) -> Vector:
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (1,), (lanes,)):
         raise PeriluneError(f"{name} has the wrong shape", got=str(array.shape), expected=f"() or ({lanes},)")
-    return np.ascontiguousarray(array) if array.shape == (lanes,) else np.full(lanes, array.ravel()[0])
+    if array.shape == (lanes,):
+        return np.ascontiguousarray(array)
+    result = np.empty(lanes)
+    result[:] = array
+    return result

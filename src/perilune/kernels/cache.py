@@ -5,8 +5,8 @@ name is the digest of all that the code depends on: expressions, this package's 
 versions. Writing goes to a file of its own that is then renamed, so that a second process or a killed writer
 never shows half a file; a file whose digest does not fit is removed and made anew. Nothing is ever unpickled.
 
-The directory is that of the operating system for caches, or the environment variable ``PERILUNE_CACHE``. It
-must be writable by its owner alone, since code from it is run.
+The directory is that of the operating system for caches, or the environment variable ``PERILUNE_CACHE``, which
+may also be ``off``. It must be writable by its owner alone, since code from it is run.
 """
 
 from __future__ import annotations
@@ -23,28 +23,32 @@ from pathlib import Path
 
 _HEADER = b"perilune machine code 1\n"
 _SUFFIX = ".code"
+VARIABLE, OFF = "PERILUNE_CACHE", "off"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CacheReport:
-    """What `doctor` shows: where, how many files, how many bytes, whether it can be used."""
+    """What `doctor` shows: where (None if nothing is kept), how many files, how many bytes, whether it can be used."""
 
-    path: Path
+    path: Path | None
     files: int
     size: int
     usable: bool
 
 
-def directory() -> Path:
-    """Return where objects are kept; it need not exist."""
-    if chosen := os.environ.get("PERILUNE_CACHE"):
-        return Path(chosen)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+def directory() -> Path | None:
+    """Return where objects are kept, which need not exist; None if they are not, by choice or for want of a home."""
+    if chosen := os.environ.get(VARIABLE):
+        return None if chosen == OFF else Path(chosen)
+    try:
+        if sys.platform == "win32":
+            base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        elif sys.platform == "darwin":
+            base = Path.home() / "Library" / "Caches"
+        else:
+            base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:  # a user without a home
+        return None
     return base / "perilune" / "kernels"
 
 
@@ -67,9 +71,12 @@ def key(*parts: str) -> str:
 
 def load(name: str) -> bytes | None:
     """Return the object of a key, or None; a file that is not what was written is removed."""
-    path = directory() / (name + _SUFFIX)
+    folder = directory()
+    if folder is None:
+        return None
+    path = folder / (name + _SUFFIX)
     try:
-        if not _owned(path.parent) or not _owned(path):
+        if not _owned(folder) or not _owned(path):
             return None
         content = path.read_bytes()
     except OSError:
@@ -84,8 +91,10 @@ def load(name: str) -> bytes | None:
 
 
 def save(name: str, body: bytes) -> bool:
-    """Keep an object; returns False where the directory cannot be written, which is no error."""
+    """Keep an object; returns False where there is no directory that can be written, which is no error."""
     folder = directory()
+    if folder is None:
+        return False
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
@@ -116,20 +125,24 @@ def fetch(name: str, build: Callable[[], bytes], *, enabled: bool) -> bytes:
 def report() -> CacheReport:
     """Return the state of the cache."""
     folder = directory()
-    files = list(folder.glob(f"*{_SUFFIX}")) if folder.is_dir() else []
+    if folder is None:
+        return CacheReport(path=None, files=0, size=0, usable=False)
+    files = list(folder.glob(f"*{_SUFFIX}"))
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     return CacheReport(
         path=folder,
         files=len(files),
         size=sum(f.stat().st_size for f in files),
-        usable=os.access(existing, os.W_OK) and (not folder.exists() or _owned(folder)),
+        usable=existing.is_dir() and os.access(existing, os.W_OK) and (not folder.exists() or _owned(folder)),
     )
 
 
 def clear() -> int:
     """Remove every object and every leftover of a killed writer; returns how many."""
     folder, removed = directory(), 0
-    for path in [*folder.glob(f"*{_SUFFIX}"), *folder.glob("*.part")] if folder.is_dir() else []:
+    if folder is None:
+        return 0
+    for path in [*folder.glob(f"*{_SUFFIX}"), *folder.glob("*.part")]:
         with suppress(OSError):
             path.unlink()
             removed += 1

@@ -45,7 +45,7 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int) ->
     pointers = ", ".join(f"ptr noalias nocapture readonly align 8 %in{i}" for i in arguments)
     return (
         f"define internal void @{name}({pointers}, "
-        "ptr noalias nocapture writeonly align 8 %out) nounwind {\n"
+        f"ptr noalias nocapture writeonly align 8 %out) nounwind alignstack({max(16, 8 * width)}) {{\n"
         f"{w.body()}\n  ret void\n}}\n"
     )
 

@@ -11,14 +11,16 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from perilune.kernels import cache as disk, native
-from perilune.kernels.arcs import MAX_EVENTS, TABLE, Arcs, Engine, Event, Request, request
+from perilune.kernels.arcs import MAX_EVENTS, MAX_STEPS, TABLE, Arcs, Engine, Event, Request, request
 from perilune.kernels.dense import DenseArc, dense_arc
+from perilune.kernels.single import SingleArc
 from perilune.kernels.system import ArcSystem
 from perilune.outcome import PeriluneError
 from perilune.types import Matrix, Vector
@@ -153,6 +155,22 @@ class NativeEngine:
         arcs, _ = self._fly(asked, 1, nodes)
         return dense_arc(arcs, nodes[: arcs.steps[0]], lambda z, mode: self._rates(z, asked.p[0], mode))
 
+    def single(
+        self, columns: bool = False, *, rtol: float = 1e-12, atol: float = 1e-12, max_steps: int = MAX_STEPS
+    ) -> SingleArc:
+        """Return what flies one arc at a time without allocating; see `kernels.single`.
+
+        Make it once and keep it; one for each thread. The settings are those of `propagate` and are fixed.
+        """
+        function = self._call(columns and bool(self.system.nc), 1)
+
+        def bind(held: dict[str, NDArray[Any]]) -> Callable[[], None]:
+            numbers = {name: int(array) for name, array in held.items() if not array.ndim}
+            held["table"] = _table({"nodes": None, **held}, numbers)  # as long-lived as what it points to
+            return partial(function, 0, 1, native.address(held["table"]))
+
+        return SingleArc(self.system, columns, bind, rtol=rtol, atol=atol, max_steps=max_steps)
+
     def _fly(self, asked: Request, threads: int | None, nodes: Matrix | None = None) -> tuple[Arcs, Matrix | None]:
         lanes, with_columns = len(asked.z0), asked.seeds is not None
         width = 1 if lanes == 1 else LANES
@@ -198,7 +216,7 @@ class NativeEngine:
     def _run(function: Callable[..., None], groups: int, table: NDArray[np.int64], threads: int | None) -> None:
         most = groups // _GROUPS_PER_THREAD
         count = min(threads or os.cpu_count() or 1, most) if most > 1 else 1
-        address = table.ctypes.data
+        address = native.address(table)
         if count == 1:
             function(0, groups, address)
             return
@@ -214,20 +232,20 @@ class NativeEngine:
         if rates is None:
             kinds = (ctypes.c_int64, *[ctypes.c_void_p] * 4)
             rates = self._rate = self._object(False, 1).function("rates", *kinds)
-        points, out = np.ascontiguousarray(z), np.empty_like(z)
-        p, mode = np.ascontiguousarray(p), np.ascontiguousarray(mode)
-        rates(len(points), points.ctypes.data, p.ctypes.data, mode.ctypes.data, out.ctypes.data)
+        out = np.empty(z.shape)
+        held = [np.ascontiguousarray(array) for array in (z, p, mode, out)]
+        rates(len(z), *map(native.address, held))
         return out
 
 
 def _table(held: dict[str, Any], numbers: dict[str, int]) -> NDArray[np.int64]:
-    entries = [numbers[n] if n in numbers else 0 if held[n] is None else held[n].ctypes.data for n in TABLE]
+    entries = [numbers[n] if n in numbers else 0 if held[n] is None else native.address(held[n]) for n in TABLE]
     return np.array(entries, dtype=np.int64)
 
 
 def _arcs(z: Matrix, columns: Any, info: Matrix, log: Any) -> Arcs:
     status = info[:, 1].astype(np.int64)
-    index = np.nan_to_num(log[:, :, 0], nan=-1.0).astype(np.int64)
+    met = log[:, :, 0]
     return Arcs(
         z=z,
         columns=columns,
@@ -235,6 +253,6 @@ def _arcs(z: Matrix, columns: Any, info: Matrix, log: Any) -> Arcs:
         status=status,
         steps=info[:, 2].astype(np.int64),
         mode=info[:, 3].astype(np.int64),
-        event_index=index,
+        event_index=np.where(np.isnan(met), -1.0, met).astype(np.int64),
         event_time=log[:, :, 1],
     )

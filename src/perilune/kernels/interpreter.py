@@ -6,6 +6,7 @@ Slower by some hundred times, and the twin that the machine code is tested again
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from perilune.kernels import tableau
-from perilune.kernels.arcs import MAX_EVENTS, Arcs, ArcStatus, Request, request
+from perilune.kernels.arcs import MAX_EVENTS, MAX_STEPS, Arcs, ArcStatus, Request, request
 from perilune.kernels.dense import DenseArc, dense_arc
 from perilune.kernels.interpreted_crossing import Crossings
+from perilune.kernels.single import SingleArc
 from perilune.kernels.system import ArcSystem
 from perilune.types import Matrix, Vector
 
@@ -62,6 +64,35 @@ class InterpretedEngine:
         end = Flight(equations, asked, nodes).fly()
         starts = np.array(nodes).reshape(-1, 3 + self.system.nz)
         return dense_arc(end, starts, lambda z, mode: equations.field(z.T, asked.p.T, mode).T)
+
+    def single(
+        self, columns: bool = False, *, rtol: float = 1e-12, atol: float = 1e-12, max_steps: int = MAX_STEPS
+    ) -> SingleArc:
+        """Return what flies one arc at a time; see `NativeEngine.single`."""
+        equations = self._equations[columns and bool(self.system.nc)]
+
+        def bind(held: dict[str, NDArray[Any]]) -> Callable[[], None]:
+            def fly() -> None:
+                asked = Request(
+                    z0=held["z0"][None],
+                    p=held["p"][None],
+                    duration=held["duration"].copy(),
+                    seeds=held["seeds"][None] if equations.system.nc else None,
+                    rtol=held["rtol"],
+                    atol=held["atol"],
+                    mode=held["mode"].astype(np.int64),
+                    max_steps=max_steps,
+                    fixed_steps=0,
+                )
+                arcs = Flight(equations, asked).fly()
+                met = np.count_nonzero(arcs.event_index[0] >= 0)
+                held["z"][:], held["columns"][:] = arcs.z[0], arcs.columns[0]
+                held["info"][:] = arcs.time[0], arcs.status[0], arcs.steps[0], arcs.mode[0], met
+                held["log"][:, 0], held["log"][:, 1] = arcs.event_index[0], arcs.event_time[0]
+
+            return fly
+
+        return SingleArc(self.system, columns, bind, rtol=rtol, atol=atol, max_steps=max_steps)
 
 
 class Equations:

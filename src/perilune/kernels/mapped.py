@@ -1,7 +1,7 @@
-"""A traced function over a batch, as machine code: out[lane] = f(a[lane], b[lane], ...).
+"""A traced function as machine code: over a batch, out[lane] = f(a[lane], b[lane], ...), or at one point.
 
 The kernels of `emit` between a loop that gathers lanes and one that scatters them; the same cache, threads
-and fallback as arcs.
+and fallback as arcs. At one point the kernel has one lane, so that nothing is computed four times.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import ctypes
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from perilune.kernels import cache as disk, native
 from perilune.kernels.emit import kernel, library
 from perilune.kernels.ir import Writer
 from perilune.kernels.program import trace
+from perilune.kernels.single import SingleMap
 from perilune.types import Matrix
 
 _WIDTH = 4
@@ -35,12 +37,7 @@ def compile_map(function: Any, *, cache: bool = True, backend: str | None = None
     if backend == "interpreter" or (backend is None and not native.available()):
         return lambda *arguments: _interpreted(function, arguments)
 
-    def build() -> bytes:
-        return native.compile_ir(_module(function))
-
-    name = disk.key(function.serialize(), "map", *native.processor(), *native.versions())
-    code = native.MachineCode(disk.fetch(name, build, enabled=cache))
-    call = code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+    call = _native(function, _WIDTH, cache)
     sizes = [function.size1_in(i) for i in range(function.n_in())]
     rows = function.size1_out(0)
 
@@ -48,27 +45,70 @@ def compile_map(function: Any, *, cache: bool = True, backend: str | None = None
         held = [np.ascontiguousarray(a, dtype=float).reshape(-1, n) for a, n in zip(arguments, sizes, strict=True)]
         lanes = max(len(a) for a in held)
         out = np.empty((lanes, rows))
-        entries = [out.ctypes.data]
+        entries = [native.address(out)]
         for a, n in zip(held, sizes, strict=True):
-            entries += [a.ctypes.data, n if len(a) == lanes else 0]
+            entries += [native.address(a), n if len(a) == lanes else 0]
         table = np.array([lanes, *entries], dtype=np.int64)
-        threads = max(1, min(os.cpu_count() or 1, lanes // _LANES_PER_THREAD))
+        most = lanes // _LANES_PER_THREAD
+        threads = min(os.cpu_count() or 1, most) if most > 1 else 1
         groups = -(-lanes // _WIDTH)
         share = -(-groups // threads)
         if threads == 1:
-            call(0, groups, table.ctypes.data)
+            call(0, groups, native.address(table))
         else:
             with ThreadPoolExecutor(threads) as pool:
                 list(
                     pool.map(
-                        lambda k: call(k * share, min((k + 1) * share, groups), table.ctypes.data),
+                        lambda k: call(k * share, min((k + 1) * share, groups), native.address(table)),
                         range(threads),
                     )
                 )
         return out
 
-    mapped.code = code  # ty: ignore  # the functions live as long as their code
     return mapped
+
+
+def compile_single(function: Any, *, cache: bool = True, backend: str | None = None) -> SingleMap:
+    """Compile an SX ``casadi.Function`` of column vectors, with any outputs, for one evaluation at a time.
+
+    Returns
+    -------
+    evaluate
+        (a (na,), b (nb,), ...) -> the outputs, each dense and (rows, columns), in arrays that the next call
+        overwrites: copy what has to outlive it. One object for each thread. See `kernels.single`.
+    """
+    import casadi as ca
+
+    sizes = [function.size1_in(i) for i in range(function.n_in())]
+    shapes = [tuple(function.size_out(i)) for i in range(function.n_out())]
+    symbols = [ca.SX.sym(f"a{i}", size) for i, size in enumerate(sizes)]
+    rows = [ca.vec(ca.densify(output).T) for output in function.call(symbols)]  # row by row, as NumPy reads them
+    flat = ca.Function("flat", symbols, [ca.vertcat(*rows)])
+
+    def interpret(held: list[Any]) -> Callable[[], None]:
+        def evaluate() -> None:
+            held[0][:] = np.asarray(flat(*held[1:])).ravel()
+
+        return evaluate
+
+    def bind(held: list[Any]) -> Callable[[], None]:
+        table = np.array([1, native.address(held[0]), *(x for a in held[1:] for x in (native.address(a), 0))], dtype=np.int64)
+        held.append(table)  # as long-lived as what it points to
+        return partial(_native(flat, 1, cache), 0, 1, native.address(table))
+
+    interpreted = backend == "interpreter" or (backend is None and not native.available())
+    return SingleMap(sizes, shapes, interpret if interpreted else bind)
+
+
+def _native(function: Any, width: int, cache: bool) -> Any:
+    """Return ``map(first group, last group, table)`` of a function, from disk or compiled."""
+
+    def build() -> bytes:
+        return native.compile_ir(_module(function, width))
+
+    name = disk.key(function.serialize(), f"map {width}", *native.processor(), *native.versions())
+    code = native.MachineCode(disk.fetch(name, build, enabled=cache))
+    return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
 
 
 def _interpreted(function: Any, arguments: tuple[Matrix, ...]) -> Matrix:
@@ -77,15 +117,15 @@ def _interpreted(function: Any, arguments: tuple[Matrix, ...]) -> Matrix:
     return np.asarray(function.map(lanes)(*columns)).reshape(-1, lanes).T.copy()
 
 
-def _module(function: Any) -> str:
+def _module(function: Any, width: int) -> str:
     program = trace(function)
     count, rows = function.n_in(), function.size1_out(0)
-    w = Writer(_WIDTH)
+    w = Writer(width)
     inputs = [w.buffer(function.size1_in(i)) for i in range(count)]
     result = w.buffer(rows)
     lanes, out = w.load("%table", 0, "i64"), w.load("%table", 1, "ptr")
     with w.loop("%first", "%last") as group:
-        base = w.let(f"mul i64 {group}, {_WIDTH}")
+        base = w.let(f"mul i64 {group}, {width}")
         for i in range(count):
             _rows(
                 w,
@@ -97,13 +137,13 @@ def _module(function: Any) -> str:
                 function.size1_in(i),
             )
         w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, result))})")
-        with w.loop(0, _WIDTH) as k:
+        with w.loop(0, width) as k:
             lane = w.let(f"add i64 {base}, {k}")
             with w.when(w.let(f"icmp slt i64 {lane}, {lanes}")), w.loop(0, rows) as c:
-                value = w.load(result, w.let(f"add i64 {w.let(f'mul i64 {c}, {_WIDTH}')}, {k}"), "double")
+                value = w.load(result, w.let(f"add i64 {w.let(f'mul i64 {c}, {width}')}, {k}"), "double")
                 w.store(value, out, w.let(f"add i64 {w.let(f'mul i64 {lane}, {rows}')}, {c}"), "double")
     mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
-    return "\n".join([library([program], _WIDTH), kernel("kernel", program, range(count), _WIDTH), mapping])
+    return "\n".join([library([program], width), kernel("kernel", program, range(count), width), mapping])
 
 
 def _rows(w: Writer, base: str, lanes: str, source: str, stride: str, target: str, size: int) -> None:

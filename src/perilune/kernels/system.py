@@ -63,17 +63,17 @@ class ArcSystem:
                     expected=f"modes 0 to {len(self.modes) - 1}",
                 )
 
-    @property
+    @cached_property
     def nz(self) -> int:
         """Number of entries of z."""
         return self.modes[0].size1_in(0)
 
-    @property
+    @cached_property
     def np(self) -> int:
         """Number of parameters."""
         return self.modes[0].size1_in(1)
 
-    @property
+    @cached_property
     def nc(self) -> int:
         """Number of columns."""
         return self.seeds.shape[1]

@@ -92,7 +92,7 @@ class Search:
 
     def residual(self, y: Vector, held: float, p: Vector) -> Vector:
         """Shooting residual with the bounded free parameter, if there is one, held."""
-        return self.shooting(y, p, self._hold(held), False)[0]
+        return self.shooting(y, p, self._hold(held))[0]
 
     def _hold(self, value: float) -> dict[int, float]:
         return {} if self.scanned is None else {self.scanned: value}
@@ -115,7 +115,7 @@ class Search:
 
     def _from_guess(self, guess: Solution) -> list[Found]:
         """Newton from a guess; a bounded parameter that wants out of its bounds is held at the bound."""
-        y = unknowns_from(self.problem, guess)
+        y = self._known(guess)
         scanned = self.scanned
         if scanned is not None:
             bounds = self._bounds(scanned)
@@ -140,6 +140,13 @@ class Search:
                 advice="solve without a guess",
             )
         return [Found(root=root, value=value, bound=0, minimum=family.curvature(root) > 0)]
+
+    def _known(self, guess: Solution) -> Vector:
+        """Unknowns of a guess: its own where it is of this method and form, else read off its curves."""
+        own = guess.unknowns is not None and guess.method == self.settings.name
+        if own and guess.problem.scales == self.problem.scales and derive(guess.problem) is self.conditions:
+            return np.array(guess.unknowns)
+        return unknowns_from(self.problem, guess)
 
     # -- the ladder -----------------------------------------------------------------------------------------------
 
