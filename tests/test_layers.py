@@ -14,7 +14,8 @@ LAYERS = {
     "records": {"problem", "verification", "solution"},
     "mathematics": {
         "symbolic", "pontryagin", "kernels", "propagate", "collocation", "mesh", "nlp", "rootfind", "shooting",
-        "lanes", "continuation", "extremals", "genetic", "first_guess",
+        "lanes",
+        "control_law", "continuation", "extremals", "genetic", "first_guess",
         "contradictions", "segments",
     },
     "methods": {"methods"},

@@ -93,6 +93,8 @@ def test_given_fixes_a_free_parameter() -> None:
     [
         (lambda: Variable(name="2x"), "identifier"),
         (lambda: Variable(name="x", unit="furlong"), "not a unit"),
+        (lambda: Given(value=2.0, unit="km"), "numbers are in SI"),
+        (lambda: Free(name="t", unit="min"), "numbers are in SI: t"),
         (lambda: Variable(name="x", lower=1.0, upper=1.0), "bounds of x are empty"),
         (lambda: Direction(names=("a",)), "two or three"),
     ],

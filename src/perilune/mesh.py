@@ -6,8 +6,10 @@ segment, for each state, relative to 1 + max|x| in canonical units (Patterson, R
 simulation instead of quadrature). What bounds of states and path conditions are exceeded by *between* the
 points counts as an error as well.
 
-A segment that is not accurate enough is split where a bounded control switches. The new joint is left free
-and the control is held at its bounds on either side, so that the program finds the switching time. Elsewhere
+A segment that is not accurate enough is split where a bounded control switches, and where a bound of a control
+or a state is met or left: there arcs of another kind begin (Goddard's singular arc, a constrained arc). The new
+joint is left free and a control that lies at a bound on one side is held there, so that the program finds the
+time. Elsewhere
 the decay of its Legendre coefficients, |a_i| ~ 10^(c - sigma i), tells what a higher degree would gain (Liu,
 Hager, Rao 2015): the degree rises by log10(error/tolerance)/sigma, or the segment is halved where that would
 exceed the largest degree in use, as it does at a kink.
@@ -23,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from perilune.collocation import Mesh
-from perilune.problem import Bounded, Phase, Problem
+from perilune.problem import Bounded, Phase, Problem, Variable
 from perilune.segments import Segment, admissible
 from perilune.symbolic import state_scales
 from perilune.types import Matrix, Vector
@@ -38,6 +40,8 @@ ROUNDING = 1e-11
 SWITCH = 0.4
 # Within this part of its range from a bound a control is taken to be at it.
 AT_BOUND = 0.02
+# The same for a state, which the program holds to its bound far more closely.
+STATE_AT_BOUND = 1e-5
 # Distance to the next joint that a free joint may use up.
 REACH = 0.45
 
@@ -115,17 +119,34 @@ def error_text(problem: Problem, errors: Sequence[Matrix]) -> str:
 
 
 def switches(phase: Phase, flown: Sequence[Segment]) -> list[float]:
-    """Fractions of the phase, between neighbouring collocation points, where a bounded control jumps."""
+    """Fractions of the phase, between neighbouring collocation points, where a control jumps or a bound is met or left.
+
+    A bound of a control or a state is met or left where two points on it have two points off it as neighbours: there a
+    singular arc, a saturated control or a constrained arc begins or ends.
+    """
     time = np.concatenate([s.time(s.control.points) for s in flown])
-    values = np.concatenate([s.control.values for s in flown])
-    fraction, found, at = (time - flown[0].begin) / (flown[-1].end - flown[0].begin), [], 0
-    for control in phase.controls:
-        if isinstance(control, Bounded) and math.isfinite(control.upper - control.lower):
-            change = np.abs(np.diff(values[:, at])) / (control.upper - control.lower)
-            for i in np.nonzero(change > SWITCH)[0]:
-                found.append(float(0.5 * (fraction[i] + fraction[i + 1])))
-        at += len(control.names)
-    return sorted(found)
+    fraction = (time - flown[0].begin) / (flown[-1].end - flown[0].begin)
+    control = np.concatenate([s.control.values for s in flown])
+    state = np.concatenate([s.state(s.control.points) for s in flown])
+    found, at = _met(state, phase.states, STATE_AT_BOUND), 0
+    for bounded in phase.controls:
+        if isinstance(bounded, Bounded) and _bounded(bounded):
+            values = control[:, [at]]
+            jump = np.abs(np.diff(values[:, 0])) > SWITCH * (bounded.upper - bounded.lower)
+            found |= _met(values, [bounded], AT_BOUND) | set(np.nonzero(jump)[0].tolist())
+        at += len(bounded.names)
+    return [float(0.5 * (fraction[i] + fraction[i + 1])) for i in sorted(found)]
+
+
+def _met(values: Matrix, bounded: Sequence[Bounded | Variable], within: float) -> set[int]:
+    """Indices i such that points i - 1, i lie at a bound and i + 1, i + 2 do not, or the other way round."""
+    found: set[int] = set()
+    for value, b in zip(values.T, bounded, strict=True):
+        reach = within * (b.upper - b.lower if math.isfinite(b.upper - b.lower) else float(np.ptp(value)))
+        side = np.where(value > b.upper - reach, 1, np.where(value < b.lower + reach, -1, 0))
+        met = (side[1:-2] != side[2:-1]) & (side[:-3] == side[1:-2]) & (side[2:-1] == side[3:])
+        found |= set((np.nonzero(met)[0] + 1).tolist())
+    return found
 
 
 def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float) -> Mesh:
@@ -173,13 +194,17 @@ def _pins(
         row, at = [], 0
         for control in phase.controls:
             pin = 0
-            if (a in movable or b in movable) and isinstance(control, Bounded):
+            if (a in movable or b in movable) and isinstance(control, Bounded) and _bounded(control):
                 part = (values[near, at] - control.lower) / (control.upper - control.lower)
                 pin = -1 if (part < AT_BOUND).all() else 1 if (part > 1 - AT_BOUND).all() else 0
             row += [pin] * len(control.names)
             at += len(control.names)
         pins.append(tuple(row))
     return tuple(pins)
+
+
+def _bounded(control: Bounded) -> bool:
+    return math.isfinite(control.upper - control.lower)
 
 
 def _enriched(

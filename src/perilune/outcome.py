@@ -6,6 +6,7 @@ wrong, what was *got*, what was *expected* and what to *try*.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 
 
@@ -76,3 +77,16 @@ class NotConvergedError(PeriluneError):
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)
         self.partial = partial or {}
+
+
+def unknown_name(kind: str, got: str, known: Sequence[str]) -> PeriluneError:
+    """Error for a name that does not exist, with the nearest one offered."""
+    import difflib
+
+    near = difflib.get_close_matches(got, known, n=1, cutoff=0.5)
+    return PeriluneError(
+        f"there is no {kind} of this name",
+        got=repr(got[:60]),
+        expected="one of " + ", ".join(known),
+        advice=f"did you mean {near[0]!r}?" if near else "",
+    )

@@ -29,8 +29,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from perilune.control_law import minimising_control, switched_scalars
 from perilune.outcome import PeriluneError
-from perilune.problem import Bounded, Direction, Phase, Problem
+from perilune.problem import Phase, Problem
 from perilune.symbolic import (
     SYMBOLIC,
     Parameters,
@@ -124,80 +125,15 @@ class Conditions:
     needed: tuple[tuple[int, ...], ...]
 
 
-def minimising_control(
-    phase: Phase, hamiltonian: ca.SX, u: ca.SX, bounds: dict[str, ca.SX]
-) -> tuple[ca.SX, dict[str, ca.SX]]:
-    """The control that minimises H, from H's own derivatives.
-
-    A `Direction` d enters H linearly, H = a + g . d, so the minimum on the circle or sphere is d = -g/|g|; for planar
-    thrust that is Cho et al. (15) with both signs right, beta = atan2(-lambda_v, -lambda_u). Where g carries a throttle
-    as a factor, that factor is not negative and cancels: its upper bound stands for it. An unbounded scalar in which H
-    is quadratic has its minimum where dH/du = 0. A bounded scalar in which H is linear is left as it is, to be set to
-    its bounds.
-
-    Returns
-    -------
-    law, switching
-        The control, with switched scalars still symbols; S of each switched scalar by name.
-
-    Raises
-    ------
-    PeriluneError
-        If H is not of a form whose minimum is known in closed form.
-    """
-    law, at = [u[i] for i in range(u.numel())], 0
-    scalars: list[tuple[int, Bounded]] = []
-    for control in phase.controls:
-        width = len(control.names)
-        part = u[at : at + width]
-        if isinstance(control, Direction):
-            gradient = ca.gradient(hamiltonian, part)
-            if ca.depends_on(gradient, part):
-                raise _no_law(phase, control.names, "a Hamiltonian that is not linear in it")
-            law[at : at + width] = elements(-gradient / ca.norm_2(gradient))
-        else:
-            scalars.append((at, control))
-        at += width
-    switching: dict[str, ca.SX] = {}
-    for i, control in scalars:
-        slope = ca.gradient(hamiltonian, u[i])
-        if not ca.depends_on(slope, u[i]) and control.name in bounds:
-            switching[control.name] = slope
-            if control.lower < 0 and any(ca.depends_on(entry, u[i]) for entry in law[:i] + law[i + 1 :]):
-                raise _no_law(phase, control.names, "a factor of a direction that may be negative")
-            law = [ca.substitute(e, u[i], bounds[control.name][1]) if j != i else e for j, e in enumerate(law)]
-        elif control.name not in bounds and not ca.depends_on(ca.gradient(slope, u[i]), u):
-            law[i] = -ca.substitute(slope, u[i], 0) / ca.gradient(slope, u[i])
-        else:
-            raise _no_law(phase, control.names, "a Hamiltonian that is not linear in it, or no bounds")
-    column_law = ca.vertcat(ca.SX(0, 1), *law)
-    return column_law, {name: ca.substitute(slope, u, column_law) for name, slope in switching.items()}
-
-
-def _no_law(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
-    return PeriluneError(
-        f"the indirect method has no closed-form control law for {', '.join(names)} of {phase.name}",
-        got=got,
-        expected="a direction or a bounded scalar that enters linearly, or an unbounded one that enters quadratically",
-        advice="use the direct method: solve(problem, Pseudospectral())",
-    )
-
-
 def extremal_parameters(problem: Problem) -> Vector:
     """The numbers p of the canonical equations: the given parameters, then (lower, upper) of each bounded control."""
     limits = [
         limit / problem.scales.of(control.unit)
         for phase in problem.phases
-        for control in _bounded(phase)
+        for control in switched_scalars(phase)
         for limit in (control.lower, control.upper)
     ]
     return np.concatenate([canonical_given(problem), limits])
-
-
-def _bounded(phase: Phase) -> list[Bounded]:
-    """The scalars with two finite bounds."""
-    scalars = [c for c in phase.controls if isinstance(c, Bounded)]
-    return [c for c in scalars if np.isfinite(c.upper - c.lower)]
 
 
 def _phase_extremal(
@@ -284,10 +220,10 @@ class _Structure:
 def _derive(structure: _Structure) -> Conditions:
     problem = structure.problem
     p = trace_parameters(problem)
-    limits = [ca.SX.sym(f"{phase.name}_{c.name}", 2) for phase in problem.phases for c in _bounded(phase)]
+    limits = [ca.SX.sym(f"{phase.name}_{c.name}", 2) for phase in problem.phases for c in switched_scalars(phase)]
     numbers, taken, phases = ca.vertcat(p.given, *limits), iter(limits), []
     for phase in problem.phases:
-        bounds = {c.name: next(taken) for c in _bounded(phase)}
+        bounds = {c.name: next(taken) for c in switched_scalars(phase)}
         phases.append(_phase_extremal(phase, p, bounds, numbers, problem.free_names))
     lam0 = [ca.SX.sym(f"lam0_{k}", e.half) for k, e in enumerate(phases)]
     nu = [ca.SX.sym(f"nu_{k}", len(phase.end_conditions)) for k, phase in enumerate(problem.phases)]

@@ -28,10 +28,22 @@ from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 from perilune.maths import NUMERIC
-from perilune.outcome import PeriluneError
+from perilune.outcome import PeriluneError, unknown_name
 from perilune.types import Physics
-from perilune.units import Scales, unit
+from perilune.units import Scales, dimension_text, unit
 from perilune.verification import Check
+
+
+def _in_si(name: str, text: str) -> None:
+    """Inside, every number is in SI: a unit that would scale it is a mistake waiting to happen."""
+    factor, dimension = unit(text)
+    if factor != 1.0:
+        raise PeriluneError(
+            f"inside a problem numbers are in SI: {name}",
+            got=f"the unit {text!r}",
+            expected=repr(dimension_text(dimension)),
+            advice="convert the number, or read it with units.parse_quantity",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +62,7 @@ class Variable:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise PeriluneError("a name must be a Python identifier", got=repr(self.name))
-        unit(self.unit)
+        _in_si(self.name, self.unit)
         if not self.lower < self.upper:
             raise PeriluneError(
                 f"bounds of {self.name} are empty",
@@ -90,10 +102,13 @@ Control = Direction | Bounded
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """A parameter with a value in SI; `unit` is an SI unit or any of the same dimension."""
+    """A parameter with a value in SI and its SI unit."""
 
     value: float
     unit: str = "1"
+
+    def __post_init__(self) -> None:
+        _in_si("a given value", self.unit)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +124,9 @@ class Free:
     lower: float = -math.inf
     upper: float = math.inf
     typical: float = 1.0
+
+    def __post_init__(self) -> None:
+        _in_si(self.name, self.unit)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,19 +297,6 @@ class Problem:
 
 def _range(f: Free) -> tuple[float, float, float]:
     return f.lower, f.upper, f.typical
-
-
-def unknown_name(kind: str, got: str, known: Sequence[str]) -> PeriluneError:
-    """Error for a name that does not exist, with the nearest one offered."""
-    import difflib
-
-    near = difflib.get_close_matches(got, known, n=1, cutoff=0.5)
-    return PeriluneError(
-        f"there is no {kind} of this name",
-        got=repr(got[:60]),
-        expected="one of " + ", ".join(known),
-        advice=f"did you mean {near[0]!r}?" if near else "",
-    )
 
 
 def _check_structure(problem: Problem) -> None:

@@ -15,8 +15,8 @@ import numpy as np
 from perilune.continuation import Member, follow
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
-from perilune.outcome import PeriluneError
-from perilune.problem import Problem, unknown_name
+from perilune.outcome import PeriluneError, unknown_name
+from perilune.problem import Problem
 from perilune.rootfind import Root
 from perilune.solution import Iteration, Solution
 from perilune.solve import prove

@@ -10,7 +10,7 @@ from perilune.kernels import DenseArc
 from perilune.maths import NUMERIC
 from perilune.outcome import PeriluneError
 from perilune.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
-from perilune.problem import Direction, Phase, Problem
+from perilune.problem import Bounded, Direction, Phase, Problem
 from perilune.propagate import flight
 from perilune.solution import Curve, Solution, Trajectory, hermite_nodes
 from perilune.symbolic import canonical_free, free_scales, state_scales
@@ -165,6 +165,34 @@ def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segme
                 np.concatenate([flown.state(t) / scale, constants, lam * scale / objective_scale(problem), constants])
             )
     return np.concatenate(joints)
+
+
+def beyond_shooting(rough: Solution) -> tuple[str, str] | None:
+    """What a direct solution does that no extremal of the indirect method can, and what to try; None if nothing.
+
+    A throttle that stays well between its bounds on a tenth of a phase is no polynomial's overshoot at a switch but a
+    singular arc. A state at its bound has a multiplier that Pontryagin's conditions without bounds do not know.
+    """
+    for phase, flown in zip(rough.problem.phases, rough.trajectories, strict=True):
+        t = np.linspace(0.0, 1.0, 401)[20:] * flown.duration
+        control, at = flown.control(t), 0
+        for bounded in phase.controls:
+            if isinstance(bounded, Bounded) and np.isfinite(bounded.upper - bounded.lower):
+                part = (control[:, at] - bounded.lower) / (bounded.upper - bounded.lower)
+                share = float(np.mean((part > 0.2) & (part < 0.8)))
+                if share > 0.1:
+                    what = f"in the direct solution {bounded.name} of {phase.name} stays between its bounds"
+                    return f"{what} for {share * flown.duration:.3g} s: a singular arc", "Pseudospectral()"
+            at += len(bounded.names)
+        for state, values, scale in zip(
+            phase.states, flown.state(t).T, state_scales(rough.problem, phase), strict=True
+        ):
+            if min(np.min(values) - state.lower, state.upper - np.max(values)) <= 1e-6 * scale:
+                return (
+                    f"in the direct solution {state.name} of {phase.name} reaches its bound",
+                    "Pseudospectral(), or an end condition in place of the bound",
+                )
+    return None
 
 
 def _given_value(problem: Problem, name: str, otherwise: float) -> float:

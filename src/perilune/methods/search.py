@@ -16,6 +16,7 @@ from perilune.continuation import Member
 from perilune.extremals import Found, HeldFamily, scan
 from perilune.lanes import lanes
 from perilune.methods.assemble import (
+    beyond_shooting,
     controls,
     fly,
     free_values,
@@ -284,7 +285,8 @@ class Search:
                 for side, limit, reached in (("below", state.lower, min(values)), ("above", state.upper, max(values))):
                     if not np.clip(reached, state.lower - 1e-9 * scale, state.upper + 1e-9 * scale) == reached:
                         return f"{state.name} reaches {reached:.6g} {state.unit}, {side} its bound {limit:g}"
-            for condition, values in zip(phase.path_conditions, phase.evaluate("path", x, u, p), strict=True):
+            conditions = phase.evaluate("path", list(x), list(u), p)
+            for condition, values in zip(phase.path_conditions, conditions, strict=True):
                 least = float(np.min(values))
                 if not least >= -1e-9 * self.problem.scales.of(condition.unit):
                     return f"{condition.name} falls to {least:.6g} {condition.unit}"
@@ -374,11 +376,14 @@ class Search:
             k = int(np.argmax(np.abs(scaled)))
             name, unit = self.conditions.residuals[k]
             got = f"nearest approach leaves {name} = {values[k]:.4g} {unit}"
+        advice = "perilune check for what physics says; then more starts (Indirect(starts=100)) or a nearby guess"
+        if self.rough is not None and (beyond := beyond_shooting(self.rough)) is not None:
+            got, advice = beyond
         return NotConvergedError(
             "no extremal was found",
             got=got,
             expected="all residuals zero; tried " + "; ".join(self.tried or ["nothing"]),
-            advice="perilune check for what physics says; then more starts (Indirect(starts=100)) or a nearby guess",
+            advice=advice,
             partial=partial,
         )
 

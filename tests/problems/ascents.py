@@ -1,0 +1,206 @@
+"""Ascents over flat ground in least time: the tangent of the thrust angle falls linearly in time.
+
+Linear tangent steering with constant acceleration (Bryson, Ho 1975, section 2.4), a launch from the Moon (after
+Longuski, Guzman, Prussing 2014), and one in two stages. `flat_ascent` solves all three by quadrature of that law, with
+nothing of the library.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from perilune.problem import Direction, Free, Given, Phase, Problem, Variable
+from perilune.units import Scales
+from problems.answered import Answered
+
+END = tuple(Variable(name=n, unit=u) for n, u in (("height", "m"), ("along", "m/s"), ("up", "m/s")))
+STATES = tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s")))
+
+
+def tangent_steering(split: bool = False) -> Problem:
+    """Constant acceleration from rest to height 5, speed (45, 0) in least time; in one phase or two."""
+
+    def phase(name: str, duration: str, last: bool) -> Phase:
+        return Phase(
+            name=name,
+            states=STATES,
+            controls=(Direction(names=("cx", "cy")),),
+            dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx, p.a * u.cy),
+            duration=duration,
+            end=(lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None,
+            end_conditions=END if last else (),
+            typical_end=lambda p, m: (p.height, p.speed, 0 * p.speed),
+        )
+
+    first = Given(value=0.2, unit="s")
+    return Problem(
+        name="linear_tangent_steering",
+        phases=(phase("first", "t1", False), phase("second", "t2", True)) if split else (phase("only", "t2", True),),
+        links=(lambda x, p, m: (x.y, x.vx, x.vy),) if split else (),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given={
+            "a": Given(value=100.0, unit="m/s^2"),
+            "height": Given(value=5.0, unit="m"),
+            "speed": Given(value=45.0, unit="m/s"),
+            "t1": first,
+        },
+        free=(Free(name="t2", unit="s", lower=0.0, typical=0.6),),
+        objective=lambda x, p, m: p.t2 + p.t1 if split else p.t2,
+        objective_unit="s",
+        scales=Scales(length=20.0, time=0.5),
+    )
+
+
+class Stage(NamedTuple):
+    """Mass at its ignition [kg], thrust [N], exhaust speed [m/s], burning time [s] (None: to the end)."""
+
+    mass: float
+    thrust: float
+    exhaust_speed: float
+    burn: float | None = None
+
+
+LUNAR_GRAVITY = 1.61544
+# Isp 1e6 s with 9.80665 m/s^2; with the Moon's own gravity instead, the answer would be 0.19 s off the printed one.
+LUNAR_LAUNCH = Stage(5e4, 3 * 5e4 * LUNAR_GRAVITY, 1e6 * 9.80665)
+TWO_STAGES = (Stage(15e3, 60e3, 3000.0, 200.0), Stage(8e3, 20e3, 3000.0))
+
+
+def staged_launch(stages: Sequence[Stage], height: float, speed: float) -> Problem:
+    """Launch from the flat Moon to horizontal flight at a height in least time; one phase for each stage."""
+    given = {
+        "g": Given(value=LUNAR_GRAVITY, unit="m/s^2"),
+        "height": Given(value=height, unit="m"),
+        "speed": Given(value=speed, unit="m/s"),
+    }
+    for k, stage in enumerate(stages):
+        for name, unit in (("mass", "kg"), ("thrust", "N"), ("exhaust_speed", "m/s"), ("burn", "s")):
+            value = getattr(stage, name)
+            if value is not None:
+                given[f"{name}_{k}"] = Given(value=value, unit=unit)
+    last = len(stages) - 1
+    duration = f"burn_{last}"
+
+    def phase(k: int) -> Phase:
+        def rates(x, u, p, m):
+            thrust = getattr(p, f"thrust_{k}")
+            a = thrust / x.m
+            return x.vy, a * u.cx, a * u.cy - p.g, -thrust / getattr(p, f"exhaust_speed_{k}")
+
+        def typical_end(p, m):
+            share = (k + 1) / len(stages)
+            return share * p.height, share * p.speed, 0 * p.speed, 0.7 * getattr(p, f"mass_{k}")
+
+        return Phase(
+            name=f"stage_{k}",
+            states=(*STATES, Variable(name="m", unit="kg", lower=0.0)),
+            controls=(Direction(names=("cx", "cy")),),
+            dynamics=rates,
+            duration=f"burn_{k}",
+            end=(lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy)) if k == last else None,
+            end_conditions=END if k == last else (),
+            typical_end=typical_end,
+        )
+
+    def dropped(k: int, x, p, m):
+        return x.y, x.vx, x.vy, getattr(p, f"mass_{k}")
+
+    return Problem(
+        name="launch",
+        phases=tuple(phase(k) for k in range(len(stages))),
+        start=lambda p, m: (0.0, 0.0, 0.0, p.mass_0),
+        links=tuple(partial(dropped, k) for k in range(1, len(stages))),
+        given=given,
+        free=(Free(name=duration, unit="s", lower=0.0, typical=400.0),),
+        objective=lambda x, p, m: sum(getattr(p, f"burn_{k}") for k in range(len(stages))),
+        objective_unit="s",
+        scales=Scales(length=height, time=300.0, mass=stages[0].mass),
+    )
+
+
+class FlatAscent(NamedTuple):
+    """tan(angle) = tangent - rate t until time."""
+
+    tangent: float
+    rate: float
+    time: float
+
+
+def flat_ascent(stages: Sequence[Stage], gravity: float, height: float, speed: float, guess: FlatAscent) -> FlatAscent:
+    """The three numbers of the law that ends at (height, speed, 0), by Gauss quadrature and Powell's method."""
+    from scipy.optimize import root
+
+    node, weight = np.polynomial.legendre.leggauss(60)
+
+    def misses(z):
+        tangent, rate, time = z * guess
+        ends = np.cumsum([stage.burn or 0.0 for stage in stages])
+        ends[-1] = time
+        y = vx = vy = begin = 0.0
+        for stage, end in zip(stages, ends, strict=True):
+            half = 0.5 * (end - begin)
+            t = begin + half * (1 + node)
+            a = stage.thrust / (stage.mass - stage.thrust / stage.exhaust_speed * (t - begin))
+            angle = np.arctan(tangent - rate * t)
+            up = a * np.sin(angle) - gravity
+            y += vy * 2 * half + half * (weight @ (up * (end - t)))
+            vx, vy, begin = vx + half * (weight @ (a * np.cos(angle))), vy + half * (weight @ up), end
+        return [y / height - 1, vx / speed - 1, vy / speed]
+
+    found = root(misses, np.ones(3), tol=1e-13)
+    assert np.abs(found.fun).max() < 1e-12
+    return FlatAscent(*(found.x * guess))
+
+
+LINEAR_TANGENT = partial(flat_ascent, (Stage(1.0, 100.0, math.inf),), 0.0, 5.0, 45.0, FlatAscent(1.5, 5.0, 0.6))
+LUNAR = partial(flat_ascent, (LUNAR_LAUNCH,), LUNAR_GRAVITY, 185e3, 1627.0, FlatAscent(2.7, 0.008, 480.0))
+STAGED = partial(flat_ascent, TWO_STAGES, LUNAR_GRAVITY, 60e3, 1700.0, FlatAscent(1.0, 0.003, 550.0))
+
+
+def linear_tangent_costate() -> tuple[float, float, float]:
+    """lambda(0) of `tangent_steering`: along -thrust, of length 1/a as H = -1 where the speed is still 0."""
+    law = LINEAR_TANGENT()
+    along = -math.cos(math.atan(law.tangent)) / 100.0
+    return along * law.rate, along, along * law.tangent
+
+
+ANSWERED = (
+    Answered(
+        name="linear tangent steering",
+        make=tangent_steering,
+        objective=0.554570878334603,
+        source="Bryson, Ho 1975, section 2.4; closed form",
+        costate=linear_tangent_costate(),
+        free={"t2": 0.554570878334603},
+        truth=lambda: LINEAR_TANGENT().time,
+    ),
+    Answered(
+        name="linear tangent steering, two phases",
+        make=partial(tangent_steering, split=True),
+        objective=0.554570878334603,
+        source="the same, cut in two by a link that passes the state on",
+        costate=linear_tangent_costate(),
+        free={"t2": 0.354570878334603},
+        truth=lambda: LINEAR_TANGENT().time,
+    ),
+    Answered(
+        name="lunar ascent",
+        make=partial(staged_launch, (LUNAR_LAUNCH,), 185e3, 1627.0),
+        objective=481.909686,
+        uncertainty=5e-7,
+        source="flat-Moon launch after Longuski, Guzman, Prussing 2014; quadrature of the steering law",
+        truth=lambda: LUNAR().time,
+    ),
+    Answered(
+        name="two-stage ascent with a mass drop",
+        make=partial(staged_launch, TWO_STAGES, 60e3, 1700.0),
+        objective=STAGED().time,
+        source="quadrature of the steering law; lambda of the velocity passes the drop unchanged",
+        truth=lambda: STAGED().time,
+    ),
+)

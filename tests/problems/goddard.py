@@ -1,0 +1,69 @@
+"""Goddard's rocket with drag: full thrust, a singular arc, and a coast to the greatest altitude.
+
+Bryson 1999, section 6.5; the constants of Betts 2010, example 4.9, who has 18550.872 ft by three phases. Along the
+singular arc H does not depend on the thrust, so that a direct method in one phase finds a control that chatters.
+"""
+
+from __future__ import annotations
+
+from perilune.methods.indirect import Indirect
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.problem import Bounded, Free, Given, Phase, Problem, Variable
+from perilune.units import Scales
+from problems.answered import Answered
+
+FOOT = 0.3048
+SLUG = 14.593902937206
+POUND = SLUG * FOOT  # force
+
+
+def goddard() -> Problem:
+    """Greatest altitude of a rocket that burns 2 of its 3 slugs."""
+    phase = Phase(
+        name="ascent",
+        states=(
+            Variable(name="h", unit="m", lower=0.0),
+            Variable(name="v", unit="m/s", lower=0.0),
+            Variable(name="m", unit="kg", lower=1.0 * SLUG, upper=3.0 * SLUG),
+        ),
+        controls=(Bounded(name="thrust", unit="N", lower=0.0, upper=193.044 * POUND),),
+        dynamics=lambda x, u, p, m: (
+            x.v,
+            (u.thrust - p.drag * x.v * x.v * m.exp(-x.h / p.scale_height)) / x.m - p.g,
+            -u.thrust / p.c,
+        ),
+        duration="t_f",
+        end=lambda x, p, m: (x.m - p.dry_mass,),
+        end_conditions=(Variable(name="dry", unit="kg"),),
+        typical_end=lambda p, m: (p.scale_height, 0 * p.c, p.dry_mass),
+    )
+    return Problem(
+        name="goddard",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, p.mass),
+        given={
+            "g": Given(value=32.174 * FOOT, unit="m/s^2"),
+            "c": Given(value=1580.9425279876559 * FOOT, unit="m/s"),
+            "drag": Given(value=5.49153484923381010e-5 * SLUG / FOOT, unit="kg/m"),
+            "scale_height": Given(value=23800.0 * FOOT, unit="m"),
+            "mass": Given(value=3.0 * SLUG, unit="kg"),
+            "dry_mass": Given(value=1.0 * SLUG, unit="kg"),
+        },
+        free=(Free(name="t_f", unit="s", lower=0.0, upper=200.0, typical=40.0),),
+        objective=lambda x, p, m: -x.h,
+        objective_unit="m",
+        scales=Scales(length=23800.0 * FOOT, time=25.0, mass=3.0 * SLUG),
+    )
+
+
+ANSWERED = (
+    Answered(
+        name="Goddard's rocket with a singular arc",
+        make=goddard,
+        objective=-18550.872 * FOOT,
+        uncertainty=0.005 * FOOT,
+        source="Betts 2010, example 4.9",
+        methods=(Pseudospectral(),),
+        refused=((Indirect(), r"no extremal was found[\s\S]*thrust of ascent stays between its bounds"),),
+    ),
+)
