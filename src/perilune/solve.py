@@ -44,7 +44,7 @@ def solve(
     guess
         A solution of any method for this or a similar problem. None is needed.
     level
-        Verification level to prove, 0 for none.
+        Verification level to prove, 0 for none; 4 solves the problem by another method too.
     watch
         Receives each iteration, and lines of text.
 

@@ -108,7 +108,8 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
         nodes = hermite_nodes(evaluate, right - left, tolerance)
-        pieces.append((left + nodes, *evaluate(nodes)))
+        # The last node is the switch itself, not a sum that may miss it by one rounding.
+        pieces.append((np.append(left + nodes[:-1], right), *evaluate(nodes)))
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     time = problem.scales.time
     x_scale = state_scales(problem, phase)

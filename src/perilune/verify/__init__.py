@@ -1,12 +1,14 @@
 """Proof of a solution by other code than the solver's: SciPy and the numpy physics, no symbols, no kernels.
 
 Level 1 (`feasible`): the exported control is flown again. Level 2 (`extremal`): the first-order conditions
-hold along the exported curves. Level 3 (`second_order`, `resolved`): the extremal is locally optimal. Each
-check has a value, a limit 3 to 10 times above the error of a good answer, so that it can fail, and a
-meaning; a NaN fails.
+hold along the exported curves; `switching`: for the control. Level 3 (`second_order`, `resolved`): the extremal is
+locally optimal. Level 4 (`crossed`): another method agrees. Each check has a value, a limit 3 to 10 times above the
+error of a good answer, so that it can fail, and a meaning; a NaN fails.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,15 +16,21 @@ from perilune.outcome import PeriluneError
 from perilune.problem import Problem
 from perilune.solution import Solution
 from perilune.verification import Check, Verification
+from perilune.verify.crossed import agreement
 from perilune.verify.extremal import extremality
 from perilune.verify.feasible import feasibility, flights, tables
 from perilune.verify.resolved import Resolve, neighbours
 from perilune.verify.second_order import local_optimality
 
+if TYPE_CHECKING:
+    from perilune.solve import Method
+
 __all__ = ["verify"]
 
 
-def verify(solution: Solution, level: int = 3, resolve: Resolve | None = None) -> Verification:
+def verify(
+    solution: Solution, level: int = 3, resolve: Resolve | None = None, other: Method | None = None
+) -> Verification:
     """Check what a solution claims.
 
     Parameters
@@ -30,10 +38,12 @@ def verify(solution: Solution, level: int = 3, resolve: Resolve | None = None) -
     solution
         Of any method, with trajectories. Its own `verification` is not looked at.
     level
-        1 feasible, 2 extremal, 3 locally optimal; each with those below.
+        1 feasible, 2 extremal, 3 locally optimal, 4 cross-checked; each with those below.
     resolve
         ``resolve(problem, guess) -> Solution`` solves a neighbouring problem from this solution for the
         checks of level 3 that need it; by default `perilune.solve.solve` unverified.
+    other
+        The method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
 
     Returns
     -------
@@ -44,12 +54,10 @@ def verify(solution: Solution, level: int = 3, resolve: Resolve | None = None) -
     Raises
     ------
     PeriluneError
-        If the level is not 1, 2 or 3, or the solution lacks the trajectory of a phase.
+        If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase.
     """
-    if level not in (1, 2, 3):
-        raise PeriluneError(
-            "there is no such level of verification", got=repr(level)[:60], expected="1, 2 or 3"
-        )
+    if level not in (1, 2, 3, 4):
+        raise PeriluneError("there is no such level of verification", got=repr(level)[:60], expected="1, 2, 3 or 4")
     if len(solution.trajectories) != len(solution.problem.phases):
         raise PeriluneError(
             "the solution lacks trajectories",
@@ -70,6 +78,8 @@ def verify(solution: Solution, level: int = 3, resolve: Resolve | None = None) -
             if level >= 3 and all(t.costate is not None for t in solution.trajectories):
                 checks += local_optimality(solution)
                 checks += neighbours(solution, resolve or _solve_again)
+            if level >= 4:
+                checks += agreement(solution, other)
     return Verification(checks=tuple(checks))
 
 

@@ -12,6 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,7 +25,9 @@ from perilune.types import Matrix, Vector
 
 STEP = 1e-40  # of the complex step: its square vanishes against 1
 DIFFERENCE = 1e-4  # of gradients, in canonical units: truncation 1e-8, rounding 1e-12
+ON_BOUND = 1e-7  # a control this close to its bound, in canonical units, lies on it
 _TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
+_QUADRATURE = 150  # pieces of three points
 
 
 def _atan2(y: Any, x: Any) -> Any:
@@ -108,8 +111,15 @@ def normalised(phase: Phase, u: Any) -> Any:
     return out
 
 
+def smooth_pieces(curve: Curve) -> list[Curve]:
+    """The parts of a table between the times that stand in it twice, with the values of either side."""
+    cut = np.nonzero(np.diff(curve.time) == 0)[0] + 1
+    parts = (np.split(a, cut) for a in (curve.time, curve.values, curve.rates))
+    return [Curve(time=t, values=v, rates=r) for t, v, r in zip(*parts, strict=True)]
+
+
 def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float]]:
-    """The control as its file describes it: cubic Hermite, then a direction normalised.
+    """The control as a piece of its file describes it: cubic Hermite, then a direction normalised.
 
     Plain floats, as the flight calls it a thousand times for one value each.
     """
@@ -136,6 +146,11 @@ def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float
         return u
 
     return control_at
+
+
+def just_before(t: Vector) -> Vector:
+    """Times at which a table still has the values from before a break at t."""
+    return np.nextafter(t, -np.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,14 +199,35 @@ class Arc:
     def control_scale(self) -> Vector:
         """Canonical units of the control components [SI]."""
         of = self.problem.scales.of
-        return np.array(
-            [1.0 if isinstance(c, Direction) else of(c.unit) for c in self.phase.controls for _ in c.names]
-        )
+        return np.array([1.0 if isinstance(c, Direction) else of(c.unit) for c in self.phase.controls for _ in c.names])
 
     @property
     def objective_scale(self) -> float:
         """Canonical unit of J [SI]."""
         return self.problem.scales.of(self.problem.objective_unit)
+
+    @cached_property
+    def breaks(self) -> Vector:
+        """Times inside the phase at which the table of the control begins anew: switches, joints of a mesh [s]."""
+        time = self.trajectory.control.time
+        return time[1:][(np.diff(time) == 0) & (time[1:] < self.duration)]
+
+    @cached_property
+    def edges(self) -> Vector:
+        """0, the breaks and the duration [s]."""
+        return np.array([0.0, *self.breaks, self.duration])
+
+    @cached_property
+    def jumps(self) -> Matrix:
+        """Change of each control component over each break, canonical; what is less than `ON_BOUND` is none."""
+        change = self.control(self.breaks) - self.control(just_before(self.breaks))
+        change = change / self.control_scale[:, None]
+        return np.where(np.abs(change) > ON_BOUND, change, 0.0)
+
+    def times(self, count: int) -> Vector:
+        """Times all along [s], and both sides of every break."""
+        even = np.linspace(0.0, self.duration, count)
+        return np.sort(np.concatenate([even, self.breaks, just_before(self.breaks)]))
 
     def state(self, t: Vector) -> Matrix:
         """Exported states."""
@@ -211,13 +247,26 @@ class Arc:
         values = self.phase.rates(x, u, self.p if p is None else p, COMPLEX)
         return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]))
 
+    def path(self, x: Any, u: Any) -> Matrix:
+        """Path conditions, (conditions, ...), for x (n, ...) and u (k, ...)."""
+        values = self.phase.evaluate("path", list(x), list(u), self.p)
+        return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]), float)
+
     @cached_property
     def quadrature(self) -> tuple[Vector, Vector]:
-        """Times [s] and weights: three-point Gauss-Legendre on 150 pieces, off every table's nodes."""
+        """Times [s] and weights: three-point Gauss-Legendre between the breaks, off every table's nodes."""
         nodes, weights = np.polynomial.legendre.leggauss(3)
-        edges = np.linspace(0.0, self.duration, 151)
+        shares = [max(1, round(_QUADRATURE * (b - a) / self.duration)) for a, b in pairwise(self.edges)]
+        pieces = [np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(self.edges), shares, strict=True)]
+        edges = np.concatenate([[0.0], *pieces])
         half = 0.5 * np.diff(edges)[:, None]
         return ((edges[:-1, None] + half) + half * nodes).ravel(), (half * weights).ravel()
+
+    @cached_property
+    def sampled(self) -> tuple[Matrix, Matrix, Matrix]:
+        """State, control and costate at the times of `quadrature`."""
+        t = self.quadrature[0]
+        return self.state(t), self.control(t), self.costate(t)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,6 +291,8 @@ def initial_state(solution: Solution, index: int, before: Vector | None) -> Vect
 def fly(arc: Arc, x0: Vector, lam0: Vector | None = None) -> Flight:
     """Fly a phase by the exported control with SciPy's DOP853; with lam0 the costates too, lam' = -dH/dx.
 
+    The integrator starts anew at each break of the control.
+
     Parameters
     ----------
     arc
@@ -254,10 +305,31 @@ def fly(arc: Arc, x0: Vector, lam0: Vector | None = None) -> Flight:
     Flight
         With (n,) or (2n,) components; ends in NaN where the integrator gave up.
     """
-    from scipy.integrate import solve_ivp
+    from scipy.integrate import OdeSolution, solve_ivp
 
-    n, phase, p = len(x0), arc.phase, arc.p
-    control = exported_control(phase, arc.trajectory.control)
+    y, scale = x0, arc.state_scale
+    if lam0 is not None:
+        y, scale = np.concatenate([x0, lam0]), np.concatenate([scale, arc.objective_scale / scale])
+    times, parts = [np.zeros(1)], []
+    for (left, right), piece in zip(pairwise(arc.edges), smooth_pieces(arc.trajectory.control), strict=False):
+        rates = _rates(arc, exported_control(arc.phase, piece), lam0 is not None)
+        with np.errstate(all="ignore"):
+            flown = solve_ivp(
+                rates, (left, right), y, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale, dense_output=True
+            )
+        times.append(flown.t[1:])
+        parts += flown.sol.interpolants
+        y = flown.y[:, -1] if flown.success else np.full(len(y), np.nan)
+        if not flown.success:
+            break
+    return Flight(at=OdeSolution(np.concatenate(times), parts), end=y, completed=bool(np.isfinite(y).all()))
+
+
+def _rates(
+    arc: Arc, control: Callable[[float], list[float]], with_costates: bool
+) -> Callable[[float, Vector], Sequence[Any] | Vector]:
+    """Right-hand side in SI."""
+    n, phase, p = len(arc.phase.states), arc.phase, arc.p
     steps = 1j * STEP * np.diag(arc.state_scale)
     unscale = -1.0 / (STEP * arc.state_scale)
 
@@ -268,23 +340,4 @@ def fly(arc: Arc, x0: Vector, lam0: Vector | None = None) -> Flight:
         f = arc.rates(y[:n, None] + steps, control(t))
         return np.concatenate([f.real[:, 0], (y[n:] @ f.imag) * unscale])
 
-    scale = arc.state_scale
-    y0, rates = x0, state_rates
-    if lam0 is not None:
-        y0, rates, scale = (
-            np.concatenate([x0, lam0]),
-            extremal_rates,
-            np.concatenate([scale, arc.objective_scale / scale]),
-        )
-    with np.errstate(all="ignore"):
-        flown = solve_ivp(
-            rates,
-            (0.0, arc.duration),
-            y0,
-            method="DOP853",
-            rtol=_TOLERANCE,
-            atol=_TOLERANCE * scale,
-            dense_output=True,
-        )
-    end = flown.y[:, -1] if flown.success else np.full(len(y0), np.nan)
-    return Flight(at=flown.sol, end=end, completed=bool(flown.success))
+    return extremal_rates if with_costates else state_rates

@@ -1,0 +1,285 @@
+"""Switches: closed forms in which each condition of bang-bang controls decides alone, and Meditch's lander."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.models.precision import Corridor
+from perilune.outcome import Outcome
+from perilune.problem import Bounded, Given, Phase, Problem, Variable
+from perilune.solution import Curve, Solution, Trajectory
+from perilune.solve import solve
+from perilune.verification import Check, Verification
+from perilune.verify import verify
+from perilune.verify.extremal import TOUCHING_MESH
+from problems.integrators import CEILING, least_energy, least_time
+from problems.landings import meditch
+from problems.staging import staged_burns
+from test_descent import approach
+
+
+def failed(verification: Verification, level: int = 4) -> set[str]:
+    return {c.name for c in verification.failed if c.level <= level}
+
+
+def check(verification: Verification, name: str) -> Check:
+    return next(c for c in verification.checks if c.name == name)
+
+
+# --- a switch whose every condition is known -------------------------------------------------------------------------
+
+END, MIDDLE = 2.0, 1.0
+
+
+def tug(pull: float, power: int = 1, switch: float = MIDDLE, swing: float = 1.0) -> Solution:
+    """Least J = int (t - 1)^n u dt - pull/2 y(2)^2 with y' = u, |u| <= 1, beside an oscillator of its own.
+
+    S = (t - 1)^n + lam_y with lam_y = -pull y(2). With u = 1 up to t = s and then -1, y(2) = 2 s - 2, and for n = 1
+    d2J/ds2 = 2 - 4 pull where D = 2: kappa = 2 pull. The oscillator, least action of x'' = -x from `swing` over 2 s,
+    has (2/pi)^2.
+    """
+    phase = Phase(
+        name="arc",
+        states=tuple(Variable(name=n) for n in ("clock", "y", "cost", "x")),
+        controls=(Bounded(name="u", lower=-1.0, upper=1.0), Bounded(name="w")),
+        dynamics=lambda x, u, p, m: (
+            1 / p.second,
+            u.u / p.second,
+            ((x.clock - MIDDLE) ** power * u.u + 0.5 * (u.w * u.w - x.x * x.x)) / p.second,
+            u.w / p.second,
+        ),
+        duration="duration",
+        end=lambda x, p, m: (x.x,),
+        end_conditions=(Variable(name="at_origin"),),
+    )
+    problem = Problem(
+        name="tug",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0, p.swing),
+        given={
+            "duration": Given(value=END, unit="s"), "second": Given(value=1.0, unit="s"), "pull": Given(value=pull),
+            "swing": Given(value=swing),
+        },
+        objective=lambda x, p, m: x.cost - 0.5 * p.pull * x.y * x.y,
+    )  # fmt: skip
+    pieces = [_tug_piece(np.linspace(a, b, 1201), u, pull, power, switch, swing) for a, b, u in
+              ((0.0, switch, 1.0), (switch, END, -1.0)) if b > a]  # fmt: skip
+    time = np.concatenate([piece[0] for piece in pieces])
+    values, rates = (np.concatenate([piece[i] for piece in pieces], axis=1).T for i in (1, 2))
+    state, costate, control = (
+        Curve(time=time, values=values[:, at], rates=rates[:, at]) for at in (slice(4), slice(4, 8), slice(8, 10))
+    )
+    end = values[-1]
+    return Solution(
+        problem=problem, method="closed form", outcome=Outcome.SOLVED, free={},
+        objective=float(end[2] - 0.5 * pull * end[1] ** 2),
+        trajectories=(Trajectory(phase="arc", state=state, costate=costate, control=control),),
+    )  # fmt: skip
+
+
+def _tug_piece(
+    t: np.ndarray, u: float, pull: float, power: int, s: float, swing: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, values and rates (10, N) of states, costates and controls on one side of the switch at s."""
+    b = -math.cos(END) / math.sin(END)
+    x, w = swing * (np.cos(t) + b * np.sin(t)), swing * (-np.sin(t) + b * np.cos(t))
+    y, y_end = (t if u > 0 else 2 * s - t), 2 * s - END
+    late = t - MIDDLE
+    slope = power * late ** (power - 1)
+
+    def work(t: Any) -> Any:
+        return (t - MIDDLE) ** (power + 1) / (power + 1)
+
+    cost = work(t) - work(0.0) if u > 0 else 2 * work(s) - work(0.0) - work(t)
+    cost = cost + 0.5 * (x * w - swing * swing * b)
+    # lam_clock' = -n (t - 1)^(n - 1) u, from 0 at the end
+    lam_clock = late**power - (END - MIDDLE) ** power
+    if u > 0:
+        lam_clock = 2 * (s - MIDDLE) ** power - (END - MIDDLE) ** power - late**power
+    rows = (
+        (t, 1.0), (y, u), (cost, late**power * u + 0.5 * (w * w - x * x)), (x, w),
+        (lam_clock, -slope * u), (-pull * y_end, 0.0), (1.0, 0.0), (-w, x),
+        (u, 0.0), (w, -x),
+    )  # fmt: skip
+    values, rates = (np.array([np.full(t.shape, row[i]) for row in rows]) for i in (0, 1))
+    return t, values, rates
+
+
+def tug_again(problem: Problem, guess: Solution) -> Solution:
+    """J of the tug in closed form (n = 1) for a shifted start."""
+    p = problem.parameters({})
+    late, y0, x0 = MIDDLE - p.offset_clock, p.offset_y, p.swing + p.offset_x
+    s = (late + p.pull * (y0 - END)) / (1 - 2 * p.pull)
+    y_end = y0 + 2 * s - END
+    cost = (s - late) ** 2 - 0.5 * late**2 - 0.5 * (END - late) ** 2
+    return replace(guess, objective=p.offset_cost + cost - 0.5 * p.pull * y_end**2 + 0.5 * x0**2 / math.tan(END))
+
+
+@pytest.mark.parametrize("pull", [-0.4, 0.1, 0.4, 0.49, 0.51, 0.6])
+def test_the_switching_time_has_the_curvature_of_the_closed_form(pull: float) -> None:
+    """Beside a regular control: the larger kappa of the two counts, and beyond 1 only this check objects."""
+    verification = verify(tug(pull, swing=0.0), resolve=tug_again)
+    kappa = check(verification, "conjugate_point").value
+    assert kappa == pytest.approx(max(2 * pull, (END / math.pi) ** 2), rel=3e-4)  # measured 1.7e-4
+    assert failed(verification) == (set() if pull < 0.5 else {"conjugate_point"})
+    assert verification.level == (3 if pull < 0.5 else 2)
+    assert check(verification, "strict_u").value == pytest.approx(-END, rel=1e-9)  # S = t - 1, at most 1, over 2 s
+
+
+@pytest.mark.parametrize("pull", [-0.4, 0.1, 0.49, 0.51])
+def test_the_switching_time_beside_a_control_that_moves(pull: float) -> None:
+    """The size of kappa depends on how time is normalised where w varies; on which side of 1 it lies does not."""
+    verification = verify(tug(pull), resolve=tug_again)
+    assert failed(verification) == (set() if pull < 0.5 else {"conjugate_point"})
+
+
+@pytest.mark.parametrize("power", [2, 3])
+def test_a_switching_function_that_only_touches_zero_is_not_strict(power: int) -> None:
+    """(t - 1)^2 touches zero without a switch, (t - 1)^3 crosses it with slope zero: extremal, not shown optimal."""
+    solution = tug(0.0, power=power, switch=0.0 if power == 2 else MIDDLE)
+    verification = verify(solution, resolve=lambda problem, guess: guess)
+    assert verification.level == 2, str(verification)
+    assert "strict_u" in failed(verification)
+    assert math.isnan(check(verification, "conjugate_point").value) == (power == 3)
+    if power == 3:
+        assert "crosses its switch" in check(verification, "conjugate_point").meaning
+
+
+@pytest.mark.parametrize("late", [1e-6, 1e-2, -1e-2])
+def test_a_switch_away_from_the_zero_of_its_function_is_feasible_but_no_extremal(late: float) -> None:
+    verification = verify(tug(0.1, switch=MIDDLE + late), level=2)
+    assert verification.level == 1, str(verification)
+    assert failed(verification) >= {"switch_u", "switching_u"}
+    # S = t - 1 - pull y(2) at the switch
+    assert check(verification, "switch_u").value == pytest.approx(abs(late - 0.1 * 2 * late), rel=1e-6)
+
+
+def test_the_other_order_of_bounds_maximises() -> None:
+    """Costates and control of -J: extremal with every sign reversed."""
+    good = tug(0.1)
+    flown = good.trajectories[0]
+    values = flown.control.values * np.array([-1.0, 1.0])
+    reverse = replace(good, trajectories=(replace(flown, control=replace(flown.control, values=values)),))
+    assert {"switching_u", "minimum_of_hamiltonian", "state_y", "objective"} <= failed(verify(reverse, level=2))
+
+
+def test_a_switch_drawn_as_a_ramp_is_not_taken_for_one() -> None:
+    """Without a repeated node there is no switching time: level 3 says that it cannot be shown."""
+    solution = tug(0.1)
+
+    def ramp(curve: Curve) -> Curve:
+        time = curve.time.copy()
+        time[1201] += 1e-6
+        return replace(curve, time=time)
+
+    flown = solution.trajectories[0]
+    drawn = replace(flown, control=ramp(flown.control))
+    verification = verify(replace(solution, trajectories=(drawn,)), resolve=tug_again)
+    assert {"conjugate_point"} <= failed(verification, 3)
+    assert math.isnan(check(verification, "conjugate_point").value)
+    assert "without a switch in the table" in check(verification, "conjugate_point").meaning
+
+
+@pytest.mark.parametrize("at", [0, 1200, 2401])
+def test_a_time_stands_in_a_table_at_most_twice_and_not_at_its_ends(at: int) -> None:
+    solution = tug(0.1)
+    flown = solution.trajectories[0]
+    curve = flown.control
+    spoilt = Curve(*(), **{n: np.insert(getattr(curve, n), at, getattr(curve, n)[at], axis=0)
+                           for n in ("time", "values", "rates")})  # fmt: skip
+    assert failed(verify(replace(solution, trajectories=(replace(flown, control=spoilt),)))) == {"tables"}
+
+
+def test_a_state_that_jumps_at_a_switch_was_not_flown() -> None:
+    solution = tug(0.1)
+    flown = solution.trajectories[0]
+    values = flown.state.values.copy()
+    values[1201:, 1] += 1e-6
+    jumped = replace(flown, state=replace(flown.state, values=values))
+    assert "state_y" in failed(verify(replace(solution, trajectories=(jumped,)), level=1))
+
+
+# --- the solver's own answers ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lander() -> Solution:
+    return solve(meditch(), level=0)
+
+
+def test_meditchs_lander_is_proved_locally_optimal(lander: Solution) -> None:
+    verification = verify(lander)
+    assert verification.level == 3, str(verification)
+    assert verification.passed
+    assert lander.objective == pytest.approx(1.42031259905, abs=5e-12)
+    assert check(verification, "switch_thrust").value < 1e-10
+    # Two end conditions for the switch and the flight time: nothing is left to vary, and the slope of S decides.
+    assert "nothing to vary" in check(verification, "conjugate_point").meaning
+    assert check(verification, "strict_thrust").value < -0.1
+
+
+@pytest.mark.parametrize("late", [1e-7, -1e-7])
+def test_meditchs_lander_switched_at_another_time_misses_the_ground(lander: Solution, late: float) -> None:
+    flown = lander.trajectories[0]
+    (switch,) = flown.control.time[1:][np.diff(flown.control.time) == 0]
+    moved = flown.control.time.copy()
+    moved[moved == switch] += late
+    wrong = replace(flown, control=replace(flown.control, time=moved))
+    verification = verify(replace(lander, trajectories=(wrong,)), level=2)
+    assert {"touchdown_speed", "state_v", "objective", "switch_thrust"} <= failed(verification)
+
+
+def test_a_throttle_beside_a_direction_is_proved() -> None:
+    """Full, coast, full, in three dimensions: the direction varies where the engine burns and nowhere else."""
+    problem = approach(Corridor(tilt=math.radians(80), slope=math.radians(5)), throttle=(0.0, 0.9))
+    solution = solve(problem, level=0)
+    assert int((np.diff(solution.trajectories[0].time) == 0).sum()) == 2
+    verification = verify(solution)
+    assert verification.level == 3, str(verification)
+    assert 0.1 < check(verification, "conjugate_point").value < 0.9
+
+
+def test_least_time_between_rests_is_proved() -> None:
+    verification = verify(solve(least_time(), level=0))
+    assert verification.level == 3, str(verification)
+
+
+# --- conditions that are active --------------------------------------------------------------------------------------
+
+
+def test_an_arc_on_a_bound_of_a_state_is_not_taken_for_an_extremal() -> None:
+    answer = Pseudospectral().run(least_energy(CEILING))
+    verdict = check(verify(answer, level=2), "inactive_x")
+    # Bryson, Denham, Dreyfus 1963: on the ceiling l from 3 l to 1 - 3 l, below it x = l - l (1 - t/(3 l))^3.
+    near = TOUCHING_MESH * answer.statistics.residual
+    assert verdict.value == pytest.approx(1 - 6 * CEILING * (1 - (near / CEILING) ** (1 / 3)), abs=2e-3)
+    assert not verdict.passed
+    assert "a path condition is active" in verdict.meaning
+    assert "not checked" in verdict.meaning
+
+
+def test_a_ceiling_that_is_not_reached_changes_nothing() -> None:
+    free = solve(least_energy(0.3), level=0)  # x rises to 1/4
+    verification = verify(free)
+    assert verification.level == 3, str(verification)
+    assert check(verification, "inactive_x").value == 0.0
+
+
+def test_a_ceiling_that_is_touched_at_one_time_is_not_active() -> None:
+    touched = check(verify(solve(least_energy(0.25 + 1e-9), level=0), level=2), "inactive_x")
+    assert 0 < touched.value < touched.limit
+
+
+def test_a_bound_that_is_reached_at_the_end_has_a_multiplier_that_is_not_known() -> None:
+    """Two burns, each until its tank is empty: touched at one time only, the bound shows in the costates' end."""
+    verification = verify(Pseudospectral().run(staged_burns()))
+    assert verification.level == 1
+    assert {"first_transversality", "second_transversality", "conjugate_point"} <= failed(verification)
+    assert check(verification, "first_inactive_m").passed
+    assert "is none of them" in check(verification, "first_transversality").meaning
