@@ -22,7 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "kernels"))
 
-from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
+from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start  # pyright: ignore[reportMissingImports]
 
 from perilune.kernels import compile_arcs, native, tableau
 from perilune.kernels.ir import Writer
@@ -75,9 +75,7 @@ def flops_per_step(system: Any) -> float:
     return tableau.STAGES * each + combinations + errors
 
 
-def heyoka_batch(
-    lanes: int, starts: np.ndarray, seeds: np.ndarray
-) -> Callable[[int], tuple[float, np.ndarray]]:
+def heyoka_batch(lanes: int, starts: np.ndarray, seeds: np.ndarray) -> Callable[[int], tuple[float, np.ndarray]]:
     """Return (batch size) -> arcs per core second of heyoka with the same columns, and its final states."""
     import heyoka as hy
 
@@ -130,9 +128,7 @@ def heyoka_batch(
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lanes", type=int, default=16384)
     parser.add_argument("--without-heyoka", action="store_true")
     asked = parser.parse_args()

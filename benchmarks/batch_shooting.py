@@ -14,7 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "kernels"))
 
-from landing_bvp import functions, parameters
+from landing_bvp import functions, parameters  # pyright: ignore[reportMissingImports]
 
 from perilune.kernels.batch import BatchShooter
 

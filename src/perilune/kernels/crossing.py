@@ -51,7 +51,7 @@ def locate(d: Driver, h: str, held: str) -> None:
     if not events:
         return
     w, count = d.w, len(events)
-    d.call("crossings", d.new, w.at(d.slopes, 10 * d.n), d.g_new)
+    d.call("crossings", d.new, d.slopes_after, d.g_new)
     accepted = w.load(held, kind=w.mask)
     theta, ahead = w.buffer(1), w.buffer(1)
     w.store(w.const(2.0), theta)
@@ -173,8 +173,8 @@ def fire(d: Driver) -> None:
                 d.mark(mask, ArcStatus.EVENT)
         if d.system.transitions:
             _transit(d, masks)
-            d.field(d.state, d.stage)
-            d.blend(any_mask, d.stage, d.slopes, d.n)
+            d.field(d.state, d.new)
+            d.blend(any_mask, d.new, d.slopes, d.n)
         _look_again(d, masks, any_mask)
         w.store(w.select(any_mask, w.const(math.inf), w.load(d.limit)), d.limit)
     for number in range(len(masks)):
@@ -205,8 +205,8 @@ def _transit(d: Driver, masks: list[str]) -> None:
     for number, before, after in d.system.transitions:
         here = w.both(masks[number], w.compare("oeq", mode, w.const(float(before))))
         with w.when(w.any(here)):
-            d.call(f"transition{number}_{before}", d.state, d.stage)
-            d.blend(here, d.stage, d.state, d.n)
+            d.call(f"transition{number}_{before}", d.state, d.new)
+            d.blend(here, d.new, d.state, d.n)
         new_mode = w.select(here, w.const(float(after)), new_mode)
     w.store(new_mode, d.mode)
 

@@ -21,7 +21,7 @@ from perilune.kernels.single import SingleArc
 from perilune.kernels.system import ArcSystem
 from perilune.types import Matrix, Vector
 
-_SAFETY, _SHRINK, _GROW, _RESOLVED = 0.9, 0.2, 10.0, 1e-14
+_SAFETY, _SHRINK, _GROW, _RESOLVED, _FIRST, _LEAST = 0.9, 0.2, 10.0, 1e-14, 3.0, 0.01**0.125  # as in `driver`
 Mask = NDArray[np.bool_]
 
 
@@ -156,6 +156,7 @@ class Flight:
         self.steps, self.tries = np.zeros(lanes, dtype=np.int64), 0
         self.status = np.full(lanes, -1)
         self.refused, self.active = np.zeros(lanes, dtype=bool), np.ones(lanes, dtype=bool)
+        self.h_before, self.root_before = np.zeros(lanes), np.ones(lanes)  # no trend yet
         self.log = np.full((lanes, MAX_EVENTS if system.events else 0, 2), np.nan)
         self.met = np.zeros(lanes, dtype=np.int64)
 
@@ -191,7 +192,7 @@ class Flight:
         probe = self.y + np.copysign(h0, self.duration) * self.slope
         change = self.equations.field(probe, self.p, self.mode) - self.slope
         d = np.fmax(_rms(change[: self.nz] / scale) / h0, d1)
-        h1 = np.where(d <= 1e-15, np.maximum(1e-6, 1e-3 * h0), (0.01 / d) ** 0.125)
+        h1 = np.where(d <= 1e-15, np.maximum(1e-6, 1e-3 * h0), _FIRST * (0.01 / d) ** 0.125)
         return np.minimum(np.minimum(h1, 100 * h0), length)
 
     def _step(self, crossings: Crossings) -> None:
@@ -226,9 +227,14 @@ class Flight:
     def _adapt(self, h: Vector, error: Vector, good: Mask, limited: Mask) -> None:
         if self.asked.fixed_steps:
             return
-        factor = np.fmin(np.fmax(_SAFETY * error**-0.125, _SHRINK), _GROW)
+        root, size = error**0.125, np.abs(h)
+        trend = np.where(good, np.fmin(self.root_before * (size / self.h_before) / root, 1.0), 1.0)
+        usual = good & ~limited
+        self.h_before = np.where(usual, size, self.h_before)
+        self.root_before = np.where(usual, np.fmax(root, _LEAST), self.root_before)
+        factor = np.fmin(np.fmax(_SAFETY / root * trend, _SHRINK), _GROW)
         factor = np.where(self.refused | ~good, np.minimum(factor, 1.0), factor)
-        self.h = np.where(self.active & ~(limited & good), np.abs(h) * factor, self.h)
+        self.h = np.where(self.active & ~(limited & good), size * factor, self.h)
         self.refused = ~good
 
     def _commit(self, trial: Trial, last: Mask) -> None:

@@ -92,7 +92,8 @@ def compile_single(function: Any, *, cache: bool = True, backend: str | None = N
         return evaluate
 
     def bind(held: list[Any]) -> Callable[[], None]:
-        table = np.array([1, native.address(held[0]), *(x for a in held[1:] for x in (native.address(a), 0))], dtype=np.int64)
+        inputs = [entry for a in held[1:] for entry in (native.address(a), 0)]
+        table = np.array([1, native.address(held[0]), *inputs], dtype=np.int64)
         held.append(table)  # as long-lived as what it points to
         return partial(_native(flat, 1, cache), 0, 1, native.address(table))
 
