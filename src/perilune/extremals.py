@@ -90,8 +90,8 @@ class HeldFamily:
 
 def scan(
     family: HeldFamily, first: Member, bounds: tuple[float, float], points: int, say: Callable[[str], None]
-) -> Iterator[Found]:
-    """Walk from `first` to both bounds and yield every extremal met.
+) -> tuple[list[Found], list[Member]]:
+    """Walk from `first` towards both bounds; the extremals met, and the members visited.
 
     Parameters
     ----------
@@ -103,27 +103,23 @@ def scan(
     say
         Receives one line about a family that ends before a bound.
     """
-    grid = np.linspace(*bounds, points)
-    tried = family.at_once(first, grid)
+    tried = family.at_once(first, np.linspace(*bounds, points))
     below = _chain(family, first, [(v, y) for v, y in tried[::-1] if v < first.value])
     above = _chain(family, first, [(v, y) for v, y in tried if v > first.value])
     members = [*below[::-1], first, *above]
     slopes = [family.slope(m.root) for m in members]
+    found = []
     for end, bound, limit in ((0, -1, bounds[0]), (-1, 1, bounds[1])):
-        if members[end].value == limit:
-            if slopes[end] * bound < 0:  # J rises into the interior; otherwise the bound is no extremal at all
-                yield Found(root=members[end].root, value=limit, bound=bound, minimum=True)
-        else:
-            say(
-                f"the family of extremals ends before its bound: at {members[end].value:.6g} of {limit:.6g} (canonical)"
-            )
+        if members[end].value != limit:
+            say(f"the family of extremals ends at {members[end].value:.6g}, before {limit:.6g} (canonical)")
+        elif slopes[end] * bound < 0:  # J rises into the interior; otherwise the bound is no extremal at all
+            found.append(Found(root=members[end].root, value=limit, bound=bound, minimum=True))
     for (a, slope_a), (b, slope_b) in pairwise(zip(members, slopes, strict=True)):
-        if slope_a * slope_b < 0:
-            root = _between(family, a, b, slope_a, slope_b)
-            if root is not None:
-                value = float(root.y[family.shooting.conditions.free_at.start + family.index])
-                yield Found(root=root, value=value, bound=0, minimum=family.curvature(root) > 0)
-    yield from _dips(family, members, slopes)
+        root = _between(family, a, b, slope_a, slope_b) if slope_a * slope_b < 0 else None
+        if root is not None:
+            value = float(root.y[family.shooting.conditions.free_at.start + family.index])
+            found.append(Found(root=root, value=value, bound=0, minimum=family.curvature(root) > 0))
+    return [*found, *_dips(family, members, slopes)], members
 
 
 def _chain(family: HeldFamily, first: Member, tried: list[tuple[float, Vector | None]]) -> list[Member]:

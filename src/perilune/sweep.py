@@ -124,11 +124,8 @@ def _solve_one(
 ) -> tuple[Solution, Member | None]:
     """One member, by continuation from the base of the one before, else by the whole ladder; and its own base."""
     search = Search(settings, problem, say)
-    solution = None
-    if base is not None and before is not None:
-        continued = _continue(problem, name, before, base, search)
-        solution = search.solve_from(continued) if continued is not None else None
-    return prove(solution or search.solve(None), level), search.base
+    continued = _continue(problem, name, before, base, search) if base is not None and before is not None else None
+    return prove(search.solve(base=continued), level), search.base
 
 
 def _continue(problem: Problem, name: str, before: float, base: Member, search: Search) -> Member | None:

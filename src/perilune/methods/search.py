@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 Watch = Callable[[Iteration | str], None]
 
+_SPHERE = "costates on the unit sphere"
 _ROUGHEST = 0.05  # relative mesh error beyond which a direct solution is not worth quoting
 
 
@@ -63,28 +64,32 @@ class Search:
         self.history: list[Iteration] = []
         self.scanned = self._bounded_parameter()
         self.base: Member | None = None
+        self.rung = ""
         self.refusal: PeriluneError | None = None
         self.rough: Solution | None = None
 
     # -- the two ways in ------------------------------------------------------------------------------------------
 
-    def solve(self, guess: Solution | None) -> Solution:
-        """From a guess, or by the ladder."""
+    def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
+        """From a guess; or by the ladder, after the family through `base` (of another run) where there is one."""
         if guess is not None:
             return self._compose(self._from_guess(guess), "guess")  # whether it keeps the path is for the proof to say
         found: list[Found] = []
-        for first, rung in self._first_members():
-            found = self._all_extremals(first)
-            if self._answers(found):
-                self.base = first
-                return self._compose(self._admissible(found), rung)
-        raise self._refusal(found) or self._failure()
-
-    def solve_from(self, base: Member) -> Solution | None:
-        """From an extremal with the bounded free parameter held, such as another run's `base`; None without answer."""
-        found = self._all_extremals(base)
-        self.base = base
-        return self._compose(self._admissible(found), "continuation") if self._answers(found) else None
+        walked: list[Member] = []
+        rungs = [[(base, "continuation")] if base is not None else [], self._sphere_members(), self._transcription()]
+        for i, rung in enumerate(rungs):
+            if i == 2 and self._answers(found):
+                break  # the last rung is for those that the others left without an answer
+            for first, name in rung:
+                if not any(m.value == first.value and np.allclose(m.root.y, first.root.y, atol=1e-5) for m in walked):
+                    new, members = self._all_extremals(first)
+                    if self._answers(new) and self.base is None:
+                        self.base, self.rung = first, name
+                    found += new
+                    walked += members
+        if not self._answers(found):
+            raise self._refusal(found) or self._failure()
+        return self._compose(self._admissible(found), self.rung)
 
     def correct(self, y: Vector, held: float, p: Vector | None = None) -> Root:
         """Newton with the bounded free parameter, if there is one, held; at other given parameters p where asked."""
@@ -101,12 +106,12 @@ class Search:
     def _held_scale(self) -> float:
         return 1.0 if self.scanned is None else self.problem.scales.of(self.problem.free[self.scanned].unit)
 
-    def _all_extremals(self, first: Member) -> list[Found]:
+    def _all_extremals(self, first: Member) -> tuple[list[Found], list[Member]]:
         if self.scanned is None:
-            return [Found(root=first.root, value=0.0, bound=0, minimum=True)]
+            return [Found(root=first.root, value=0.0, bound=0, minimum=True)], [first]
         self.watch(f"following the family of extremals along {self.problem.free[self.scanned].name}")
         family = HeldFamily(shooting=self.shooting, p=self.p, index=self.scanned)
-        return list(scan(family, first, self._bounds(self.scanned), self.settings.scan_points, self.watch))
+        return scan(family, first, self._bounds(self.scanned), self.settings.scan_points, self.watch)
 
     def _admissible(self, found: list[Found]) -> list[Found]:
         return [f for f in found if self._breach(f.root.y) is None]
@@ -151,21 +156,29 @@ class Search:
 
     # -- the ladder -----------------------------------------------------------------------------------------------
 
-    def _first_members(self) -> Iterator[tuple[Member, str]]:
-        """Yield (an extremal with the bounded parameter held, the rung that found it) until the caller is content."""
+    def _sphere_members(self) -> Iterator[tuple[Member, str]]:
+        """Extremals from random costates with the bounded parameter held at several values.
+
+        One family need not reach from bound to bound, so each value gives a chance to meet another. Those that break
+        a path condition come last, and only where nothing else was found.
+        """
         name = "" if self.scanned is None else self.problem.free[self.scanned].name
         holds = [0.0] if self.scanned is None else np.linspace(*self._bounds(self.scanned), 5).tolist()
+        breaking: list[Member] = []
         for held in holds:
             where = f" with {name} held at {held * self._held_scale():.6g}" if name else ""
             self.watch("rung: costates on the unit sphere" + where)
-            # Where the first bound gave nothing, the others are worth a few starts each.
-            for root in self._sphere(held, self.settings.starts if held == holds[0] else self.settings.starts // 4):
-                yield Member(value=held, root=root), "costates on the unit sphere"
-        self.watch("rung: direct transcription")
-        yield from self._transcription()
+            for root in self._sphere(held, self.settings.starts if held == holds[0] else self.settings.starts // 2):
+                member = Member(value=held, root=root)
+                if self._breach(root.y) is None:
+                    yield member, _SPHERE
+                else:
+                    breaking.append(member)
+        if self.base is None:
+            yield from ((member, _SPHERE) for member in breaking)
 
     def _transcription(self) -> Iterator[tuple[Member, str]]:
-        """A root from a coarse direct solution, in one piece or, where that fails, by multiple shooting."""
+        """An extremal from a coarse direct solution, in one piece or, where that fails, by multiple shooting."""
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
         try:
@@ -191,15 +204,13 @@ class Search:
             self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
 
     def _sphere(self, held: float, starts: int) -> Iterator[Root]:
-        """Distinct roots from random directions of the initial costates, those that keep the path conditions first."""
+        """Distinct roots from random directions of the initial costates, best first."""
         roots: list[Root] = []
         for root in self._roots_from(self._sphere_starts(starts), held):
             if self._within_bounds(root.y) and not any(np.allclose(r.y, root.y, rtol=0, atol=1e-6) for r in roots):
                 roots.append(root)
         self.tried.append(f"costates on the unit sphere: {len(roots)} extremals from {starts} starts")
-        keeps = [self._breach(r.y) is None for r in roots]
-        order = sorted(range(len(roots)), key=lambda i: (not keeps[i], self._objective(roots[i].y)))
-        yield from (roots[i] for i in order)
+        yield from sorted(roots, key=lambda root: self._objective(root.y))
 
     def _sphere_starts(self, count: int) -> Matrix:
         """Unknowns with random costates of length one and free parameters around their typical values."""
