@@ -16,6 +16,8 @@ from perilune.cli import run
 from perilune.outcome import InfeasibleError, NotConvergedError, Outcome
 from perilune.problem import Problem
 from perilune.solution import Iteration, Solution
+from perilune.solve import prove
+from perilune.sweep import Family, FamilyPoint
 
 
 def answer_with(monkeypatch: pytest.MonkeyPatch, act: Callable[..., Solution]) -> None:
@@ -28,7 +30,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution
     """A solver that knows the two landings of the paper already; the list of what it was asked."""
     asked: list[Problem] = []
 
-    def solve(problem: Problem, *, level: int = 3, watch: Any = None) -> Solution:
+    def solve(problem: Problem, method: Any = None, *, level: int = 3, watch: Any = None) -> Solution:
         asked.append(problem)
         if watch is not None:
             watch("rung: known")
@@ -63,6 +65,9 @@ def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution
         (["sweep", HYBRID, "--vary", "vehicle.thrust=4 N"], 2, "REFUSED"),
         (["sweep", HYBRID, "--vary", "vehicle.thrust=1:4:1 N"], 3, "INFEASIBLE"),
         (["sweep", HYBRID], 2, "REFUSED"),
+        (["sweep", ORDINARY, "--vary", "retro.delta_v=0:100:50 m/s"], 2, "REFUSED"),
+        (["sweep", HYBRID, "--vary", "body.rotation_rate=0:1.52504e-4:1.52504e-4 rad/s"], 2, "REFUSED"),
+        (["new", "no/such/directory/x.toml"], 2, "REFUSED"),
         (["verify", "nowhere"], 2, "REFUSED"),
         (["reproduce", "liu-2019", "--out", "x"], 2, "REFUSED"),
     ],
@@ -97,7 +102,7 @@ def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_solve_that_fails_says_and_saves_what_was_tried(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fails(problem: Problem, *, level: int, watch: Any) -> Solution:
+    def fails(problem: Problem, method: Any, *, level: int, watch: Any) -> Solution:
         watch("rung: one")
         raise NotConvergedError(
             "no solution found",
@@ -152,7 +157,9 @@ def test_a_used_directory_is_refused_before_the_work(
 ) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     assert run(["solve", HYBRID, "--out", str(tmp_path)]) == 2
-    assert "--force" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "--force" in told
+    assert "warning" not in told
     assert not solved
     assert snapshot(tmp_path) == {"mine.txt": b"mine"}
 
@@ -169,6 +176,21 @@ def test_solve_says_its_answer_and_shows_every_iteration(
     assert "iteration   7  residual 1.000e-12  step 2.000e-03  damping 1" in told.err
     assert "residual" not in told.out
     assert len(solved) == 1
+
+
+def test_checks_are_counted_unless_all_are_asked_for(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, hybrid: Solution
+) -> None:
+    proved = prove(hybrid, 1)
+    answer_with(monkeypatch, lambda problem, method, **_: proved)
+    assert run(["solve", HYBRID]) == 0
+    count = len(proved.verification.checks)
+    short = capsys.readouterr().out
+    assert f"level 1, feasible:         {count} of {count} checks passed" in short
+    assert not any(f"{check.name}: " in short for check in proved.verification.checks)
+    assert run(["solve", HYBRID, "--verbose"]) == 0
+    long = capsys.readouterr().out
+    assert all(f"ok   1 {check.name}: " in long for check in proved.verification.checks)
 
 
 def test_what_solve_writes_can_be_verified_again(
@@ -193,9 +215,7 @@ def test_what_solve_writes_can_be_verified_again(
     assert read_json(capsys.readouterr().out)["outcome"] == "NOT_PROVED"
 
 
-def test_a_landing_below_the_dry_mass_is_infeasible(
-    capsys: pytest.CaptureFixture[str], solved: list[Problem]
-) -> None:
+def test_a_landing_below_the_dry_mass_is_infeasible(capsys: pytest.CaptureFixture[str], solved: list[Problem]) -> None:
     # 154.54 kg land, more than the rocket equation alone forbids.
     assert run(["solve", ORDINARY, "--json", "--set", "vehicle.dry_mass=160 kg"]) == 3
     assert "not enough propellant" in read_json(capsys.readouterr().out)["error"]["what"]
@@ -210,7 +230,9 @@ def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None
     assert verdicts["thrust against weight at ignition"] == "warning"
     assert set(verdicts.values()) == {"ok", "warning"}
     assert run(["check", HYBRID]) == 0
-    assert "cannot hover" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "cannot hover" in told
+    assert "at ignition: 0.903772 (at least 1)" in told
 
 
 def test_sweep_reports_what_is_impossible_and_goes_on(
@@ -223,9 +245,7 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
         ((name, values),) = over.items()
         asked.append(values)
         points = [module.FamilyPoint(value=values[0], solution=ordinary)]
-        points += [
-            module.FamilyPoint(value=v, solution=None, message="did not\nconverge") for v in values[1:]
-        ]
+        points += [module.FamilyPoint(value=v, solution=None, message="did not\nconverge") for v in values[1:]]
         return module.Family(problem=problem, parameter=name, unit="N", points=tuple(points))
 
     monkeypatch.setattr(module, "sweep", sweep)
@@ -241,12 +261,64 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
     assert capsys.readouterr().out == (out / "family.csv").read_text(encoding="utf-8")
 
 
+def family_of(solution: Solution, *, interrupted: bool = False) -> Callable[..., Family]:
+    """A sweep that answers every value with one solution, or is stopped after the first."""
+
+    def sweep(problem: Problem, over: dict[str, list[float]], *, level: int, watch: Any) -> Family:
+        ((name, values),) = over.items()
+        points = [FamilyPoint(value=value, solution=solution) for value in values]
+        points = points[:1] if interrupted else points
+        return Family(problem=problem, parameter=name, unit="", points=tuple(points), interrupted=interrupted)
+
+    return sweep
+
+
+def test_a_stopped_sweep_says_how_far_it_came(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(importlib.import_module("perilune.sweep"), "sweep", family_of(ordinary, interrupted=True))
+    out = tmp_path / "family"
+    assert run(["sweep", ORDINARY, "--vary", "vehicle.thrust=440:460:10 N", "--out", str(out), "--json"]) == 130
+    told = capsys.readouterr()
+    document = read_json(told.out)
+    assert document["interrupted"] is True
+    assert len(document["points"]) == 1
+    assert "1 of 3 values" in told.err
+    assert read_json((out / "family.json").read_text(encoding="utf-8")) == document
+
+
+@pytest.mark.parametrize(
+    ("file", "vary", "given"),
+    [
+        (HYBRID, "vehicle.dry_mass=50:100:50 kg", {"vehicle_dry_mass": 50.0}),
+        # The section comes with its key, so that the burn is free as in a file that has it.
+        (ORDINARY, "retro.specific_impulse=310:300:-10 s", {"retro_specific_impulse": 310.0}),
+    ],
+)
+def test_a_sweep_may_bring_its_key_into_the_scenario(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    hybrid: Solution,
+    file: str,
+    vary: str,
+    given: dict[str, float],
+) -> None:
+    module = importlib.import_module("perilune.sweep")
+    monkeypatch.setattr(module, "sweep", family_of(hybrid))
+    families: list[Any] = []
+    monkeypatch.setattr(
+        importlib.import_module("perilune.report.family"), "family_csv", lambda family: families.append(family) or ""
+    )
+    assert run(["sweep", file, "--vary", vary, "--level", "0"]) == 0
+    problem = families[0].problem
+    assert problem.free_names == ("retro_delta_v", "flight_time")
+    assert {name: problem.given[name].value for name in given} == given
+
+
 def test_a_real_sweep_through_the_jump(capsys: pytest.CaptureFixture[str]) -> None:
     # The retro burn stops paying at an impulsive Isp of 277.9 s: Cho et al. 2015 read about 280 s off their
     # Fig 10.
-    assert (
-        run(["sweep", HYBRID, "--vary", "retro.specific_impulse=278:277:-1 s", "--json", "--level", "1"]) == 0
-    )
+    assert run(["sweep", HYBRID, "--vary", "retro.specific_impulse=278:277:-1 s", "--json", "--level", "1"]) == 0
     points = read_json(capsys.readouterr().out)["points"]
     assert [round(p["results"]["delta_v"]["value"]) for p in points] == [1087, 0]
     assert all(p["outcome"] == "PROVED" for p in points)
@@ -273,3 +345,12 @@ def test_version_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"perilune {__version__}\n"
     assert run(["doctor", "--json"]) == 0
     assert {"python", "numpy", "casadi"} <= read_json(capsys.readouterr().out)["versions"].keys()
+
+
+def test_ctrl_c_before_the_work_has_begun(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(importlib.import_module("perilune.cli.commands"), "deliver", stopped)
+    assert run(["solve", HYBRID, "--json"]) == 130
+    assert read_json(capsys.readouterr().out)["outcome"] == "INTERRUPTED"

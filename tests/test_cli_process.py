@@ -72,9 +72,7 @@ def test_help_is_quick_and_loads_nothing_heavy() -> None:
     took = []
     for _ in range(3):
         start = time.perf_counter()
-        subprocess.run(
-            [sys.executable, "-m", "perilune", "--help"], capture_output=True, env=ENVIRONMENT, check=True
-        )
+        subprocess.run([sys.executable, "-m", "perilune", "--help"], capture_output=True, env=ENVIRONMENT, check=True)
         took.append(time.perf_counter() - start)
     assert min(took) < 0.5  # 0.17 s measured on an idle machine; the goal of 0.25 s is for benchmarks/
 
@@ -121,12 +119,23 @@ def test_a_bad_file_answers_quickly_and_small(tmp_path: Path, name: str) -> None
     assert took < 2.0  # 0.6 s measured
 
 
-def test_a_reader_that_leaves_early_is_no_fault() -> None:
-    process = subprocess.Popen(
-        [*COMMAND, "new"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT
-    )
+@pytest.mark.parametrize("arguments", [["new"], ["--help"], ["new", "--help"], ["--version"]])
+def test_a_reader_that_leaves_early_is_no_fault(arguments: list[str]) -> None:
+    process = subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT)
     assert process.stdout is not None and process.stderr is not None
     process.stdout.close()
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait(timeout=30) == 0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/dev/full is needed")
+def test_an_answer_that_cannot_be_written_is_told() -> None:
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        done = subprocess.run(
+            [*COMMAND, "new"], stdout=full, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, timeout=30, check=False
+        )
+    assert done.returncode == 2
+    assert "the answer cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr

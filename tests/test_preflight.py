@@ -52,9 +52,7 @@ def test_the_papers_lander_may_fly_with_a_warning() -> None:
     # Cho et al. 2015: feasible, although thrust is less than weight at ignition.
     found = preflight(lander())
     assert [f.name for f in found if not f.passed] == ["thrust against weight at ignition"]
-    assert finding(lander(), "thrust against weight at ignition").value == pytest.approx(
-        440 / 300 / 1.6243, rel=1e-3
-    )
+    assert finding(lander(), "thrust against weight at ignition").value == pytest.approx(440 / 300 / 1.6243, rel=1e-3)
 
 
 @pytest.mark.parametrize(("delta_v", "landed"), [(None, 160.6186), (0.0, 154.5413), (1200.9011, 160.6186)])
@@ -121,9 +119,7 @@ def test_the_mass_that_thrust_can_hold() -> None:
         (lander(delta_v=1700.0), "fly backwards"),
         (
             lander(
-                body=Body(
-                    name="earth", gravitational_parameter=3.986e14, radius=6.378e6, rotation_rate=7.29e-5
-                ),
+                body=Body(name="earth", gravitational_parameter=3.986e14, radius=6.378e6, rotation_rate=7.29e-5),
                 thrust=9e3,
             ),
             "not enough propellant",

@@ -8,7 +8,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from perilune.outcome import Outcome, PeriluneError
 from perilune.problem import Problem
 from perilune.report import write_all
 from perilune.report.export import results, solution_document, trajectory_csv, write_solution
-from perilune.report.family import family_csv, family_document, write_family
 from perilune.report.files import fresh_directory, json_text
 from perilune.report.history import columns, costate_unit, flown_control, hamiltonian
 from perilune.report.reload import hash_of, read_solution
@@ -186,10 +184,7 @@ def test_a_saved_solution_explains_itself(hybrid: Solution, tmp_path) -> None:
         *document,
         *(f"phases.{key}" for key in document["phases"][0]),
     }
-    assert (
-        document["phases"][0]["interpolation"]["control of kind direction"]
-        == "cubic Hermite, then normalised"
-    )
+    assert document["phases"][0]["interpolation"]["control of kind direction"] == "cubic Hermite, then normalised"
     assert document["scenario"] == {"text": SCENARIO, "sha256": hash_of(SCENARIO)}
     assert document["free"]["flight_time"]["unit"] == "s"
     assert document["multipliers"]["descent.touchdown_altitude"]["unit"] == "kg/m"
@@ -231,6 +226,10 @@ CURVE = "phases/0/state"
         (f"{CURVE}/values/0/0", None, "phases[0].state.values"),
         (f"{CURVE}/rates", [], "phases[0].state.rates"),
         ("phases/0/control/time/0", -1.0, "begin at 0"),
+        ("phases/0/control/values/3", [0.0, 0.0], "direction of length 0"),
+        ("free/flight_time/value", 1e9, "where the curves end"),
+        ("extremals/0/objective", -999.0, "not this solution"),
+        ("extremals/0/free/retro_delta_v", 3.0, "not this solution"),
         ("unknowns", [[1.0]], "unknowns"),
         ("statistics", [], "a record"),
     ],
@@ -310,9 +309,7 @@ def test_a_file_is_no_directory(tmp_path) -> None:
 def test_everything_is_written(hybrid: Solution, ordinary: Solution, tmp_path) -> None:
     """Solution, table, report and every figure twice; the report's pictures exist."""
     write_all(hybrid, tmp_path / "out", scenario_text=SCENARIO, ordinary=ordinary)
-    made = {
-        str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()
-    }
+    made = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert {"solution.json", "trajectory.csv", "report.md"} <= made
     report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
     pictures = re.findall(r"\((figures/\w+\.png)\)", report)
@@ -323,9 +320,7 @@ def test_everything_is_written(hybrid: Solution, ordinary: Solution, tmp_path) -
     assert "160.618584" in report and "**FAILED**" in report and "specific_impulse = '310 s'" in report
 
 
-def test_figures_are_deterministic_and_show_both_landings(
-    hybrid: Solution, ordinary: Solution, tmp_path
-) -> None:
+def test_figures_are_deterministic_and_show_both_landings(hybrid: Solution, ordinary: Solution, tmp_path) -> None:
     """Equal bytes on equal input; what is drawn is what was computed."""
     from perilune.report.figures import save, solution_figures
 
@@ -343,6 +338,11 @@ def test_figures_are_deterministic_and_show_both_landings(
 
 def test_summary_says_what_failed(hybrid: Solution) -> None:
     """A failed check is not hidden, and extremals are listed with their nature."""
+    text = solution_summary(hybrid, every_check=False)
+    assert "level 1, feasible:         1 of 1 checks passed" in text
+    assert "level 2, extremal:         1 of 1 checks FAILED" in text
+    assert "FAIL 2 H: nan" in text and "the Hamiltonian vanishes" in text
+    assert "ok   1" not in text
     text = solution_summary(hybrid)
     assert "160.618584 kg" in text and "local optimum, at a bound" in text
     assert "FAIL 2 H: nan" in text and "the Hamiltonian vanishes" in text
@@ -352,80 +352,3 @@ def test_summary_says_what_failed(hybrid: Solution) -> None:
 def test_a_bar_in_a_cell_does_not_break_the_table() -> None:
     """Markdown cells escape bars and line ends."""
     assert table(["a", "b"], [["|x|", "1\n2"]]).splitlines()[-1] == "| \\|x\\| | 1 2 |"
-
-
-# --- families ---
-
-
-@pytest.fixture
-def family(hybrid: Solution, ordinary: Solution) -> Any:
-    """Three members, the middle one failed."""
-    point = SimpleNamespace
-    return SimpleNamespace(
-        parameter="retro_specific_impulse",
-        unit="s",
-        points=(
-            point(value=310.0, solution=hybrid, message=""),
-            point(value=290.0, solution=None, message="no solution\n  try: less"),
-            point(value=270.0, solution=ordinary, message=""),
-        ),
-    )
-
-
-def test_a_family_is_a_table_with_its_failures(family: Any) -> None:
-    """A failed member has empty cells and its reason on the same row."""
-    rows = list(csv.reader(io.StringIO(family_csv(family))))
-    assert rows[0][0] == "retro_specific_impulse [s]" and "landed_mass [kg]" in rows[0]
-    assert [row[0] for row in rows[1:]] == ["310.0", "290.0", "270.0"]
-    assert rows[2][1:] == ["", "", "", "", "", "NOT_CONVERGED", "no solution try: less"]
-    document = family_document(family)
-    assert document["points"][0]["results"]["landed_mass"]["value"] == pytest.approx(160.6186, abs=5e-5)
-    assert document["points"][1]["results"] == {}
-
-
-def test_a_family_is_written_with_its_figure(family: Any, tmp_path) -> None:
-    """CSV, JSON, PNG and SVG; refuses to overwrite."""
-    write_family(family, tmp_path / "f")
-    assert sorted(path.name for path in (tmp_path / "f").iterdir()) == [
-        "family.csv", "family.json", "family.png", "family.svg",
-    ]  # fmt: skip
-    json.loads((tmp_path / "f" / "family.json").read_text(encoding="utf-8"))
-    with pytest.raises(PeriluneError, match="--force"):
-        write_family(family, tmp_path / "f")
-
-
-# --- the paper ---
-
-
-def test_printed_numbers_are_never_passed_off_as_computed(hybrid: Solution, ordinary: Solution) -> None:
-    """The computed column follows the solutions: swap them and it changes, the printed column does not."""
-    from perilune.report.cho2015 import PRINTED, computed_numbers
-
-    right: Any = SimpleNamespace(hybrid=hybrid, ordinary=ordinary)
-    swapped: Any = SimpleNamespace(hybrid=ordinary, ordinary=hybrid)
-    for name, (printed, _, _) in PRINTED.items():
-        computed = computed_numbers(right)[name]
-        assert computed != printed
-        assert computed == pytest.approx(printed, abs=5e-2 if name == "optimal retro burn" else 5e-5)
-        if name != "perilune speed V0":
-            assert abs(computed_numbers(swapped)[name] - printed) > 1.0
-
-
-def test_gain_of_the_retro_burn_compares_the_best_of_each_kind() -> None:
-    """The locally worst extremal does not count."""
-    from perilune.report.cho2015 import best_with_retro_burn, gain_of_retro_burn
-
-    def extremal(delta_v: float, mass: float, nature: Nature) -> Extremal:
-        return Extremal(free={"retro_delta_v": delta_v}, objective=-mass, nature=nature)
-
-    solution: Any = SimpleNamespace(
-        extremals=(
-            extremal(0.0, 154.0, Nature.BOUNDARY_GLOBAL_OPTIMUM),
-            extremal(130.0, 152.0, Nature.WORST),
-            extremal(1080.0, 153.5, Nature.LOCAL_OPTIMUM),
-        )
-    )
-    assert best_with_retro_burn(solution).free["retro_delta_v"] == 1080.0
-    assert gain_of_retro_burn(solution) == pytest.approx(-0.5)
-    with pytest.raises(PeriluneError, match="no extremal with a retro burn"):
-        best_with_retro_burn(SimpleNamespace(extremals=solution.extremals[:1]))  # type: ignore[arg-type]

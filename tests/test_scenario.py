@@ -64,17 +64,15 @@ def test_a_body_by_name_and_defaults() -> None:
 
 
 def test_the_template_names_every_key() -> None:
-    # The template with every comment sign before a key removed holds all keys of all sections.
-    from perilune.scenario.schema import SECTIONS
+    # The template with every comment sign before a key removed holds all keys of all sections of its kind.
+    from perilune.scenario.sections import LandingDocument, sections_of
 
     written = set(re.findall(r"^(?:# )?(\w+) = ", template(), re.MULTILINE))
-    assert written == {name for model in SECTIONS.values() for name in model.model_fields}
+    assert written == {name for model in sections_of(LandingDocument).values() for name in model.model_fields}
 
 
 def test_changes_are_in_the_text_that_is_kept() -> None:
-    scenario = load_file(
-        HYBRID, ["vehicle.thrust=500 N", 'landing.altitude="-1 km"', "vehicle.dry_mass=100 kg"]
-    )
+    scenario = load_file(HYBRID, ["vehicle.thrust=500 N", 'landing.altitude="-1 km"', "vehicle.dry_mass=100 kg"])
     assert scenario.problem.given["vehicle_thrust"].value == 500.0
     assert scenario.problem.given["vehicle_dry_mass"].value == 100.0
     again = load_text(scenario.text)
@@ -116,6 +114,10 @@ def test_a_change_may_add_a_section() -> None:
         ("body.name=mars", "a name and quantities", "leave out"),
         ("orbit.perilune_altitude=15 m", "lower than the terrain", "m in place of km"),
         ("orbit.parking_altitude=100000 km", "no longer rules the orbit", "km in place of m"),
+        ("orbit.parking_altitude=100 m", "lower than the terrain", "m in place of km"),
+        ("landing.altitude=-2000 km", "deeper than any valley", "km in place of m"),
+        ("vehicle.mass=1e999 kg", "not finite", "ordinary size"),
+        ("vehicle.mass=" + "9" * 300 + " kg", "too long", "nothing else"),
         ("retro.delta_v=-1 m/s", "retro.delta_v is out of range", ""),
         ("thrust=3 N", "this is not a change", "vehicle.thrust"),
         ("vehicle.thrust", "this is not a change", "vehicle.thrust"),
@@ -126,6 +128,7 @@ def test_a_slip_is_named_with_what_to_try(change: str, what: str, advice: str) -
     assert what in error.what
     assert advice in error.advice
     assert error.expected
+    assert error.advice
     assert error.exit_code == 2
 
 
@@ -207,8 +210,14 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(PeriluneError, match="too large"):
         load_file(path)
     path.write_bytes(b"\xff\xfe[body]")
-    with pytest.raises(PeriluneError, match="UTF-8"):
+    with pytest.raises(PeriluneError, match="UTF-8") as caught:
         load_file(path)
+    assert caught.value.expected and caught.value.advice
+
+
+def test_a_line_that_is_too_long_is_counted() -> None:
+    with pytest.raises(PeriluneError, match="3005 characters, 3004 in a line"):
+        load_text("\nx = " + "[" * 1500 + "]" * 1500)
 
 
 def test_a_byte_order_mark_and_windows_lines_are_read(tmp_path: Path) -> None:
@@ -248,6 +257,7 @@ def test_the_range_of_a_sweep() -> None:
 @pytest.mark.parametrize(
     ("key", "text", "what"),
     [
+        ("retro.delta_v", "nan:100:1 m/s", "retro.delta_v - this is not a quantity"),
         ("retro.delta_v", "0:100", "three parts"),
         ("retro.delta_v", "", "three parts"),
         ("retro.delta_v", "0:100:-50 m/s", "no end"),
@@ -261,5 +271,8 @@ def test_the_range_of_a_sweep() -> None:
     ],
 )
 def test_a_range_that_is_none_is_refused(key: str, text: str, what: str) -> None:
-    with pytest.raises(PeriluneError, match=re.escape(what)):
+    with pytest.raises(PeriluneError, match=re.escape(what)) as caught:
         values_of(key, text)
+    # Not what a scenario should say there, such as to leave the key out.
+    if what != "no key":
+        assert any(word in caught.value.advice for word in ("START", "larger step", "0:1600:50 m/s"))

@@ -42,8 +42,8 @@ _UNITS: dict[str, tuple[float, Dimension]] = {
 }
 
 _NUMBER = r"[+-]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][+-]?\d{1,3})?"
-_FACTOR = re.compile(r"([A-Za-z]+|1)(?:\^(-?\d))?")
-_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.{{0,60}}?)\s*", re.DOTALL)
+_FACTOR = re.compile(r"([A-Za-z]+|1)(?:\^(-?\d))?", re.ASCII)
+_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.{{0,60}}?)\s*", re.DOTALL | re.ASCII)
 _BASE_NAMES = ("m", "s", "kg")
 
 

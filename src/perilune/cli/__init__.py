@@ -9,32 +9,27 @@ Everything heavy is imported inside the commands, so that ``--help`` is quick.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from perilune.cli.answer import INTERRUPTED, refusal, say
-from perilune.cli.commands import app
-from perilune.outcome import PeriluneError
-
 
 def main() -> NoReturn:
     """Entry point of the console script."""
+    # Before NumPy is loaded: the matrices are tiny, and threads that wait for each other cost more than they give.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; the exit code."""
     try:
-        return int(app(args=list(arguments), prog_name="perilune", standalone_mode=False) or 0)
+        from perilune.cli.commands import obey
+
+        return obey(arguments)
     except KeyboardInterrupt:
-        return INTERRUPTED
-    except Exception as error:
-        # Only the parser of the arguments gets here: the commands answer for themselves.
-        message = getattr(error, "format_message", None)
-        if message is None:
-            raise
-        if code := getattr(error, "exit_code", 2):
-            usage = PeriluneError(message() or "no command", advice="perilune --help")
-            say(refusal(usage, code), as_json="--json" in arguments)
-        return code
+        # The commands answer for themselves; here is only who was quicker than the imports.
+        from perilune.cli.answer import INTERRUPTED, refusal, say, stopped
+
+        return say(refusal(stopped(), INTERRUPTED), as_json="--json" in arguments)

@@ -32,10 +32,15 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> NoReturn:
     except PeriluneError as error:
         answer = refusal(error, error.exit_code)
     except KeyboardInterrupt:
-        answer = refusal(PeriluneError("stopped by the user"), INTERRUPTED)
+        answer = refusal(stopped(), INTERRUPTED)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
-        answer = refusal(PeriluneError("a file cannot be read or written", got=f"{place}{error.strerror}"), 2)
+        fault = PeriluneError(
+            "a file cannot be read or written",
+            got=f"{place}{error.strerror}",
+            advice="choose another place; look at its rights and at the space that is left",
+        )
+        answer = refusal(fault, 2)
     except Exception as error:
         if os.environ.get("PERILUNE_TRACEBACK"):
             raise
@@ -45,8 +50,12 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> NoReturn:
             advice="report it with your scenario and what PERILUNE_TRACEBACK=1 shows",
         )
         answer = refusal(fault, 1)
-    say(answer, as_json)
-    raise typer.Exit(answer.exit_code)
+    raise typer.Exit(say(answer, as_json))
+
+
+def stopped() -> PeriluneError:
+    """What is said of Ctrl-C."""
+    return PeriluneError("stopped by the user")
 
 
 def refusal(error: PeriluneError, code: int) -> Answer:
@@ -58,8 +67,14 @@ def refusal(error: PeriluneError, code: int) -> Answer:
     return Answer(text=f"perilune: {error}", document=document, exit_code=code)
 
 
-def say(answer: Answer, as_json: bool) -> None:
-    """Print an answer where it belongs: a refusal on stderr, and on stdout as well if JSON is wanted."""
+def say(answer: Answer, as_json: bool) -> int:
+    """Print an answer where it belongs: a refusal on stderr, and on stdout as well if JSON is wanted.
+
+    Returns
+    -------
+    int
+        The exit code: the answer's, or that of a file that cannot be written where stdout cannot.
+    """
     refused = "error" in answer.document
     if refused:
         print(answer.text, file=sys.stderr)
@@ -71,7 +86,14 @@ def say(answer: Answer, as_json: bool) -> None:
             text = json_text(answer.document)
         try:
             print(text.rstrip("\n"), flush=True)
-        except (
-            BrokenPipeError
-        ):  # the reader has seen enough; Python must not complain when it flushes at exit
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        except OSError as error:
+            forsake_stdout()
+            if not isinstance(error, BrokenPipeError):  # a reader who has seen enough is no fault
+                print(f"perilune: the answer cannot be written\n  got: stdout: {error.strerror}", file=sys.stderr)
+                return answer.exit_code or 2
+    return answer.exit_code
+
+
+def forsake_stdout() -> None:
+    """Write nothing more to stdout, so that Python does not complain once more when it flushes at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from perilune.cli.answer import INTERRUPTED, Answer, deliver, refusal
-from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
+from perilune.cli.answer import INTERRUPTED, Answer, deliver, forsake_stdout, refusal, say
+from perilune.cli.doctor import diagnosis
+from perilune.cli.progress import LONGEST_LOG, failure_kept, note, progress, refuse_used, warn
 from perilune.outcome import InfeasibleError, PeriluneError
 
 if TYPE_CHECKING:
@@ -28,19 +31,57 @@ app = typer.Typer(
     epilog="Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converged, 5 not proved, 130 stopped.",
 )
 
-ScenarioFile = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Scenario in TOML; `perilune new` writes one.")
-]
+
+def obey(arguments: Sequence[str]) -> int:
+    """Parse a command line and do what it says; the exit code."""
+    command = typer.main.get_command(app)
+    try:
+        # Not `app(...)`, which takes Ctrl-C for itself and leaves without a word.
+        with command.make_context("perilune", list(arguments)) as context:
+            command.invoke(context)
+    except typer.Exit as left:
+        return left.exit_code
+    except BrokenPipeError:
+        forsake_stdout()
+    except Exception as error:
+        message = getattr(error, "format_message", None)  # of the parser's refusals
+        if message is None:
+            raise
+        usage = PeriluneError(message() or "no command", advice="perilune --help")
+        return say(refusal(usage, usage.exit_code), as_json="--json" in arguments)
+    return 0
+
+
+# The module of each paper has `reproduce`.
+PAPERS = {"cho-2015": "perilune.report.cho2015", "peng-2012": "perilune.report.peng2012"}
+
+ScenarioFile = Annotated[Path, typer.Argument(metavar="FILE", help="Scenario in TOML; `perilune new` writes one.")]
 Changes = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help='Change a value, e.g. "vehicle.thrust=500 N".'),
 ]
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Write everything into this directory.")
-]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write everything into this directory.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
-Verbose = Annotated[bool, typer.Option("--verbose", help="Show every iteration on stderr.")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Show every iteration on stderr, and every check.")]
+
+
+def _keep_no_code(chosen: bool) -> None:
+    if chosen:
+        os.environ["PERILUNE_CACHE"] = "off"  # read by perilune.kernels.cache
+
+
+NoCache = Annotated[
+    bool, typer.Option("--no-cache", callback=_keep_no_code, help="Compile anew and keep no machine code on disk.")
+]
+Method = Annotated[
+    str,
+    typer.Option(
+        "--method",
+        metavar="METHOD",
+        help="indirect; direct, which also flies along a limit; hybrid: genetic search, then direct.",
+    ),
+]
 Level = Annotated[int, typer.Option("--level", min=0, max=3, help="Verification level to prove; 0 for none.")]
 
 
@@ -68,31 +109,36 @@ def solve(
     verbose: Verbose = False,
     force: Force = False,
     level: Level = 3,
+    method: Method = "indirect",
+    no_cache: NoCache = False,
 ) -> None:
     """Find the best landing, without a guess, and prove it."""
-    deliver(as_json, lambda: _solve(file, changes or [], out, verbose, force, level))
+    deliver(as_json, lambda: _solve(file, changes or [], out, verbose, force, level, method))
 
 
 def _solve(
-    file: Path, changes: list[str], out: Path | None, verbose: bool, force: bool, level: int
+    file: Path, changes: list[str], out: Path | None, verbose: bool, force: bool, level: int, method: str
 ) -> Answer:
+    from perilune.cli.methods import method_of
     from perilune.models.preflight import check_propellant, preflight
     from perilune.scenario import load_file
 
+    chosen = method_of(method)
     scenario = load_file(file, changes)
-    warn(preflight(scenario.problem))
+    found = preflight(scenario.problem)
     refuse_used(out, force)
+    warn(found)
     from perilune.report import write_all
     from perilune.solve import solve as solve_problem
 
     log: deque[str] = deque(maxlen=LONGEST_LOG)
     with progress(verbose, log) as watch, failure_kept(scenario, out, force, log):
-        solution = solve_problem(scenario.problem, level=level, watch=watch)
+        solution = solve_problem(scenario.problem, chosen, level=level, watch=watch)
         if out is not None:
             watch("writing files and figures")
             write_all(solution, out, scenario_text=scenario.text, ordinary=_ordinary(solution), force=force)
     check_propellant(solution)
-    return _solution_answer(solution, out)
+    return _solution_answer(solution, verbose, out)
 
 
 def _ordinary(solution: Solution) -> Solution | None:
@@ -102,7 +148,7 @@ def _ordinary(solution: Solution) -> Solution | None:
     """
     from perilune.solve import solve as solve_problem
 
-    if not solution.parameters.retro_delta_v:
+    if not getattr(solution.parameters, "retro_delta_v", 0.0):
         return None
     try:
         return solve_problem(solution.problem.with_given(retro_delta_v=0.0), level=0)
@@ -110,11 +156,11 @@ def _ordinary(solution: Solution) -> Solution | None:
         return None
 
 
-def _solution_answer(solution: Solution, out: Path | None = None) -> Answer:
+def _solution_answer(solution: Solution, verbose: bool, out: Path | None = None) -> Answer:
     from perilune.report.export import solution_document
     from perilune.report.summary import solution_summary
 
-    text = solution_summary(solution) + (f"\n\nwritten to {out}" if out is not None else "")
+    text = solution_summary(solution, every_check=verbose) + (f"\n\nwritten to {out}" if out is not None else "")
     return Answer(text=text, document=solution_document(solution), exit_code=solution.outcome.exit_code)
 
 
@@ -130,6 +176,7 @@ def sweep(
     verbose: Verbose = False,
     force: Force = False,
     level: Level = 1,
+    no_cache: NoCache = False,
 ) -> None:
     """Solve along one parameter; table as CSV on stdout, with --out also as JSON and figure."""
     deliver(as_json, lambda: _sweep(file, vary, changes or [], out, verbose, force, level))
@@ -138,11 +185,11 @@ def sweep(
 def _sweep(
     file: Path, vary: str, changes: list[str], out: Path | None, verbose: bool, force: bool, level: int
 ) -> Answer:
-    from perilune.scenario import load_file, values_of
+    from perilune.scenario import values_of
 
     key, _, text = vary.partition("=")
     values = values_of(key.strip(), text)
-    problem = load_file(file, changes).problem
+    problem = _varied(file, changes, key.strip(), values)
     refuse_used(out, force)
     with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
         family = _family(problem, key.strip().replace(".", "_"), values, level, watch)
@@ -154,12 +201,31 @@ def _sweep(
     # At level 0 no proof was asked for, so none is missing.
     worst = max((c for c in codes if c != 5 or level), default=0, key=(0, 5, 4).index)
     code = INTERRUPTED if family.interrupted else worst
+    if family.interrupted:
+        note(f"stopped by the user with {len(family.points)} of {len(values)} values done, which are kept")
     return Answer(text=family_csv(family), document=family_document(family), exit_code=code)
 
 
-def _family(
-    problem: Problem, name: str, values: list[float], level: int, watch: Callable[..., None]
-) -> Family:
+def _varied(file: Path, changes: list[str], key: str, values: list[float]) -> Problem:
+    """The problem with the key in it; both ends of the range are checked as the file itself is."""
+    from perilune.scenario import load_file, quantity_of
+
+    found = None
+    for value in (values[-1], values[0]):
+        with suppress(InfeasibleError):  # the table will say so
+            found = load_file(file, [*changes, f"{key}={value!r} {quantity_of(key).unit}"]).problem
+    problem = found or load_file(file, changes).problem
+    if key.replace(".", "_") not in {*problem.given, *problem.free_names}:
+        raise PeriluneError(
+            f"{key} cannot be varied",
+            got=key,
+            expected="a parameter of the problem, not a bound of its controls",
+            advice=f'perilune solve with --set "{key}=VALUE", once for each value',
+        )
+    return problem
+
+
+def _family(problem: Problem, name: str, values: list[float], level: int, watch: Callable[..., None]) -> Family:
     """The family, in which values that pre-flight refuses, or that burn more than there is, say so."""
     from perilune.models.preflight import check_propellant, preflight
     from perilune.sweep import FamilyPoint, sweep as sweep_problem
@@ -183,9 +249,7 @@ def _family(
                 check_propellant(point.solution)
         except InfeasibleError as error:
             solved[value] = FamilyPoint(value=value, solution=None, message=str(error))
-    return replace(
-        family, points=tuple({**refused, **solved}[v] for v in values if v in refused or v in solved)
-    )
+    return replace(family, points=tuple({**refused, **solved}[v] for v in values if v in refused or v in solved))
 
 
 @app.command()
@@ -214,8 +278,8 @@ def _check(file: Path, changes: list[str]) -> Answer:
     ]
     lines = [problem.title]
     for row in rows:
-        limit = f"({row['relation']} {row['limit']:.6g})"
-        lines.append(f"  {row['verdict']:10} {row['name']}: {row['value']:.6g} {row['unit']} {limit}")
+        value = f"{row['value']:.6g} {row['unit']}".removesuffix(" 1")
+        lines.append(f"  {row['verdict']:10} {row['name']}: {value} ({row['relation']} {row['limit']:.6g})")
         lines += [f"             {row['meaning']}"] if row["meaning"] else []
     try:
         refuse_impossible(found)
@@ -232,7 +296,9 @@ def _check(file: Path, changes: list[str]) -> Answer:
 def verify(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="What `perilune solve --out` wrote.")],
     as_json: Json = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Show every check.")] = False,
     level: Annotated[int, typer.Option("--level", min=1, max=3, help="Verification level to prove.")] = 3,
+    no_cache: NoCache = False,
 ) -> None:
     """Prove a saved solution again, from its file alone."""
 
@@ -243,35 +309,40 @@ def verify(
 
         solution = prove(read_solution(directory), level)
         check_propellant(solution)
-        return _solution_answer(solution)
+        answer = _solution_answer(solution, verbose)
+        if len(solution.extremals) < 2:
+            return answer
+        return replace(
+            answer, text=f"{answer.text}\n\nthe other extremals are as the file lists them, not proved again"
+        )
 
     deliver(as_json, work)
 
 
 @app.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER", help="cho-2015")],
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="cho-2015 or peng-2012")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the report goes.")],
     as_json: Json = False,
     verbose: Verbose = False,
     force: Force = False,
+    no_cache: NoCache = False,
 ) -> None:
     """Compute every number and figure of a paper and set them beside the printed ones."""
 
     def work() -> Answer:
-        from perilune.problem import unknown_name
+        from importlib import import_module
 
-        if paper != "cho-2015":
-            raise unknown_name("paper", paper, ["cho-2015"])
-        from perilune.report import cho2015
+        from perilune.outcome import unknown_name
 
+        if paper not in PAPERS:
+            raise unknown_name("paper", paper, list(PAPERS))
         refuse_used(out, force)
         with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
-            made = cho2015.reproduce(out, force=force, watch=watch)
-        code = max(s.outcome.exit_code for s in (made.hybrid, made.ordinary))
+            outcome = import_module(PAPERS[paper]).reproduce(out, force=force, watch=watch).outcome
         report = str(out / "report.md")
-        document = {"paper": paper, "outcome": made.hybrid.outcome.name, "report": report}
-        return Answer(text=f"written to {report}", document=document, exit_code=code)
+        document = {"paper": paper, "outcome": outcome.name, "report": report}
+        return Answer(text=f"written to {report}", document=document, exit_code=outcome.exit_code)
 
     deliver(as_json, work)
 
@@ -299,32 +370,15 @@ def new(
             raise PeriluneError(
                 "the file is there already", got=str(file), advice="choose another name, or pass --force"
             ) from None
-        return Answer(
-            text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)}
-        )
+        return Answer(text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)})
 
     deliver(as_json, work)
 
 
 @app.command()
-def doctor(as_json: Json = False) -> None:
-    """Show versions and which optional parts are there."""
-
-    def work() -> Answer:
-        import platform
-        from importlib.util import find_spec
-
-        from perilune.report.export import versions
-
-        kernels = find_spec("llvmlite") is not None
-        document: dict[str, Any] = {
-            "versions": versions(),
-            "platform": f"{platform.system()} {platform.machine()}",
-            "machine_code": kernels,
-        }
-        lines = [f"{name:10} {version}" for name, version in document["versions"].items()]
-        lines += [f"{'platform':10} {document['platform']}"]
-        lines += ["machine code for arcs: " + ("yes" if kernels else "no, llvmlite is not installed: slower")]
-        return Answer(text="\n".join(lines), document=document)
-
-    deliver(as_json, work)
+def doctor(
+    as_json: Json = False,
+    clear_cache: Annotated[bool, typer.Option("--clear-cache", help="Remove the machine code kept on disk.")] = False,
+) -> None:
+    """Show versions, which optional parts are there, and the machine code kept on disk."""
+    deliver(as_json, lambda: diagnosis(clear_cache))

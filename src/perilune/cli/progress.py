@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import refusal
+from perilune.cli.answer import INTERRUPTED, refusal, stopped
 from perilune.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
@@ -55,10 +55,13 @@ def warn(found: Sequence[Finding]) -> None:
     """Print every comparison that did not pass."""
     for f in found:
         if not f.passed:
-            print(
-                f"warning: {f.meaning} ({f.name} {f.value:.4g}, limit {f.limit:.4g} {f.unit})",
-                file=sys.stderr,
-            )
+            limit = f"{f.limit:.4g} {f.unit}".removesuffix(" 1")
+            print(f"warning: {f.meaning} ({f.name} {f.value:.4g}, limit {limit})", file=sys.stderr)
+
+
+def note(text: str) -> None:
+    """Print what the reader of the answer should know beside it."""
+    print(f"perilune: {text}", file=sys.stderr)
 
 
 def refuse_used(out: Path | None, force: bool) -> None:
@@ -81,10 +84,8 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
             from perilune.report.files import fresh_directory, json_text
             from perilune.report.reload import hash_of
 
-            stopped = isinstance(error, KeyboardInterrupt)
-            said = refusal(
-                PeriluneError("stopped by the user") if stopped else error, getattr(error, "exit_code", 130)
-            )
+            known = error if isinstance(error, PeriluneError) else stopped()
+            said = refusal(known, getattr(error, "exit_code", INTERRUPTED))
             origin = {"sha256": hash_of(scenario.text), "text": scenario.text}
             with fresh_directory(out, force) as work:
                 document = {**said.document, "log": list(log), "scenario": origin, "versions": versions()}

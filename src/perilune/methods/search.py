@@ -64,7 +64,7 @@ class Search:
         self.history: list[Iteration] = []
         self.scanned = self._bounded_parameter()
         self.base: Member | None = None
-        self.rung = ""
+        self.rung, self.met = "", 0
         self.refusal: PeriluneError | None = None
         self.rough: Solution | None = None
 
@@ -165,6 +165,7 @@ class Search:
         name = "" if self.scanned is None else self.problem.free[self.scanned].name
         holds = [0.0] if self.scanned is None else np.linspace(*self._bounds(self.scanned), 5).tolist()
         breaking: list[Member] = []
+        self.met = 0
         for held in holds:
             where = f" with {name} held at {held * self._held_scale():.6g}" if name else ""
             self.watch("rung: costates on the unit sphere" + where)
@@ -174,6 +175,7 @@ class Search:
                     yield member, _SPHERE
                 else:
                     breaking.append(member)
+        self.tried.append(f"{_SPHERE}: {self.met} extremals, {len(breaking)} of them break a path condition")
         if self.base is None:
             yield from ((member, _SPHERE) for member in breaking)
 
@@ -209,7 +211,7 @@ class Search:
         for root in self._roots_from(self._sphere_starts(starts), held):
             if self._within_bounds(root.y) and not any(np.allclose(r.y, root.y, rtol=0, atol=1e-6) for r in roots):
                 roots.append(root)
-        self.tried.append(f"costates on the unit sphere: {len(roots)} extremals from {starts} starts")
+        self.met += len(roots)
         yield from sorted(roots, key=lambda root: self._objective(root.y))
 
     def _sphere_starts(self, count: int) -> Matrix:

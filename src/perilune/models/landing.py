@@ -279,7 +279,7 @@ def bookkeeping(solution: Solution) -> tuple[Check, ...]:
          "mass at ignition and the one the retro burn leaves"),
         ("propellant", "kg", mass[0] - mass[1] - p.vehicle_thrust / exhaust_speed * p.flight_time,
          "propellant burnt in the tables and thrust over exhaust speed times flight time"),
-        ("rocket_equation", "m/s", exhaust_speed * math.log(mass[0] / mass[1]) - gained,
+        ("rocket_equation", "m/s", exhaust_speed * float(np.log(mass[0] / mass[1])) - gained,
          "speed by the rocket equation and thrust acceleration integrated along the arc"),
     )  # fmt: skip
     return tuple(

@@ -64,7 +64,7 @@ def preflight(problem: Problem) -> tuple[Finding, ...]:
     Parameters
     ----------
     problem
-        A problem of `perilune.models.landing.hybrid_landing`.
+        A landing of `perilune.models.landing`, or a descent of `perilune.models.descent` or `precision`.
 
     Returns
     -------
@@ -95,9 +95,12 @@ def refuse_impossible(found: Iterable[Finding]) -> None:
 
 def findings(problem: Problem) -> tuple[Finding, ...]:
     """Every comparison, in the order in which they make sense; nothing is raised for a miss."""
-    if "orbit_perilune_altitude" not in problem.given:
-        raise PeriluneError("pre-flight knows landings only", got=problem.name, expected="hybrid_landing")
     p = problem.parameters({})
+    if "orbit_perilune_altitude" not in problem.given:
+        if "site_altitude" not in problem.given:
+            raise PeriluneError("pre-flight knows landings only", got=problem.name, expected="a landing or descent")
+        # What a descent in three dimensions cannot do is refused where its problem is made.
+        return (_thrust_against_weight(p, p.site_altitude),)
     where = geometry(p.orbit_perilune_altitude, p.orbit_parking_altitude, p.landing_altitude)
     if not all(f.passed for f in where):
         return where  # the rest would compute with an orbit that is none
@@ -136,7 +139,7 @@ def geometry(perilune: float, parking: float, site: float) -> tuple[Finding, ...
             unit="m",
             binding=True,
             meaning="the perilune lies above the parking orbit",
-            advice="exchange the two, or raise orbit.parking_altitude",
+            advice="exchange the two, or look for km in place of m",
         ),
     )
 
@@ -170,9 +173,7 @@ def _burns(p: Any) -> tuple[Finding, ...]:
                 at_least=False,
                 unit="m/s",
                 binding=True,
-                limit=p.retro_specific_impulse
-                * p.vehicle_standard_gravity
-                * math.log(p.vehicle_mass / least),
+                limit=p.retro_specific_impulse * p.vehicle_standard_gravity * math.log(p.vehicle_mass / least),
                 meaning=f"the retro burn needs more propellant than there is above {said}",
                 advice="lower retro.delta_v, or leave it out and the best one is found",
             )
@@ -220,9 +221,7 @@ def _mass_by_rocket_equation(p: Any, speed: float, retro: float | None) -> float
         isp * p.vehicle_standard_gravity for isp in (p.vehicle_specific_impulse, p.retro_specific_impulse)
     )
     if retro is None:
-        return p.vehicle_mass * math.exp(
-            -max(math.sqrt(speed**2 + fall) - ground, 0.0) / max(main, impulsive)
-        )
+        return p.vehicle_mass * math.exp(-max(math.sqrt(speed**2 + fall) - ground, 0.0) / max(main, impulsive))
     rest = max(math.sqrt((speed - retro) ** 2 + fall) - ground, 0.0)
     return p.vehicle_mass * math.exp(-retro / impulsive - rest / main)
 
@@ -233,15 +232,7 @@ def _warnings(p: Any) -> tuple[Finding, ...]:
     gravity = p.body_gravitational_parameter / r**2
     speed, ground = perilune_speed(p, NUMERIC), abs(p.body_rotation_rate) * r
     return (
-        Finding(
-            name="thrust against weight at ignition",
-            value=p.vehicle_thrust / (p.vehicle_mass * gravity),
-            limit=1.0,
-            at_least=True,
-            unit="1",
-            binding=False,
-            meaning="the lander cannot hover when it ignites: it must brake while its speed still carries it",
-        ),
+        _thrust_against_weight(p, p.landing_altitude),
         Finding(
             name="braking distance without gravity",
             value=_braking_distance(p, speed) / 1e3,
@@ -275,6 +266,20 @@ def _warnings(p: Any) -> tuple[Finding, ...]:
     )
 
 
+def _thrust_against_weight(p: Any, altitude: float) -> Finding:
+    """Whether the lander could hover when it ignites, with the weight at an altitude [m]."""
+    gravity = p.body_gravitational_parameter / (p.body_radius + altitude) ** 2
+    return Finding(
+        name="thrust against weight at ignition",
+        value=p.vehicle_thrust / (p.vehicle_mass * gravity),
+        limit=1.0,
+        at_least=True,
+        unit="1",
+        binding=False,
+        meaning="the lander cannot hover when it ignites: it must brake while its speed still carries it",
+    )
+
+
 def _braking_distance(p: Any, speed: float) -> float:
     """Distance [m] to stop from `speed` by thrust alone in free space: V tau - c t_b, tau = M c/T."""
     exhaust = p.vehicle_specific_impulse * p.vehicle_standard_gravity
@@ -288,9 +293,7 @@ def check_propellant(solution: Solution) -> None:
     Nothing where no dry mass is given.
     """
     dry_mass = getattr(solution.parameters, "vehicle_dry_mass", None)
-    landed = float(
-        solution.trajectories[-1].state.values[-1][solution.problem.phases[-1].state_names.index("m")]
-    )
+    landed = float(solution.trajectories[-1].state.values[-1][solution.problem.phases[-1].state_names.index("m")])
     if dry_mass is not None and landed < dry_mass:
         raise InfeasibleError(
             "there is not enough propellant: the best landing found burns more than the lander carries",

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from perilune.models.bodies import Body
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.outcome import PeriluneError
+from perilune.outcome import Outcome, PeriluneError
 from perilune.problem import Problem
 from perilune.report.export import results, versions
 from perilune.report.files import fresh_directory, json_text
@@ -84,6 +84,11 @@ class Reproduction:
     at_break_even: Solution
     at_printed_burn: Solution
 
+    @property
+    def outcome(self) -> Outcome:
+        """Of the landing that is proved worse."""
+        return max((self.hybrid.outcome, self.ordinary.outcome), key=lambda outcome: outcome.exit_code)
+
 
 def problem(retro: Retro | None = None, *, thrust: float = CONSTANTS.thrust) -> Problem:
     """State the paper's landing; without `retro`, the ordinary one."""
@@ -129,13 +134,11 @@ def reproduce(
     """
     from perilune.report.cho2015_report import figures, markdown
     from perilune.report.family import family_csv, family_document
-    from perilune.report.figures import save
+    from perilune.report.paper import save_figures
 
     with fresh_directory(out_dir, force) as work:
         made = compute(watch or (lambda _: None), level)
-        (work / "figures").mkdir()
-        for name, figure in figures(made).items():
-            save(figure, work / "figures", name)
+        save_figures(figures(made), work)
         for name, family in (("fig8", made.by_retro_burn), ("fig9_fig10", made.by_impulse)):
             (work / f"{name}.csv").write_text(family_csv(family), encoding="utf-8", newline="")
             (work / f"{name}.json").write_text(json_text(family_document(family)), encoding="utf-8")
@@ -158,9 +161,9 @@ def compute(watch: Watch, level: int = 3) -> Reproduction:
         watch(f"Fig 3: thrust to mass {acceleration:.2f} m/s^2")
         by_thrust[acceleration] = solve(problem(thrust=acceleration * CONSTANTS.mass), level=0, watch=watch)
     watch("Fig 8: landed mass for given retro burns")
-    by_retro_burn = sweep(whole, {"retro.delta_v": RETRO_BURNS}, level=0, watch=watch)
+    by_retro_burn = _whole(sweep(whole, {"retro.delta_v": RETRO_BURNS}, level=0, watch=watch))
     watch("Figs 9 and 10: the impulsive engine's specific impulse")
-    by_impulse = sweep(whole, {"retro.specific_impulse": IMPULSES}, level=0, watch=watch)
+    by_impulse = _whole(sweep(whole, {"retro.specific_impulse": IMPULSES}, level=0, watch=watch))
     watch("the specific impulse at which the retro burn stops paying")
     break_even, at_break_even = break_even_impulse(by_impulse, watch)
     watch("the landing with the printed retro burn (26)")
@@ -175,6 +178,13 @@ def compute(watch: Watch, level: int = 3) -> Reproduction:
         at_break_even=at_break_even,
         at_printed_burn=solve(problem(printed), level=0, watch=watch),
     )
+
+
+def _whole(family: Family) -> Family:
+    """Pass on Ctrl-C, which a sweep turns into a shorter family: a report on half the figures is none."""
+    if family.interrupted:
+        raise KeyboardInterrupt
+    return family
 
 
 def break_even_impulse(family: Family, watch: Watch) -> tuple[float, Solution]:

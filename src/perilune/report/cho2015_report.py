@@ -19,6 +19,15 @@ from perilune.report.cho2015 import (
 )
 from perilune.report.export import extremals_document, results
 from perilune.report.figures import flight_columns, lines, solution_figures
+from perilune.report.paper import (
+    CLAIMS_HEAD,
+    NUMBERS_HEAD,
+    highest,
+    illustrated,
+    number_rows,
+    verdict,
+    versions_line,
+)
 from perilune.report.summary import solution_summary, table
 from perilune.solution import Solution
 
@@ -76,7 +85,6 @@ def figures(made: Reproduction) -> dict[str, Figure]:
 
 def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
     """Write the report."""
-    captions = [f"![{text}](figures/{name}.png)\n\n*{text}*" for name, text in _CAPTIONS.items()]
     first_slips = [list(row) for row in _SLIPS]
     parts = [
         "# Optimal lunar landing with a hybrid engine: the paper and our numbers",
@@ -84,15 +92,15 @@ def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
         "Mathematical Problems in Engineering 2015, 462072. Columns *printed* hold what the paper prints. "
         "Everything else was computed when this report was made, without a guess.",
         "## Numbers",
-        table(["quantity", "where", "printed", "computed", "computed - printed", "unit"], _number_rows(made)),
+        table(NUMBERS_HEAD, number_rows(PRINTED, computed_numbers(made))),
         "## Claims",
-        table(["claim", "where", "computed", "holds"], _claim_rows(made)),
+        table(CLAIMS_HEAD, _claim_rows(made)),
         "## Discrepancies",
         _discrepancies(made),
         "### Misprints, and what is easily missed",
         table(["where", "printed or implied", "used here"], first_slips),
         "## Figures",
-        *captions,
+        *illustrated(_CAPTIONS),
         "## Data",
         "`fig8.csv` and `fig9_fig10.csv` (and the same as JSON) hold the points of Figs 8, 9 and 10.",
         *_failures(made),
@@ -105,27 +113,9 @@ def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
             ["constant (SI)", "value"],
             [[f.name.replace("_", " "), f"{getattr(CONSTANTS, f.name):.8g}"] for f in fields(CONSTANTS)],
         ),
-        "Versions: " + ", ".join(f"{name} {version}" for name, version in versions.items()) + ".",
+        versions_line(versions),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _number_rows(made: Reproduction) -> list[list[str]]:
-    computed = computed_numbers(made)
-    rows = []
-    for name, (printed, unit, where) in PRINTED.items():
-        decimals = len(str(printed).partition(".")[2])
-        rows.append(
-            [
-                name,
-                where,
-                f"{printed:.{decimals}f}",
-                f"{computed[name]:.{decimals + 2}f}",
-                f"{computed[name] - printed:+.1e}",
-                unit,
-            ]
-        )
-    return rows
 
 
 def _claim_rows(made: Reproduction) -> list[list[str]]:
@@ -134,11 +124,11 @@ def _claim_rows(made: Reproduction) -> list[list[str]]:
     ratio = results(hybrid)["flight_time"]["value"] / results(ordinary)["flight_time"]["value"]
     saved = results(ordinary)["propellant"]["value"] - results(hybrid)["propellant"]["value"]
     share = saved / results(ordinary)["propellant"]["value"]
-    climb = _highest(ordinary, "altitude") - CONSTANTS.perilune_altitude
+    climb = highest(ordinary, "altitude") - CONSTANTS.perilune_altitude
     climbs = [
-        _highest(s, "altitude") - CONSTANTS.perilune_altitude for _, s in sorted(made.by_thrust.items())
+        highest(s, "altitude") - CONSTANTS.perilune_altitude for _, s in sorted(made.by_thrust.items())
     ]
-    rising, beta = _highest(hybrid, "v"), _highest(hybrid, "thrust_angle")
+    rising, beta = highest(hybrid, "v"), highest(hybrid, "thrust_angle")
     burns = _points(made, "by_retro_burn", "landed_mass")
     best = max(burns, key=lambda row: row[1])[0]
     paying = [
@@ -150,24 +140,24 @@ def _claim_rows(made: Reproduction) -> list[list[str]]:
     ]
     falls = all(a[1] > b[1] and a[2] > b[2] for a, b in pairwise(paying))
     return [
-        ["the ordinary landing climbs first", "Fig 2", f"by {climb / 1e3:.2f} km", _yes(climb > 0)],
+        ["the ordinary landing climbs first", "Fig 2", f"by {climb / 1e3:.2f} km", verdict(climb > 0)],
         [
             "more thrust to mass, less climb", "Fig 3", ", ".join(f"{c / 1e3:.2f}" for c in climbs) + " km",
-            _yes(all(b < a or a <= 1e-6 for a, b in pairwise(climbs))),
+            verdict(all(b < a or a <= 1e-6 for a, b in pairwise(climbs))),
         ],
-        ["the hybrid never climbs (v ≤ 0)", "Figs 4, 6", f"v ≤ {rising:.1e} m/s", _yes(rising <= 1e-6)],
-        ["its thrust angle stays below 180°", "Fig 7", f"β ≤ {beta:.9f}°", _yes(beta <= 180 + 1e-9)],
-        ["flight time falls to a third", "text", f"{ratio:.4f} of the ordinary one", _yes(ratio < 1 / 3)],
-        ["about 6 kg of fuel saved", "text", f"{saved:.4f} kg", _yes(abs(saved - 6) < 0.5)],
-        ["that is about 4 % of the fuel", "text", f"{100 * share:.2f} %", _yes(abs(100 * share - 4) < 0.5)],
-        ["landed mass peaks near 1200 m/s", "Fig 8", f"at {best:g} m/s of 33", _yes(abs(best - 1200) < 25)],
+        ["the hybrid never climbs (v ≤ 0)", "Figs 4, 6", f"v ≤ {rising:.1e} m/s", verdict(rising <= 1e-6)],
+        ["its thrust angle stays below 180°", "Fig 7", f"β ≤ {beta:.9f}°", verdict(beta <= 180 + 1e-9)],
+        ["flight time falls to a third", "text", f"{ratio:.4f} of the ordinary one", verdict(ratio < 1 / 3)],
+        ["about 6 kg of fuel saved", "text", f"{saved:.4f} kg", verdict(abs(saved - 6) < 0.5)],
+        ["that is about 4 % of the fuel", "text", f"{100 * share:.2f} %", verdict(abs(100 * share - 4) < 0.5)],
+        ["landed mass peaks near 1200 m/s", "Fig 8", f"at {best:g} m/s of 33", verdict(abs(best - 1200) < 25)],
         [
             "retro burn and landed mass fall with the impulsive specific impulse", "Figs 9, 10",
-            f"{len(paying)} values down to {paying[-1][0]:g} s", _yes(falls),
+            f"{len(paying)} values down to {paying[-1][0]:g} s", verdict(falls),
         ],
         [
             "no benefit below about 280 s", "Fig 10", f"below {made.break_even_impulse:.3f} s",
-            _yes(abs(made.break_even_impulse - PRINTED_NO_BENEFIT_BELOW) < 5),
+            verdict(abs(made.break_even_impulse - PRINTED_NO_BENEFIT_BELOW) < 5),
         ],
     ]  # fmt: skip
 
@@ -259,11 +249,3 @@ def _points(made: Reproduction, family: str, quantity: str) -> list[tuple[float,
         for point in getattr(made, family).points
         if point.solution is not None
     ]
-
-
-def _highest(solution: Solution, name: str) -> float:
-    return max(float(column.values.max()) for _, column in flight_columns(solution, name))
-
-
-def _yes(holds: bool) -> str:
-    return "yes" if holds else "**no**"

@@ -25,7 +25,7 @@ FAMILY_NAME = "family"
 
 
 def family_document(family: Family) -> dict[str, Any]:
-    """Make the tree: parameter, unit, and for each point its value, outcome, results and message."""
+    """Make the tree: parameter, unit, whether Ctrl-C cut it short; of each point value, outcome, results, message."""
     factor, unit = _shown(family.unit)
     points = []
     for point in family.points:
@@ -39,7 +39,7 @@ def family_document(family: Family) -> dict[str, Any]:
                 "message": point.message,
             }
         )
-    return finite({"parameter": family.parameter, "unit": unit, "points": points})
+    return finite({"parameter": family.parameter, "unit": unit, "interrupted": family.interrupted, "points": points})
 
 
 def family_csv(family: Family) -> str:
@@ -70,9 +70,7 @@ def family_figure(family: Family) -> Figure:
         )
         for name, unit in _result_units(document).items()
     }
-    shown = {
-        text: y for text, y in table.items() if np.isfinite(y).any() and _varies(y) and not _same(y, value)
-    }
+    shown = {text: y for text, y in table.items() if np.isfinite(y).any() and _varies(y) and not _same(y, value)}
     name = document["parameter"].replace("_", " ")
     return family_panels(value, shown or table, f"{name} ({document['unit']})")
 

@@ -1,5 +1,7 @@
 """Figures of a landing as a reader of Cho et al. 2015 knows them: histories, costates, minimum condition.
 
+Those of a descent in three dimensions are in `perilune.report.spatial`.
+
 Every function returns a `matplotlib.figure.Figure` made by the object interface: no global state, no window,
 no display. One column wide (3.4 in) with 8 pt text, so that it is legible in a two-column paper; the colours
 are those of Okabe and Ito (2008), told apart by every colour vision, and lines differ in dash as well. `save`
@@ -19,7 +21,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from perilune.problem import Direction
-from perilune.report.history import Column, columns, flown_control, hamiltonian, hamiltonian_terms
+from perilune.report.history import Column, columns, flown_control, hamiltonian, hamiltonian_terms, required_hamiltonian
 from perilune.solution import Solution
 
 COLUMN_WIDTH = 3.4  # inches
@@ -56,6 +58,7 @@ HISTORIES = {
     "thrust_angle": ("thrust angle β (deg)", 1.0),
     "mass": ("mass (kg)", 1.0),
 }
+_PLANAR = ("horizontal_velocity", "vertical_velocity", "thrust_angle")
 _COLUMN_OF = {"horizontal_velocity": "u", "vertical_velocity": "v", "mass": "m"}
 
 
@@ -73,13 +76,17 @@ def solution_figures(solution: Solution, ordinary: Solution | None = None) -> di
     if ordinary is not None:
         flights[label(ordinary)] = ordinary
     known = columns(solution)
-    made: dict[str, Figure] = {
-        name: history(flights, name) for name in HISTORIES if _COLUMN_OF.get(name, name) in known
-    }
-    if {"r", "phi"} <= set(known) and hasattr(solution.parameters, "body_radius"):
+    planar = "thrust_angle" in known  # elsewhere u, v and phi are other quantities
+    names = HISTORIES if planar else [name for name in HISTORIES if name not in _PLANAR]
+    made: dict[str, Figure] = {name: history(flights, name) for name in names if _COLUMN_OF.get(name, name) in known}
+    if planar and {"r", "phi"} <= set(known) and hasattr(solution.parameters, "body_radius"):
         from perilune.report.limb import path_over_limb
 
         made["path"] = path_over_limb(flights)
+    if not planar:
+        from perilune.report.spatial import spatial_figures
+
+        made |= spatial_figures(flights, known)
     if solution.trajectories[0].costate is not None:
         made["costates"] = costates(solution)
         made["hamiltonian"] = optimality(solution)
@@ -190,7 +197,8 @@ def _costate_symbol(column: Column) -> str:
 @styled
 def optimality(solution: Solution) -> Figure:
     """H along the arc, and what turning the thrust adds to H, which must not be negative."""
-    t = np.linspace(0.0, solution.trajectories[0].duration, 601)
+    # Without the ends, where coordinates may be singular (a start over the pole).
+    t = np.linspace(0.0, solution.trajectories[0].duration, 603)[1:-1]
     phase = solution.problem.phases[0]
     per = f"{solution.problem.objective_unit}/s"
     planar = (
@@ -200,12 +208,13 @@ def optimality(solution: Solution) -> Figure:
     )
     figure, axes = new_figure(height=3.6 if planar else 2.2, rows=2 if planar else 1)
     axes = np.atleast_1d(axes)
-    H = hamiltonian(solution, 0, t)
+    H, required = hamiltonian(solution, 0, t), required_hamiltonian(solution, 0)
     largest = max(np.abs(term).max() for term in hamiltonian_terms(solution, 0, t))
     # Zero has no place on a logarithmic axis; the floor is below the rounding of double precision.
-    axes[0].semilogy(t, np.maximum(np.abs(H) / largest, 1e-17), ".", color=BLUE, markersize=1.5)
-    axes[0].set_ylim(1e-17, max(1e-9, 10 * float(np.abs(H).max() / largest)))
-    axes[0].set_ylabel(r"$|H|\,/\,\max|\lambda_i \dot x_i|$")
+    axes[0].semilogy(t, np.maximum(np.abs(H - required) / largest, 1e-17), ".", color=BLUE, markersize=1.5)
+    axes[0].set_ylim(1e-17, max(1e-9, 10 * float(np.abs(H - required).max() / largest)))
+    error = f"|H{-required:+g}|" if required else "|H|"
+    axes[0].set_ylabel(rf"${error}\,/\,\max|\lambda_i \dot x_i|$")
     if planar:
         u = flown_control(phase, solution.trajectories[0], t)
         for degrees, colour, dash in ((180, VERMILION, "--"), (45, BLUE, "-"), (5, GREEN, "-.")):
@@ -220,7 +229,7 @@ def optimality(solution: Solution) -> Figure:
         axes[1].legend(
             loc="lower center", bbox_to_anchor=(0.45, 1.0), ncols=3, handlelength=2.0, columnspacing=1.0
         )
-    axes[-1].set(xlabel="time from ignition (s)", xlim=(0, t[-1]))
+    axes[-1].set(xlabel="time from ignition (s)", xlim=(0, solution.trajectories[0].duration))
     figure.align_ylabels()
     return figure
 
@@ -232,8 +241,9 @@ def lines(
     marks: Sequence[tuple[float, float, str, tuple[float, float]]] = (),
     height: float = 2.3,
     from_zero: bool = False,
+    log: bool = False,
 ) -> Figure:
-    """Curves (x, y, style, name) and marked points (x, y, text, offset of the text in pt)."""
+    """Curves (x, y, style, name) and marked points (x, y, text, offset of the text in pt); y logarithmic with `log`."""
     figure, axes = new_figure(height)
     colours = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
     named = 0
@@ -249,6 +259,9 @@ def lines(
     axes.set(xlabel=labels[0], ylabel=labels[1])
     if from_zero:
         axes.set_xlim(left=0)
+    if log:
+        axes.set_yscale("log")
+    elif from_zero:
         axes.set_ylim(bottom=0)
     if named:
         legend_above(figure, axes, columns=min(named, 3))
@@ -263,7 +276,9 @@ def family_panels(value: np.ndarray, results: Mapping[str, np.ndarray], paramete
     axes = np.atleast_1d(axes)
     order = np.argsort(value)
     for ax, (text, y) in zip(axes, results.items(), strict=False):
-        ax.plot(value[order], y[order], "o-", color=BLUE, markersize=2.5, linewidth=1.0)
+        # The optimum may jump between two points: the line only guides the eye.
+        ax.plot(value[order], y[order], "-", color=GREY, alpha=0.5, linewidth=0.6)
+        ax.plot(value[order], y[order], "o", color=BLUE, markersize=2.5)
         for failed in value[~np.isfinite(y)]:
             ax.axvline(failed, color=VERMILION, linewidth=0.8, linestyle=":")
         ax.set_ylabel(text.replace(" (", "\n("))

@@ -38,7 +38,9 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
     """
     target = Path(target)
     if target.exists() and not target.is_dir():
-        raise PeriluneError("the output directory is a file", got=str(target), expected="a directory")
+        raise PeriluneError(
+            "the output directory is a file", got=str(target), expected="a directory", advice="choose another name"
+        )
     if not force and target.is_dir() and any(target.iterdir()):
         raise PeriluneError(
             "the output directory is not empty",
@@ -53,6 +55,7 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
         raise PeriluneError(
             "the output directory cannot be written",
             got=f"{target}: {error.strerror}",
+            expected="a directory that you may write",
             advice="choose another",
         ) from error
     try:

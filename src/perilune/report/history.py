@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from perilune.maths import NUMERIC
 from perilune.problem import Direction, Phase
 from perilune.solution import Solution, Trajectory
 from perilune.types import Matrix, Vector
@@ -62,6 +64,17 @@ def hamiltonian_terms(solution: Solution, k: int, t: Vector, control: Matrix | N
     u = flown_control(phase, trajectory, t) if control is None else control
     rates = phase.rates(trajectory.state(t).T, list(u.T), solution.parameters)
     return [lam * rate for lam, rate in zip(trajectory.costate(t).T, rates, strict=True)]
+
+
+def required_hamiltonian(solution: Solution, k: int) -> float:
+    """Value that H of phase k must have, in units of J per second: minus dJ/dT, as its duration T is free.
+
+    0 where J sees the end state only, -1 where J is the flight time.
+    """
+    p, name, step = solution.parameters, solution.problem.phases[k].duration, 1e-20
+    end = solution.problem.phases[-1].state_record(*solution.trajectories[-1].state.values[-1])
+    moved = SimpleNamespace(**{**vars(p), name: getattr(p, name) + 1j * step})
+    return 0.0 - float(np.imag(solution.problem.objective(end, moved, NUMERIC))) / step
 
 
 def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str, Column]:

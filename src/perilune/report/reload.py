@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from perilune.outcome import Outcome, PeriluneError
-from perilune.problem import Problem
+from perilune.problem import Direction, Phase, Problem
 from perilune.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
 
 FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 1, "solution.json"
@@ -31,9 +31,7 @@ def hash_of(scenario_text: str) -> str:
     return hashlib.sha256(scenario_text.encode("utf-8")).hexdigest()
 
 
-def read_solution(
-    directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None
-) -> Solution:
+def read_solution(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Solution:
     """Load a saved solution.
 
     Parameters
@@ -62,21 +60,17 @@ def read_solution(
     free = _numbers(document, "free")
     if set(free) != set(problem.free_names):
         _refuse("free", ", ".join(sorted(free)) or "none", ", ".join(problem.free_names) or "none")
-    outcome = _member(
-        Outcome, Outcome.__members__.get(_text(_part(document, "outcome", dict), "name")), "outcome"
-    )
+    outcome = _member(Outcome, Outcome.__members__.get(_text(_part(document, "outcome", dict), "name")), "outcome")
     return Solution(
         problem=problem,
         method=_text(document, "method"),
         outcome=Outcome.SOLVED if outcome in (Outcome.PROVED, Outcome.NOT_PROVED) else outcome,
         objective=_number(_part(document, "objective", dict), "value", "objective"),
         free=free,
-        trajectories=_trajectories(document, problem),
+        trajectories=_trajectories(document, problem, free),
         multipliers=_numbers(document, "multipliers"),
-        extremals=_extremals(document),
-        unknowns=None
-        if document.get("unknowns") is None
-        else _array(document["unknowns"], "unknowns", (None,)),
+        extremals=_extremals(document, free),
+        unknowns=None if document.get("unknowns") is None else _array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(_part(document, "statistics", dict)),
     )
 
@@ -92,12 +86,14 @@ def _document(path: Path) -> dict[str, Any]:
             "there is no saved solution here",
             got=f"{path}: {error.strerror}",
             expected=f"a directory with {SOLUTION_FILE}, as `perilune solve --out` writes it",
+            advice="perilune solve FILE --out DIR",
         ) from error
     if len(raw) > LARGEST_FILE:
         raise PeriluneError(
             "the saved solution is too large",
             got=f"more than {LARGEST_FILE} bytes",
             expected="a few megabytes",
+            advice="solve again with --out",
         )
     try:
         document = json.loads(raw.decode("utf-8"), parse_constant=_no_constant)
@@ -105,7 +101,10 @@ def _document(path: Path) -> dict[str, Any]:
         if isinstance(error, PeriluneError):
             raise
         raise PeriluneError(
-            "the saved solution is not readable JSON", got=f"{type(error).__name__}: {str(error)[:120]}"
+            "the saved solution is not readable JSON",
+            got=str(error)[:120],
+            expected=f"{SOLUTION_FILE} as `perilune solve --out` writes it, whole",
+            advice="solve again with --out",
         ) from error
     head = document.get("format") if isinstance(document, dict) else None
     if not isinstance(head, dict) or head.get("name") != FORMAT_NAME or head.get("version") != FORMAT_VERSION:
@@ -113,6 +112,7 @@ def _document(path: Path) -> dict[str, Any]:
             "this is not a saved solution of this program",
             got=f"format {str(head)[:60]}",
             expected=f"{FORMAT_NAME}, version {FORMAT_VERSION}",
+            advice="solve again with --out",
         )
     return document
 
@@ -141,7 +141,7 @@ def _check_given(document: Mapping[str, Any], problem: Problem) -> None:
         _refuse("given", ", ".join(sorted(extra)), "only parameters that the scenario gives")
 
 
-def _trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajectory, ...]:
+def _trajectories(document: Mapping[str, Any], problem: Problem, free: Mapping[str, float]) -> tuple[Trajectory, ...]:
     entries = _part(document, "phases", list)
     if len(entries) != len(problem.phases):
         _refuse("phases", str(len(entries)), str(len(problem.phases)))
@@ -156,16 +156,34 @@ def _trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajec
         ends = {float(c.time[-1]) for c in (state, control, costate) if c is not None}
         if len(ends) > 1:
             _refuse(where, f"curves that end at {sorted(ends)} s", "one duration")
+        _check_directions(phase, control, f"{where}.control")
+        # Small differences are for the proof to find; with large ones it would have nothing to compute with.
+        duration = free.get(phase.duration)
+        if duration is not None and not math.isclose(duration, max(ends), rel_tol=1e-3):
+            _refuse(f"free.{phase.duration}", f"{duration:g} s", f"{max(ends):g} s, where the curves end")
         trajectories.append(Trajectory(phase=phase.name, state=state, control=control, costate=costate))
     return tuple(trajectories)
+
+
+def _check_directions(phase: Phase, control: Curve, where: str) -> None:
+    """Refuse a control that points nowhere; whether it points where it should is for the proof to find."""
+    first = 0
+    for component in phase.controls:
+        part = slice(first, first + len(component.names))
+        first = part.stop
+        if isinstance(component, Direction) and np.linalg.norm(control.values[:, part], axis=1).min() < 0.5:
+            _refuse(where, "a direction of length 0", "directions of length 1")
 
 
 def _curve(entry: Mapping[str, Any], name: str, width: int, where: str) -> Curve:
     tables = _part(entry, name, dict)
     where = f"{where}.{name}"
     time = _array(tables.get("time"), f"{where}.time", (None,))
-    if not 2 <= len(time) <= MOST_NODES or time[0] != 0.0 or not (np.diff(time) > 0).all():
-        _refuse(f"{where}.time", f"{len(time)} nodes", f"2 to {MOST_NODES} increasing times that begin at 0")
+    # At a switch a time stands there twice, once for each side.
+    ordered = 2 <= len(time) <= MOST_NODES and (np.diff(time) >= 0).all() and (time[2:] > time[:-2]).all()
+    if not ordered or time[0] != 0.0:
+        expected = f"2 to {MOST_NODES} increasing times that begin at 0, the same twice at a switch only"
+        _refuse(f"{where}.time", f"{len(time)} nodes", expected)
     shape = (len(time), width)
     return Curve(
         time=time,
@@ -174,12 +192,12 @@ def _curve(entry: Mapping[str, Any], name: str, width: int, where: str) -> Curve
     )
 
 
-def _extremals(document: Mapping[str, Any]) -> tuple[Extremal, ...]:
+def _extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> tuple[Extremal, ...]:
     entries = _part(document, "extremals", list)
     if len(entries) > MOST_ENTRIES or not all(isinstance(e, dict) for e in entries):
         _refuse("extremals", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")
     natures = {nature.value: nature for nature in Nature}
-    return tuple(
+    found = tuple(
         Extremal(
             free={str(k): _number(e["free"], k, "extremals.free") for k in _part(e, "free", dict)},
             objective=_number(e, "objective", "extremals"),
@@ -187,6 +205,10 @@ def _extremals(document: Mapping[str, Any]) -> tuple[Extremal, ...]:
         )
         for e in entries
     )
+    own = (_number(_part(document, "objective", dict), "value", "objective"), *free.values())
+    if found and not np.allclose([found[0].objective, *(found[0].free.get(k, math.nan) for k in free)], own, rtol=1e-6):
+        _refuse("extremals", "a first one that is not this solution", "this solution first")
+    return found
 
 
 def _statistics(entry: Mapping[str, Any]) -> Statistics:
@@ -269,5 +291,8 @@ def _refuse(where: str, got: str, expected: str) -> NoReturn:
 
 def _no_constant(name: str) -> NoReturn:
     raise PeriluneError(
-        "the saved solution holds a number that is not finite", got=name, expected="finite numbers"
+        "the saved solution holds a number that is not finite",
+        got=name,
+        expected="finite numbers",
+        advice="solve again with --out",
     )

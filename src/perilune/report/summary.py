@@ -8,7 +8,7 @@ from typing import Any
 
 from perilune.report.export import extremals_document, results
 from perilune.solution import Solution
-from perilune.verification import LEVEL_NAMES
+from perilune.verification import LEVEL_NAMES, Verification
 
 _DIGITS = {"kg": 6, "m/s": 4, "s": 4}
 
@@ -17,33 +17,39 @@ _CAPTIONS = {
     "altitude": "Altitude",
     "horizontal_velocity": "Horizontal velocity",
     "vertical_velocity": "Vertical velocity",
-    "thrust_angle": "Thrust angle",
-    "mass": "Mass",
+    "thrust_angle": "Thrust angle, from the direction of flight along the horizon",
+    "mass": "Mass; the propellant of a retro burn is gone before ignition",
+    "track": "Path from the side and from above",
+    "velocities": "Velocity relative to the body",
+    "steering": "Thrust direction, and throttle where there is one",
     "costates": "Costates",
     "hamiltonian": "Hamiltonian, and what turning the thrust away would cost",
 }
 
 
-def solution_summary(solution: Solution) -> str:
-    """Plain text for a terminal, 80 columns: results, extremals, proof, how it was found."""
+def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
+    """Plain text for a terminal, 80 columns: results, extremals, proof, how it was found.
+
+    Without `every_check` the checks are counted, level by level, and only those that failed are shown.
+    """
     lines = [
         f"{solution.problem.title or solution.problem.name}: {solution.outcome.name}",
         f"  {solution.outcome.value}",
         "",
     ]
     for name, entry in results(solution).items():
-        lines.append(
-            f"  {name.replace('_', ' '):16}{quantity(entry['value'], entry['unit']):>16} {entry['unit']}"
-        )
+        lines.append(f"  {name.replace('_', ' '):16}{quantity(entry['value'], entry['unit']):>16} {entry['unit']}")
     rows = _extremal_rows(solution)
     if len(rows) > 1:
         lines += ["", "extremals, best first"]
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
     verification = solution.verification
     lines += ["", f"verification: level {verification.level} ({LEVEL_NAMES[verification.level]})"]
-    for c in verification.checks:
-        mark = "ok  " if c.passed else "FAIL"
-        lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g} (limit {c.limit:.2g}) {c.unit}")
+    if not every_check:
+        lines += _counted(verification)
+    for c in verification.checks if every_check else verification.failed:
+        mark, unit = "ok  " if c.passed else "FAIL", "" if c.unit == "1" else f" {c.unit}"
+        lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g}{unit} (limit {c.limit:.2g})")
         if not c.passed:
             lines.append(f"         {c.meaning}")
     lines += ["", _how(solution)]
@@ -67,10 +73,7 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     parts.append(
         table(
             ["quantity", "value", "unit"],
-            [
-                [n.replace("_", " "), quantity(e["value"], e["unit"]), e["unit"]]
-                for n, e in results(solution).items()
-            ],
+            [[n.replace("_", " "), quantity(e["value"], e["unit"]), e["unit"]] for n, e in results(solution).items()],
         )
     )
     rows = _extremal_rows(solution)
@@ -129,11 +132,20 @@ def _padded(rows: list[list[str]], row: list[str]) -> Iterable[tuple[str, int]]:
     return zip(row, [max(len(r[i]) for r in rows) for i in range(len(row))], strict=True)
 
 
+def _counted(verification: Verification) -> list[str]:
+    """One line for each level that has checks."""
+    lines = []
+    for level, name in enumerate(LEVEL_NAMES):
+        here = [c.passed for c in verification.checks if c.level == level]
+        if here:
+            count = f"{here.count(all(here))} of {len(here)} checks {'passed' if all(here) else 'FAILED'}"
+            lines.append(f"  level {level}, {name + ':':18}{count}")
+    return lines
+
+
 def _proof(solution: Solution) -> str:
     verification = solution.verification
-    lines = [
-        f"Level {verification.level}: {LEVEL_NAMES[verification.level]}. A check passes within its limit."
-    ]
+    lines = [f"Level {verification.level}: {LEVEL_NAMES[verification.level]}. A check passes within its limit."]
     if not verification.checks:
         return "Not verified. `perilune verify` proves a saved solution."
     rows = [
@@ -156,7 +168,8 @@ def _how(solution: Solution) -> str:
     text = f"method {solution.method}"
     if s.rung:
         text += f"; start: {s.rung}"
-    if len(s.tried) > 1:
-        text += f" (tried: {', '.join(s.tried)})"
-    text += f"; {s.iterations} iterations"
-    return text + (f"; {s.wall_time:.2f} s" if math.isfinite(s.wall_time) else "")
+    text += f"; {s.iterations} iteration{'' if s.iterations == 1 else 's'}"
+    text += f"; {s.wall_time:.2f} s" if math.isfinite(s.wall_time) else ""
+    # A list in Markdown as well; what a mesh missed, by condition, is in solution.json.
+    steps = [f"- {step.partition(' (')[0]}" for step in s.tried] if len(s.tried) > 1 else []
+    return text + ("\n\n" + "\n".join(steps) if steps else "")

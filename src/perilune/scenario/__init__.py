@@ -5,29 +5,42 @@ unit; every refusal names the key as the user writes it (``vehicle.specific_impu
 what *looks* wrong is refused too, with the slip it looks like: an exhaust velocity for a specific impulse, km
 for m, degrees for radians.
 
+A landing from orbit has these sections (``problem.kind = "hybrid_landing"``, which need not be stated):
+
     [body]      name, or gravitational_parameter, radius and rotation_rate
     [vehicle]   mass, thrust, specific_impulse; standard_gravity, dry_mass may be given
     [retro]     specific_impulse; delta_v fixes the burn; without the section the landing is an ordinary one
     [orbit]     parking_altitude, perilune_altitude
     [landing]   altitude (0 m unless given)
+
+A descent in three dimensions has [body], which may have j2, and [vehicle], and for ``kind = "powered_descent"``
+
+    [problem]   kind; coordinates, target, minimise as of `perilune.models.descent.powered_descent`
+    [start]     altitude, longitude, latitude, heading, forward_speed; sideways_speed, vertical_speed
+    [site]      altitude, longitude, latitude
+    [steering]  elevation_lower, elevation_upper, azimuth_lower, azimuth_upper; may be left out
+    [throttle]  lower, upper: shares of full thrust; without the section thrust is constant
+
+or for ``kind = "precision_landing"`` [problem], [site], [throttle] and
+
+    [approach]  east, north, up from the site; east_speed, north_speed, up_speed
+    [corridor]  tilt, slope; pad_radius
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.preflight import geometry, refuse_impossible
-from perilune.problem import Given, Problem
-from perilune.scenario.plausible import body_of, check_altitudes, check_vehicle
-from perilune.scenario.schema import checked, values_of
+from perilune.problem import Problem
+from perilune.scenario.build import problem_of
+from perilune.scenario.schema import checked, quantity_of, values_of
 from perilune.scenario.text import apply, parse, read, written
 
-__all__ = ["Scenario", "load_file", "load_text", "template", "values_of"]
+__all__ = ["Scenario", "load_file", "load_text", "quantity_of", "template", "values_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,20 +88,4 @@ def template() -> str:
 
 
 def _problem(document: Mapping[str, Any]) -> Problem:
-    sections = checked(document)
-    body, orbit, vehicle = body_of(sections.body), sections.orbit, sections.vehicle
-    refuse_impossible(geometry(orbit.perilune_altitude, orbit.parking_altitude, sections.landing.altitude))
-    check_altitudes(orbit, body)
-    check_vehicle(vehicle)
-    problem = hybrid_landing(
-        Vehicle(**vehicle.model_dump(exclude={"dry_mass"})),
-        None if sections.retro is None else Retro(**sections.retro.model_dump()),
-        Orbit(**orbit.model_dump()),
-        body,
-        sections.landing.altitude,
-    )
-    if vehicle.dry_mass is None:
-        return problem
-    return replace(
-        problem, given={**problem.given, "vehicle_dry_mass": Given(value=vehicle.dry_mass, unit="kg")}
-    )
+    return problem_of(checked(document))

@@ -9,21 +9,20 @@ import math
 from typing import NoReturn
 
 from perilune.models import bodies
-from perilune.outcome import PeriluneError
-from perilune.problem import unknown_name
-from perilune.scenario.schema import BodySection, OrbitSection, VehicleSection, quantity_of
+from perilune.outcome import PeriluneError, unknown_name
+from perilune.scenario.schema import quantity_of
+from perilune.scenario.sections import BodySection, LandingSection, OrbitSection, VehicleSection
 
-GRAVITATIONAL_CONSTANT = (
-    6.6743e-11  # m^3/(kg s^2), CODATA 2018; only for the plausibility of a body's density
-)
+GRAVITATIONAL_CONSTANT = 6.6743e-11  # m^3/(kg s^2), CODATA 2018; only for the plausibility of a body's density
 # Comets have about 500 kg/m^3 and Mercury and the Earth 5500; a slip between km and m changes the density
 # 1e9-fold.
 DENSITIES = (50.0, 50_000.0)
+DEEPEST_SITE = 0.1  # of the radius; the deepest basin known, on Vesta, has about 0.08
 
 
 def body_of(section: BodySection) -> bodies.Body:
     """Body of a section: by its name or by its three quantities."""
-    given = section.model_dump(exclude={"name"})
+    given = section.model_dump(include={"gravitational_parameter", "radius", "rotation_rate"})
     if section.name is not None:
         if any(value is not None for value in given.values()):
             _refuse(
@@ -78,21 +77,30 @@ def _check_body(body: bodies.Body, like: bodies.Body | None) -> None:
         )
 
 
-def check_altitudes(orbit: OrbitSection, body: bodies.Body) -> None:
-    """Refuse altitudes that a slip between km and m makes."""
-    if orbit.perilune_altitude < 1e-4 * body.radius:
-        _refuse(
-            "orbit.perilune_altitude is lower than the terrain",
-            got=f"{orbit.perilune_altitude:g} m",
-            expected=f"at least {1e-4 * body.radius:.3g} m",
-            advice="look for m in place of km",
-        )
+def check_altitudes(orbit: OrbitSection, landing: LandingSection, body: bodies.Body) -> None:
+    """Refuse altitudes that a slip between km and m makes; what is not above the surface is another matter."""
+    terrain = 1e-4 * body.radius
+    for name, altitude in orbit:
+        if 0.0 < altitude < terrain:
+            _refuse(
+                f"orbit.{name} is lower than the terrain",
+                got=f"{altitude:g} m",
+                expected=f"at least {terrain:.3g} m",
+                advice="look for m in place of km",
+            )
     if orbit.parking_altitude > 50 * body.radius:
         _refuse(
             "orbit.parking_altitude is so high that the body no longer rules the orbit",
             got=f"{orbit.parking_altitude / 1e3:g} km",
             expected=f"at most {50 * body.radius / 1e3:.3g} km, 50 radii",
             advice="look for km in place of m",
+        )
+    if landing.altitude < -DEEPEST_SITE * body.radius:
+        _refuse(
+            "landing.altitude is deeper than any valley",
+            got=f"{landing.altitude / 1e3:g} km",
+            expected=f"at least {-DEEPEST_SITE * body.radius / 1e3:.3g} km",
+            advice="altitudes are above the radius of the body; look for km in place of m",
         )
 
 
@@ -111,6 +119,7 @@ def check_vehicle(vehicle: VehicleSection) -> None:
             "vehicle.dry_mass leaves no propellant",
             got=f"{vehicle.dry_mass:g} kg of {vehicle.mass:g} kg",
             expected="vehicle.dry_mass < vehicle.mass",
+            advice="vehicle.mass is that before the retro burn, propellant included; look for g in place of kg",
         )
 
 

@@ -27,6 +27,8 @@ class Quantity:
 
     def __call__(self, value: object) -> float:
         """Value in SI; PeriluneError with what is wrong, without the key."""
+        if self.unit == "1" and _is_number(value):
+            value = repr(value)  # without a unit there is nothing to guess
         if not isinstance(value, str):
             raise PeriluneError(
                 "must be a number and a unit in quotes",
@@ -39,6 +41,7 @@ class Quantity:
                 "the text is too long",
                 got=f"{len(value)} characters",
                 expected=f'for example "{self.example}"',
+                advice="a number and a unit, nothing else",
             )
         number = self._parse(value)
         if number < self.low or number > self.high or (self.above_low and number == self.low):
@@ -46,7 +49,7 @@ class Quantity:
                 "is out of range",
                 got=repr(value),
                 expected=self._range(),
-                advice=self.hint or f'"{self.example}"',
+                advice=self.hint or f'for example "{self.example}"',
             )
         return number
 
@@ -58,13 +61,14 @@ class Quantity:
                 error.what,
                 got=error.got,
                 expected=f'for example "{self.example}"',
-                advice=self.hint or error.advice,
+                advice=self.hint or error.advice or "write a number of ordinary size",
             ) from None
 
     def _range(self) -> str:
+        unit = "" if self.unit == "1" else f" {self.unit}"
         if math.isinf(self.high):
-            return f"{'above' if self.above_low else 'at least'} {self.low:g} {self.unit}"
-        return f"between {self.low:g} and {self.high:g} {self.unit}"
+            return f"{'above' if self.above_low else 'at least'} {self.low:g}{unit}"
+        return f"between {self.low:g} and {self.high:g}{unit}"
 
 
 def _is_number(value: object) -> bool:

@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from perilune.outcome import PeriluneError
-from perilune.problem import unknown_name
-from perilune.scenario.schema import SECTIONS
+from perilune.outcome import PeriluneError, unknown_name
+from perilune.scenario.sections import DOCUMENTS, sections_of
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
 LONGEST_LINE = 1000  # characters; keeps the time of the TOML parser linear in practice
@@ -32,7 +31,12 @@ def read(path: Path) -> str:
         with path.open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
     except OSError as error:
-        raise PeriluneError("the scenario file cannot be read", got=f"{path}: {error.strerror}") from error
+        raise PeriluneError(
+            "the scenario file cannot be read",
+            got=f"{path}: {error.strerror}",
+            expected="a file you may read",
+            advice="look at its rights",
+        ) from error
     if len(raw) > LARGEST_FILE:
         raise PeriluneError(
             "the scenario file is too large",
@@ -44,17 +48,22 @@ def read(path: Path) -> str:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise PeriluneError(
-            "the scenario file is not text in UTF-8", got=f"byte {raw[error.start]:#04x} at {error.start}"
+            "the scenario file is not text in UTF-8",
+            got=f"byte {raw[error.start]:#04x} at {error.start}",
+            expected="a TOML file, which is text in UTF-8",
+            advice="save it in this encoding, or start from `perilune new`",
         ) from None
 
 
 def parse(text: str) -> dict[str, Any]:
     """Tree of a text that keeps the limits."""
-    if len(text) > LARGEST_FILE or max(map(len, text.splitlines()), default=0) > LONGEST_LINE:
+    longest = max(map(len, text.splitlines()), default=0)
+    if len(text) > LARGEST_FILE or longest > LONGEST_LINE:
         raise PeriluneError(
             "the scenario is too long",
-            got=f"{len(text)} characters",
+            got=f"{len(text)} characters, {longest} in a line",
             expected=f"at most {LARGEST_FILE}, and {LONGEST_LINE} in a line",
+            advice="compare with `perilune new`",
         )
     _check_nesting(text)
     try:
@@ -86,6 +95,7 @@ def _check_nesting(text: str) -> None:
             "the scenario is nested too deeply",
             got=f"{deepest} brackets inside each other",
             expected="sections with keys, nothing deeper",
+            advice="compare with `perilune new`",
         )
 
 
@@ -100,8 +110,9 @@ def apply(document: dict[str, Any], change: str) -> None:
             expected="SECTION.KEY=VALUE",
             advice='for example --set "vehicle.thrust=500 N"',
         )
-    if section not in SECTIONS:
-        raise unknown_name("section", section, list(SECTIONS))
+    known = list(dict.fromkeys(name for form in DOCUMENTS.values() for name in sections_of(form)))
+    if section not in known:
+        raise unknown_name("section", section, known)
     table = document.setdefault(section, {})
     if isinstance(table, dict):  # anything else is refused later, with the file's own fault named
         table[name] = value.strip().strip("\"'")

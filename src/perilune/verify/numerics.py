@@ -8,6 +8,7 @@ makes matrices comparable.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -141,7 +142,7 @@ def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float
         s = (t - nodes[i]) / widths[i]
         u = [a + s * (b + s * (c + s * d)) for a, b, c, d in pieces[i]]
         for first, last in groups:
-            length = sum(v * v for v in u[first:last]) ** 0.5
+            length = sum(v * v for v in u[first:last]) ** 0.5 or math.nan  # no direction at all fails every check
             u[first:last] = [v / length for v in u[first:last]]
         return u
 

@@ -1,0 +1,47 @@
+"""``perilune doctor``: versions, whether arcs run as machine code, and what of it is kept on disk."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from perilune.cli.answer import Answer
+
+
+def diagnosis(clear_cache: bool) -> Answer:
+    """Look, and remove the machine code kept on disk before if that is wanted."""
+    import platform
+    from importlib.util import find_spec
+
+    from perilune.kernels import cache
+    from perilune.report.export import versions
+
+    removed = cache.clear() if clear_cache else None
+    kept, compiles = cache.report(), find_spec("llvmlite") is not None
+    document: dict[str, Any] = {
+        "versions": versions(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "machine_code": compiles,
+        "cache": {
+            "path": None if kept.path is None else str(kept.path),
+            "files": kept.files,
+            "bytes": kept.size,
+            "usable": kept.usable,
+        },
+    }
+    lines = [f"{name:10} {version}" for name, version in document["versions"].items()]
+    lines += [f"{'platform':10} {document['platform']}"]
+    lines += ["machine code for arcs: " + ("yes" if compiles else "no, llvmlite is not installed: slower")]
+    lines += ["machine code on disk: " + _shown(kept)]
+    if removed is not None:
+        document["cache"]["removed"] = removed
+        lines += [f"  {removed} files removed"]
+    elif kept.files:
+        lines += ["  remove it: perilune doctor --clear-cache"]
+    return Answer(text="\n".join(lines), document=document)
+
+
+def _shown(kept: Any) -> str:
+    if kept.path is None:
+        return "none is kept: PERILUNE_CACHE is off, or there is no home directory"
+    text = f"{kept.files} files, {kept.size / 1e6:.1f} MB, in {kept.path}"
+    return text if kept.usable else f"{text}, which cannot be used: others may write there, or you may not"

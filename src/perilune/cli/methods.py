@@ -1,0 +1,35 @@
+"""The methods by the names that the command line gives them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from perilune.outcome import unknown_name
+
+if TYPE_CHECKING:
+    from perilune.solve import Method
+
+NAMES = ("indirect", "direct", "hybrid")
+
+
+def method_of(name: str) -> Method:
+    """The method of a name, with its default settings.
+
+    Raises
+    ------
+    PeriluneError
+        If there is none.
+    """
+    if name not in NAMES:
+        raise unknown_name("method", name, list(NAMES))
+    from perilune.methods.indirect import Indirect
+    from perilune.methods.pseudospectral import Pseudospectral
+
+    if name == "indirect":
+        return Indirect()
+    if name == "direct":
+        return Pseudospectral()
+    from perilune.genetic import Genetic
+    from perilune.methods.hybrid import Hybrid
+
+    return Hybrid(Genetic(), Pseudospectral())

@@ -1,0 +1,214 @@
+"""Scenarios of descents in three dimensions: what they say is what is solved, proved, saved and proved again."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from command_line import ROOT, read_json
+from perilune.cli import run
+from perilune.cli.methods import NAMES, method_of
+from perilune.outcome import InfeasibleError, PeriluneError
+from perilune.report.peng2012 import CASE, problem
+from perilune.scenario import load_file, load_text
+from perilune.scenario.sections import DOCUMENTS, sections_of
+
+POLAR = ROOT / "examples" / "polar_descent.toml"
+HYBRID = ROOT / "examples" / "hybrid_lander.toml"
+PRECISION = ROOT / "examples" / "precision_landing.toml"
+
+
+# --- what a file says
+
+
+def test_the_example_is_the_papers_descent() -> None:
+    """Number for number the case that the report solves."""
+    stated, ours = load_file(POLAR).problem, problem(steering=CASE.steering)
+    said, meant = ({name: g.value for name, g in p.given.items()} for p in (stated, ours))
+    assert said == pytest.approx(meant, rel=1e-12, abs=1e-15)
+    assert stated.objective_unit == "kg"
+    assert stated.phases[0].state_names == ours.phases[0].state_names
+
+
+def test_choices_reach_the_model() -> None:
+    """Coordinates, target, objective, throttle and oblateness."""
+    changes = ["problem.coordinates=spherical", "problem.target=anywhere", "problem.minimise=flight_time"]
+    stated = load_file(POLAR, [*changes, "throttle.lower=0.2", "throttle.upper=0.9", "body.j2=2.03e-4"]).problem
+    phase = stated.phases[0]
+    assert phase.state_names == ("r", "theta", "phi", "u", "v", "w", "m")
+    assert len(phase.end_conditions) == 4
+    assert stated.objective_unit == "s"
+    bounds = {c.names[0]: (getattr(c, "lower", None), getattr(c, "upper", None)) for c in phase.controls}
+    assert bounds["throttle"] == (0.2, 0.9)
+    assert bounds["beta"] == pytest.approx((math.radians(150), math.radians(220)))
+    assert stated.given["body_j2"].value == 2.03e-4
+
+
+def test_the_precision_landing_is_the_file_s() -> None:
+    given = {name: g.value for name, g in load_file(PRECISION).problem.given.items()}
+    assert given["approach_east"] == -1800.0
+    assert given["corridor_tilt"] == pytest.approx(math.radians(50))
+    assert given["corridor_pad_radius"] == 10.0
+    assert given["site_altitude"] == 0.0
+    assert given["vehicle_dry_mass"] == 1200.0
+    controls = load_file(PRECISION).problem.phases[0].controls
+    assert (controls[1].lower, controls[1].upper) == (0.3, 0.9)  # type: ignore[union-attr]
+
+
+def test_a_share_may_be_written_with_and_without_quotes() -> None:
+    """There is no unit that could be guessed wrongly."""
+    text = PRECISION.read_text(encoding="utf-8")
+    quoted = text.replace("lower = 0.3", 'lower = "0.3"').replace("upper = 0.9", "upper = 1")
+    assert load_text(quoted).phases[0].controls[1].upper == 1.0  # type: ignore[union-attr]
+
+
+def test_every_kind_is_stated_by_an_example() -> None:
+    """And each section that its kind needs is in it."""
+    kinds = {
+        "hybrid_lander": "hybrid_landing",
+        "polar_descent": "powered_descent",
+        "precision_landing": "precision_landing",
+    }
+    assert set(kinds.values()) == set(DOCUMENTS)
+    for name, kind in kinds.items():
+        text = (ROOT / "examples" / f"{name}.toml").read_text(encoding="utf-8")
+        needed = [s for s, field in DOCUMENTS[kind].model_fields.items() if field.is_required()]
+        assert all(f"[{section}]" in text for section in needed)
+        assert set(needed) <= set(sections_of(DOCUMENTS[kind]))
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "what", "also"),
+    [
+        (POLAR, "problem.kind=descent", "no problem.kind of this name", "powered_descent"),
+        (POLAR, "problem.target=crater", "unknown target", "downrange"),
+        (POLAR, "problem.coordinates=polar", "unknown coordinates", "spherical"),
+        (POLAR, "problem.minimise=cost", "unknown minimise", "propellant"),
+        (POLAR, "start.latitude=91 deg", "latitude lies beyond the pole", "91 deg"),
+        (POLAR, "start.latitude=90", "start.latitude - this is not a quantity", "90 deg"),
+        (POLAR, "start.heading=3 km", "start.heading - the unit has the wrong dimension", "north"),
+        (POLAR, "steering.elevation_upper=-60 deg", "elevation are not a range", "-60 deg"),
+        (POLAR, "orbit.parking_altitude=100 km", "[orbit] belongs to another kind", "hybrid_landing"),
+        (POLAR, "throttle.upper=0.9", "throttle.lower is missing", "0.3"),
+        (POLAR, "site.altitude=16 km", "begins below the landing site", "15 km"),
+        (POLAR, "vehicle.thrust=45 MN", "more than a lander withstands", "kN in place of N"),
+        (POLAR, "body.name=moon", "a name and quantities", "leave out"),
+        (PRECISION, "throttle.lower=0.95", "throttle's bounds are no range", "0.95 to 0.9"),
+        (PRECISION, "throttle.lower=-0.1", "throttle.lower is out of range", "between 0 and 1"),
+        (PRECISION, "throttle.upper=90 deg", "throttle.upper is out of range", "between 0 and 1"),
+        (PRECISION, "corridor.tilt=95 deg", "corridor tilt is no angle", "95 deg"),
+        (PRECISION, "approach.up=-1 m", "begins below the site", "> 0 m"),
+        (PRECISION, "body.j3=1", "no key of this name in [body]", "'j2'"),
+        (PRECISION, "problem.target=site", "no key of this name in [problem]", "kind"),
+        (HYBRID, "start.altitude=3 km", "[start] belongs to another", "powered_descent"),
+        (HYBRID, "body.j2=0", "no key of this name in [body]", "radius"),
+    ],
+)  # fmt: skip
+def test_a_slip_is_named(file: Path, change: str, what: str, also: str) -> None:
+    """With the key or the section, and with what would do."""
+    with pytest.raises(PeriluneError) as caught:
+        load_file(file, [change])
+    assert what in caught.value.what
+    assert also in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "what"),
+    [
+        (POLAR, "vehicle.dry_mass=12 t", "propellant cannot take away the speed"),
+        (PRECISION, "corridor.slope=60 deg", "begins below the glide slope"),
+        (PRECISION, "throttle.lower=0.85", "hovers or climbs"),
+        (PRECISION, "vehicle.thrust=2 kN", "cannot stop the descent"),
+    ],
+)
+def test_the_impossible_is_infeasible(file: Path, change: str, what: str) -> None:
+    with pytest.raises(InfeasibleError, match=what):
+        load_file(file, [change])
+
+
+@pytest.mark.parametrize(
+    "text", ["problem = 3", "[problem]\nkind = 3", "[problem]\nkind = ['a']", "[problem.kind]\na = 1"]
+)
+def test_a_kind_that_is_no_text_is_refused(text: str) -> None:
+    with pytest.raises(PeriluneError):
+        load_text(text + "\n")
+
+
+# --- the command line
+
+
+@pytest.mark.parametrize(
+    ("file", "truth", "drawn"),
+    [
+        (POLAR, {"flight_time": (472.796, 2e-3), "propellant": (5947.95, 0.03)}, "altitude"),
+        (PRECISION, {"propellant": (79.74, 0.01)}, "mass"),
+    ],
+)  # fmt: skip
+def test_an_example_is_solved_proved_and_written(
+    file: Path, truth: dict[str, tuple[float, float]], drawn: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At level 3; what is written is proved again from its file alone; the throttle's switches do not prevent it."""
+    out = tmp_path / "out"
+    assert run(["solve", str(file), "--out", str(out), "--json"]) == 0
+    document = read_json(capsys.readouterr().out)
+    assert document["outcome"] == "PROVED"
+    assert document["verification"]["level"] == 3
+    for name, (value, error) in truth.items():
+        assert document["results"][name]["value"] == pytest.approx(value, abs=error)
+    figures = {path.stem for path in (out / "figures").glob("*.png")}
+    assert {"track", "velocities", "steering", "hamiltonian", drawn} <= figures
+    assert all(f"(figures/{name}.png)" in (out / "report.md").read_text(encoding="utf-8") for name in figures)
+    assert run(["verify", str(out), "--level", "2"]) == 0
+    assert "PROVED" in capsys.readouterr().out
+
+
+def test_check_answers_without_solving(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(POLAR), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["outcome"] == "POSSIBLE"
+    assert document["findings"][0]["value"] == pytest.approx(45e3 / (15e3 * 4902.8e9 / 1740e3**2))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_methods_by_name(name: str) -> None:
+    assert (
+        type(method_of(name)).__name__ == {"indirect": "Indirect", "direct": "Pseudospectral", "hybrid": "Hybrid"}[name]
+    )
+
+
+def test_the_direct_method_takes_angles_which_the_indirect_one_refuses(capsys: pytest.CaptureFixture[str]) -> None:
+    """Bounded angles in the paper's coordinates; the same flight time."""
+    spherical = ["solve", str(POLAR), "--set", "problem.coordinates=spherical", "--json"]
+    assert run(spherical) == 2
+    assert "direct method" in read_json(capsys.readouterr().out)["error"]["try"]
+    run([*spherical, "--method", "direct", "--level", "0"])
+    document = read_json(capsys.readouterr().out)
+    assert document["method"] == "pseudospectral"
+    assert document["results"]["flight_time"]["value"] == pytest.approx(472.79556231, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["solve", str(POLAR), "--method", "shooting"], "no method of this name"),
+        (["sweep", str(PRECISION), "--vary", "throttle.lower=0.1:0.3:0.1"], "throttle.lower cannot be varied"),
+        (["reproduce", "peng-2013", "--out", "x"], "no paper of this name"),
+    ],
+)
+def test_commands_refuse_by_name(arguments: list[str], what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(arguments) == 2
+    assert what in capsys.readouterr().err
+
+
+def test_a_sweep_over_the_site(capsys: pytest.CaptureFixture[str]) -> None:
+    """Degrees in, degrees out; a site further aside costs more."""
+    assert run(["sweep", str(POLAR), "--vary", "site.longitude=0:6:3 deg", "--level", "0"]) == 0
+    rows = [line.split(",") for line in capsys.readouterr().out.splitlines()]
+    assert rows[0][0] == "site_longitude [deg]"
+    assert [float(row[0]) for row in rows[1:]] == pytest.approx([0.0, 3.0, 6.0])
+    masses = [float(row[1]) for row in rows[1:]]
+    assert masses == sorted(masses, reverse=True)
