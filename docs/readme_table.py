@@ -16,9 +16,7 @@ DIGITS = {"m/s": 5, "kg": 5, "s": 3, "deg": 5}
 BRACKET = (277.85, 277.90)
 
 
-def against_the_paper(
-    hybrid: Solution, ordinary: Solution, near_break_even: tuple[Solution, Solution]
-) -> list[str]:
+def against_the_paper(hybrid: Solution, ordinary: Solution, near_break_even: tuple[Solution, Solution]) -> list[str]:
     """Rows of the first table: every number that Cho et al. 2015 print, beside ours.
 
     Parameters

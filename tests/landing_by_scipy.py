@@ -85,11 +85,7 @@ def _residual(problem: Problem, z: np.ndarray) -> np.ndarray:
     def rhs(_: float, y: np.ndarray) -> np.ndarray:
         return (z[4] * _rates(y.reshape(10, lanes), mu, thrust, exhaust)).ravel()
 
-    end = (
-        solve_ivp(rhs, (0.0, 1.0), y0.ravel(), method="DOP853", rtol=1e-13, atol=1e-14)
-        .y[:, -1]
-        .reshape(10, lanes)
-    )
+    end = solve_ivp(rhs, (0.0, 1.0), y0.ravel(), method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1].reshape(10, lanes)
     out = [
         end[0] - ground,
         end[2] - ground_speed,
@@ -142,10 +138,7 @@ def solution_of(problem: Problem, z: np.ndarray) -> Solution:
     tolerance = 1e-11 * scale
     time = hermite_nodes(evaluate, duration, tolerance)
     values, rates = evaluate(time)
-    curve = [
-        Curve(time=time, values=values[:, k], rates=rates[:, k])
-        for k in (slice(5), slice(5, 10), slice(10, 12))
-    ]
+    curve = [Curve(time=time, values=values[:, k], rates=rates[:, k]) for k in (slice(5), slice(5, 10), slice(10, 12))]
     trajectory = Trajectory(phase="descent", state=curve[0], costate=curve[1], control=curve[2])
     return Solution(
         problem=problem, method="scipy", outcome=Outcome.SOLVED, objective=-float(values[-1, 4]), free=free,

@@ -16,7 +16,7 @@ from perilune.methods.pseudospectral import Pseudospectral
 from perilune.outcome import NotConvergedError, PeriluneError
 from perilune.problem import Bounded, Variable
 from test_descent import PENG_STEERING, peng
-from test_indirect import tangent_steering
+from test_indirect import impossible_steering, tangent_steering
 
 BOX = np.full(2, 5.0)
 HIMMELBLAU = np.array([[3.0, 2.0], [-2.805118, 3.131312], [-3.779310, -3.283186], [3.584428, -1.848126]])
@@ -245,16 +245,8 @@ def test_every_start_is_told_and_different_answers_are_listed() -> None:
 
 def test_a_hybrid_that_fails_says_what_was_tried() -> None:
     """A condition that nothing can meet: the second method's own words, and the search before it."""
-    base = tangent_steering()
-    stuck = replace(
-        base.phases[0],
-        end=lambda x, p, m: (x.y - p.height, x.vx * x.vx + p.speed * p.speed, x.vy),
-        end_conditions=tuple(
-            Variable(name=n, unit=u) for n, u in (("height", "m"), ("impossible", "m^2/s^2"), ("up", "m/s"))
-        ),
-    )
     with pytest.raises(NotConvergedError) as caught:
-        Hybrid(Genetic(population=32, generations=3, best=2), Indirect()).run(replace(base, phases=(stuck,)))
+        Hybrid(Genetic(population=32, generations=3, best=2), Indirect()).run(impossible_steering())
     assert caught.value.partial["tried"][0].startswith("generation 3")
     assert caught.value.partial["tried"][1].startswith("individual 1")
 

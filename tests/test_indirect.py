@@ -145,8 +145,8 @@ def test_unsupported_controls_are_named() -> None:
         solve(replace(base, phases=(squared,)), level=0)
 
 
-def test_failure_names_the_residual() -> None:
-    """A target that cannot be met: the message names the condition in its unit, and what was tried is kept."""
+def impossible_steering() -> Problem:
+    """Tangent steering with an end condition that nothing can meet."""
     base = tangent_steering()
     stuck = replace(
         base.phases[0],
@@ -155,8 +155,13 @@ def test_failure_names_the_residual() -> None:
             Variable(name=n, unit=u) for n, u in (("height", "m"), ("impossible", "m^2/s^2"), ("up", "m/s"))
         ),
     )
+    return replace(base, phases=(stuck,))
+
+
+def test_failure_names_the_residual() -> None:
+    """A target that cannot be met: the message names the condition in its unit, and what was tried is kept."""
     with pytest.raises(NotConvergedError) as caught:
-        solve(replace(base, phases=(stuck,)), Indirect(starts=3), level=0)
+        solve(impossible_steering(), Indirect(starts=3), level=0)
     assert caught.value.partial["tried"]
     assert any("impossible" in name for name in caught.value.partial["residuals"])
 

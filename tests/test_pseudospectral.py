@@ -54,10 +54,7 @@ def test_linear_tangent_steering(scheme):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_convergence_is_spectral(scheme):
     errors = [
-        abs(
-            Pseudospectral(scheme=scheme, nodes=n, refine=0).run(tangent_steering()).objective
-            - 0.554570878334603
-        )
+        abs(Pseudospectral(scheme=scheme, nodes=n, refine=0).run(tangent_steering()).objective - 0.554570878334603)
         for n in (4, 8, 12)
     ]
     assert errors[0] / errors[1] > 50 and errors[1] / errors[2] > 50, errors
@@ -164,18 +161,14 @@ def test_any_solution_is_a_guess():
 
 def test_the_answer_does_not_depend_on_the_scales():
     base = hybrid_landing(VEHICLE, None, ORBIT, MOON)
-    other = replace(
-        base, scales=replace(base.scales, length=base.scales.length / 3, mass=base.scales.mass * 2)
-    )
+    other = replace(base, scales=replace(base.scales, length=base.scales.length / 3, mass=base.scales.mass * 2))
     a, b = (Pseudospectral(refine=0).run(q) for q in (base, other))
     assert a.objective == pytest.approx(b.objective, abs=1e-7)
     assert costate(a)(0.0) == pytest.approx(costate(b)(0.0), rel=1e-5, abs=1e-12)
 
 
 def test_the_mesh_error_exposes_a_coarse_mesh():
-    coarse, fine = (
-        Pseudospectral(nodes=n, refine=0).run(hybrid_landing(VEHICLE, None, ORBIT, MOON)) for n in (5, 20)
-    )
+    coarse, fine = (Pseudospectral(nodes=n, refine=0).run(hybrid_landing(VEHICLE, None, ORBIT, MOON)) for n in (5, 20))
     assert coarse.statistics.residual > 1e-5 > 1e-7 > fine.statistics.residual
     t = np.linspace(0.0, 1000.0, 50)
     distance = np.abs(coarse.trajectories[0].state(t) - fine.trajectories[0].state(t))[:, 0].max()
@@ -211,16 +204,12 @@ def with_state(problem, index, **bounds):
 
 
 def test_bounds_that_exclude_the_start_are_named():
-    with pytest.raises(
-        InfeasibleError, match=r"the start puts h outside its bounds[\s\S]*1 m, which is 0.5 m outside"
-    ):
+    with pytest.raises(InfeasibleError, match=r"the start puts h outside its bounds[\s\S]*1 m, which is 0.5 m outside"):
         Pseudospectral().run(with_state(meditch(), 0, upper=0.5))
 
 
 def test_bounds_that_exclude_the_end_are_named():
-    with pytest.raises(
-        InfeasibleError, match=r"end condition speed of swing puts v outside its bounds[\s\S]*-1 m/s"
-    ):
+    with pytest.raises(InfeasibleError, match=r"end condition speed of swing puts v outside its bounds[\s\S]*-1 m/s"):
         Pseudospectral().run(with_state(least_energy(), 1, lower=-0.5))
 
 

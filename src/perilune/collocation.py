@@ -76,9 +76,7 @@ def rule(scheme: Scheme, degree: int) -> Rule:
     if scheme not in ("gauss", "radau"):
         raise PeriluneError("unknown collocation scheme", got=repr(scheme), expected="'gauss' or 'radau'")
     if degree < 2:
-        raise PeriluneError(
-            "a segment needs at least two collocation points", got=str(degree), expected=">= 2"
-        )
+        raise PeriluneError("a segment needs at least two collocation points", got=str(degree), expected=">= 2")
     if scheme == "gauss":
         points, weights = _gauss(degree)
         support = np.concatenate([[-1.0], points])

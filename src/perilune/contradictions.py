@@ -62,9 +62,7 @@ def _check_start(problem: Problem) -> None:
     """Components of the start that depend on no free parameter must lie within their bounds."""
     p = trace_parameters(problem)
     start = column(problem.start(p.record, SYMBOLIC))
-    values = np.array(
-        ca.Function("start", [p.free, p.given], [start])(np.nan, canonical_given(problem))
-    ).ravel()
+    values = np.array(ca.Function("start", [p.free, p.given], [start])(np.nan, canonical_given(problem))).ravel()
     phase = problem.phases[0]
     for state, value, scale in zip(phase.states, values, state_scales(problem, phase), strict=True):
         # The free parameters were NaN: what is a number does not depend on them.
@@ -122,9 +120,7 @@ def _row_names(problem: Problem, phase: Phase, kind: str) -> tuple[list[tuple[st
     """(condition, unit) and SI size of each column of a kind of rows."""
     if kind in ("start", "defect", "quadrature"):
         word = "the start of" if kind == "start" else "the dynamics of"
-        return [(f"{word} {s.name} in {phase.name}", s.unit) for s in phase.states], state_scales(
-            problem, phase
-        )
+        return [(f"{word} {s.name} in {phase.name}", s.unit) for s in phase.states], state_scales(problem, phase)
     if kind == "direction":
         return [(f"unit length of a direction in {phase.name}", "")], np.ones(1)
     conditions = phase.path_conditions if kind == "path" else phase.end_conditions

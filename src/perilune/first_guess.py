@@ -34,9 +34,7 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
         return
     for stretch in STRETCHES if set(problem.duration_names) & set(problem.free_names) else (1.0,):
         free = {
-            f.name: float(
-                np.clip(f.typical * (stretch if f.name in problem.duration_names else 1.0), f.lower, f.upper)
-            )
+            f.name: float(np.clip(f.typical * (stretch if f.name in problem.duration_names else 1.0), f.lower, f.upper))
             for f in problem.free
         }
         yield (
@@ -113,9 +111,7 @@ def _line(problem: Problem, phase: Phase, start: Vector, end: Vector, free: dict
     return sample
 
 
-def _fitted_controls(
-    problem: Problem, phase: Phase, states: Matrix, slope: Vector, free: dict[str, float]
-) -> Matrix:
+def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vector, free: dict[str, float]) -> Matrix:
     """Controls (points, nu) in SI whose rates come nearest to the slope (states in canonical units)."""
     x_scale, u_scale = state_scales(problem, phase), control_scales(problem, phase)
     middle, reach = _control_middle(problem, phase)
@@ -125,9 +121,7 @@ def _fitted_controls(
     given = [g.value / problem.scales.of(g.unit) for g in problem.given.values()]
     found = []
     for x in states:
-        rates, slopes = (
-            np.array(v) for v in model(x / x_scale, middle, canonical_free(problem, free), given)
-        )
+        rates, slopes = (np.array(v) for v in model(x / x_scale, middle, canonical_free(problem, free), given))
         wanted = slope / x_scale * problem.scales.time - rates[:, 0]
         if not (np.isfinite(wanted).all() and np.isfinite(slopes).all()):
             found.append(middle)

@@ -63,10 +63,10 @@ def lanes(conditions: Conditions, index: int | None) -> Lanes | None:
     if len(conditions.phases) > 1 or len(extremal.modes) > 1:
         return None
     size, silent = len(conditions.unknowns), {unknown for _, unknown in conditions.silent_rows}
-    active = [i for i in range(size) if i not in silent]
+    active: list[int] = [i for i in range(size) if i not in silent]
     rows = [i for i in range(size) if i not in {row for row, _ in conditions.silent_rows}]
     flown = equations(extremal, needed, silent_entries)
-    kept = flown.kept.tolist()
+    kept: list[int] = flown.kept.tolist()
     numbers = extremal.modes[0].size1_in(1)
     y, p = ca.SX.sym("y", len(active)), ca.SX.sym("p", numbers + 1)
     z = ca.SX.sym("z", len(kept))

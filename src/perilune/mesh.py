@@ -55,15 +55,11 @@ def segment_error(phase: Phase, segment: Segment, p: Any, tolerance: float) -> V
     x, u = segment.state(at), admissible(phase, segment.control(at))
     lower, upper = (np.array([getattr(s, side) for s in phase.states]) for side in ("lower", "upper"))
     outside = np.maximum(0.0, np.maximum(lower - x, x - upper)).max(axis=0)
-    path = [
-        np.maximum(0.0, -np.asarray(value)).max() for value in phase.evaluate("path", list(x.T), list(u.T), p)
-    ]
+    path = [np.maximum(0.0, -np.asarray(value)).max() for value in phase.evaluate("path", list(x.T), list(u.T), p)]
     return np.concatenate([np.maximum(_simulated(phase, segment, p, tolerance, at, x), outside), path])
 
 
-def _simulated(
-    phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vector, expected: Matrix
-) -> Vector:
+def _simulated(phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vector, expected: Matrix) -> Vector:
     from scipy.integrate import solve_ivp
 
     def flow(t: float, x: Vector) -> Vector:
@@ -80,9 +76,7 @@ def _simulated(
     return np.abs(flown.y.T - expected).max(axis=0)
 
 
-def mesh_errors(
-    problem: Problem, segments: Sequence[Sequence[Segment]], p: Any, tolerance: float
-) -> list[Matrix]:
+def mesh_errors(problem: Problem, segments: Sequence[Sequence[Segment]], p: Any, tolerance: float) -> list[Matrix]:
     """Error of every segment [SI], for each phase an array (segments, states + path conditions).
 
     `tolerance` is the relative accuracy that is asked of the mesh.
@@ -94,9 +88,7 @@ def mesh_errors(
     ]
 
 
-def relative_errors(
-    problem: Problem, segments: Sequence[Sequence[Segment]], errors: Sequence[Matrix]
-) -> list[Matrix]:
+def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], errors: Sequence[Matrix]) -> list[Matrix]:
     """The same relative to 1 + max|x| in canonical units; what cannot be flown counts as infinitely wrong."""
     found = []
     for phase, flown, error in zip(problem.phases, segments, errors, strict=True):
@@ -187,9 +179,7 @@ def _pins(
     pins = []
     for a, b in pairwise(joints):
         # Points beside a switch hold values in between.
-        inner = np.sort(np.abs(fraction - 0.5 * (a + b)))[
-            : max(1, int(((a < fraction) & (fraction < b)).sum()) - 2)
-        ]
+        inner = np.sort(np.abs(fraction - 0.5 * (a + b)))[: max(1, int(((a < fraction) & (fraction < b)).sum()) - 2)]
         near = np.abs(fraction - 0.5 * (a + b)) <= inner[-1]
         row, at = [], 0
         for control in phase.controls:
@@ -207,9 +197,7 @@ def _bounded(control: Bounded) -> bool:
     return math.isfinite(control.upper - control.lower)
 
 
-def _enriched(
-    a: float, b: float, segment: Segment, error: float, tolerance: float
-) -> tuple[list[float], list[int]]:
+def _enriched(a: float, b: float, segment: Segment, error: float, tolerance: float) -> tuple[list[float], list[int]]:
     degree = len(segment.control.points)
     more = math.log10(min(error, 1.0) / tolerance) / max(decay_rate(segment), 1e-3)
     raised = degree + max(2, math.ceil(more))

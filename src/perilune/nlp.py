@@ -71,9 +71,7 @@ class Layout(NamedTuple):
     @property
     def collocated(self) -> list[int]:
         """State points at which the dynamics are collocated."""
-        return [
-            s + r.first + i for s, r in zip(self.starts, self.rules, strict=False) for i in range(r.degree)
-        ]
+        return [s + r.first + i for s, r in zip(self.starts, self.rules, strict=False) for i in range(r.degree)]
 
     @property
     def rows(self) -> dict[str, int]:
@@ -147,8 +145,7 @@ class Program:
     def layouts(self) -> tuple[Layout, ...]:
         """One for each phase."""
         return tuple(
-            _layout(self.scheme, phase, mesh)
-            for phase, mesh in zip(self.problem.phases, self.meshes, strict=True)
+            _layout(self.scheme, phase, mesh) for phase, mesh in zip(self.problem.phases, self.meshes, strict=True)
         )
 
     def solve(
@@ -201,9 +198,7 @@ class Program:
             ends[side].append(np.array([getattr(f, name) for f in problem.free], dtype=float) / scales)
             for phase, mesh, layout in zip(problem.phases, self.meshes, self.layouts, strict=True):
                 ends[side].append(np.array(mesh.joints[1:-1]) + sign * np.array(mesh.free))
-                state = np.array([getattr(s, name) for s in phase.states], dtype=float) / state_scales(
-                    problem, phase
-                )
+                state = np.array([getattr(s, name) for s in phase.states], dtype=float) / state_scales(problem, phase)
                 ends[side].append(np.tile(state, layout.starts[-1] + 1))
                 ends[side].append(_control_bounds(problem, phase, mesh, sign).ravel())
         return np.concatenate(ends[0]), np.concatenate(ends[1])
@@ -263,9 +258,7 @@ def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> 
     rows = []
     for k, degree in enumerate(mesh.degrees):
         pins = mesh.pinned[k] if mesh.pinned else (0,) * len(both)
-        row = [
-            bounds[int(pin > 0)] if pin else own for bounds, own, pin in zip(both, plain, pins, strict=True)
-        ]
+        row = [bounds[int(pin > 0)] if pin else own for bounds, own, pin in zip(both, plain, pins, strict=True)]
         rows += [row] * degree
     return np.array(rows).reshape(mesh.nodes, len(both))
 
@@ -274,9 +267,7 @@ def control_scales(problem: Problem, phase: Phase) -> Vector:
     """SI size of the canonical unit of each control component."""
     scales: list[float] = []
     for control in phase.controls:
-        scales += [problem.scales.of(control.unit) if isinstance(control, Bounded) else 1.0] * len(
-            control.names
-        )
+        scales += [problem.scales.of(control.unit) if isinstance(control, Bounded) else 1.0] * len(control.names)
     return np.array(scales)
 
 
@@ -308,9 +299,7 @@ def _traced(problem: Problem) -> tuple[tuple[str, ...], ...]:
         )
         texts.append(tuple(f.serialize() for f in functions))
     last = problem.phases[-1].state_record(*elements(x))
-    objective = ca.Function(
-        "objective", [x, *arguments], [ca.SX(problem.objective(last, p.record, SYMBOLIC))]
-    )
+    objective = ca.Function("objective", [x, *arguments], [ca.SX(problem.objective(last, p.record, SYMBOLIC))])
     return (*texts, (objective.serialize(), str(len(names))))
 
 

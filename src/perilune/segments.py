@@ -79,9 +79,7 @@ def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
     problem, found = program.problem, []
     p = problem.parameters(answer.free_si(problem))
     objective_scale = problem.scales.of(problem.objective_unit)
-    for k, (phase, layout, values) in enumerate(
-        zip(problem.phases, program.layouts, answer.phases, strict=True)
-    ):
+    for k, (phase, layout, values) in enumerate(zip(problem.phases, program.layouts, answer.phases, strict=True)):
         x_scale, u_scale = state_scales(problem, phase), control_scales(problem, phase)
         rows = {kind: answer.rows[k, kind] for kind in ("defect", "quadrature")}
         times, node, segments = values.joints * getattr(p, phase.duration), 0, []
@@ -91,12 +89,8 @@ def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
                 Segment(
                     begin=float(times[i]),
                     end=float(times[i + 1]),
-                    state=Polynomial(
-                        points=r.support, values=values.state[first : first + r.degree + 1] * x_scale
-                    ),
-                    control=Polynomial(
-                        points=r.points, values=values.control[node : node + r.degree] * u_scale
-                    ),
+                    state=Polynomial(points=r.support, values=values.state[first : first + r.degree + 1] * x_scale),
+                    control=Polynomial(points=r.points, values=values.control[node : node + r.degree] * u_scale),
                     costate=Polynomial(points=lam.points, values=lam.values * objective_scale / x_scale),
                 )
             )
@@ -127,15 +121,11 @@ def sampler(flown: Sequence[Segment]) -> Sampler:
 def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues, ...]:
     """First values of a program's unknowns from one sampler for each phase."""
     problem, found = program.problem, []
-    for phase, mesh, layout, sample in zip(
-        problem.phases, program.meshes, program.layouts, samplers, strict=True
-    ):
+    for phase, mesh, layout, sample in zip(problem.phases, program.meshes, program.layouts, samplers, strict=True):
         joints = np.array(mesh.joints)
         ends = list(zip(joints[:-1], joints[1:], layout.rules, strict=True))
         # All points of a segment but its end, which is the next segment's start.
-        at_state = [
-            a + 0.5 * (b - a) * (np.concatenate([[-1.0], r.points[1 - r.first :]]) + 1.0) for a, b, r in ends
-        ]
+        at_state = [a + 0.5 * (b - a) * (np.concatenate([[-1.0], r.points[1 - r.first :]]) + 1.0) for a, b, r in ends]
         at_control = [a + 0.5 * (b - a) * (r.points + 1.0) for a, b, r in ends]
         state = sample(np.concatenate([*at_state, [1.0]]))[0] / state_scales(problem, phase)
         control = sample(np.concatenate(at_control))[1]

@@ -65,9 +65,7 @@ class Pseudospectral:
         rule(self.scheme, self.nodes)
         for name, least in (("segments", 1), ("refine", 0), ("iterations", 1)):
             if getattr(self, name) < least:
-                raise PeriluneError(
-                    f"{name} is too small", got=str(getattr(self, name)), expected=f">= {least}"
-                )
+                raise PeriluneError(f"{name} is too small", got=str(getattr(self, name)), expected=f">= {least}")
         for name in ("tolerance", "nlp_tolerance"):
             if not 0 < getattr(self, name) < 1:
                 raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))
@@ -135,16 +133,12 @@ class _Run:
             relative = relative_errors(problem, segments, errors)
             worst = max(float(r.max()) for r in relative)
             self.say(_mesh_line(problem, program, errors, worst, round_number))
-            self.history.append(
-                Iteration(number=round_number, residual=worst, step=float("nan"), damping=1.0)
-            )
+            self.history.append(Iteration(number=round_number, residual=worst, step=float("nan"), damping=1.0))
             if worst <= s.tolerance or round_number == s.refine:
                 break
             meshes = tuple(
                 refined(phase, mesh, flown, r, s.tolerance)
-                for phase, mesh, flown, r in zip(
-                    problem.phases, program.meshes, segments, relative, strict=True
-                )
+                for phase, mesh, flown, r in zip(problem.phases, program.meshes, segments, relative, strict=True)
             )
             samplers = [sampler(flown) for flown in segments]
             program = self.program(meshes)
@@ -198,9 +192,7 @@ class _Run:
     ) -> Answer:
         """Solve one NLP; with `nearest`, hold all but the end conditions and miss these by the least."""
         s = self.settings
-        answer = program.solve(
-            free, values, iterations=s.iterations, tolerance=s.nlp_tolerance, nearest=nearest
-        )
+        answer = program.solve(free, values, iterations=s.iterations, tolerance=s.nlp_tolerance, nearest=nearest)
         self.iterations += answer.iterations
         outcome = "solved" if answer.converged else "not solved"
         self.say(f"{name}: {outcome} in {answer.iterations} iterations")
@@ -214,8 +206,7 @@ class _Run:
         missed = missed_conditions(program, answer, MISSED)
         raise NotConvergedError(
             "no trajectory was found that meets every condition" if missed else "the optimum was not reached",
-            got="; ".join(missed[:4])
-            or f"feasible after {answer.iterations} iterations, but not yet optimal",
+            got="; ".join(missed[:4]) or f"feasible after {answer.iterations} iterations, but not yet optimal",
             expected="every condition met",
             advice="relax the condition named first, or give a guess (a solution of a nearby problem)"
             if missed
@@ -236,9 +227,7 @@ class _Run:
             partial={"tried": tuple(self.tried)},
         )
 
-    def solution(
-        self, program: Program, answer: Answer, segments: list[list[Segment]], worst: float
-    ) -> Solution:
+    def solution(self, program: Program, answer: Answer, segments: list[list[Segment]], worst: float) -> Solution:
         """The answer in SI."""
         from perilune.segments import trajectory
 
@@ -258,8 +247,7 @@ class _Run:
             # Interpolation adds a hundredth of the mesh error, so that what is exported is as good as what
             # was solved.
             trajectories=tuple(
-                trajectory(problem, k, flown, 1e-2 * min(worst, s.tolerance))
-                for k, flown in enumerate(segments)
+                trajectory(problem, k, flown, 1e-2 * min(worst, s.tolerance)) for k, flown in enumerate(segments)
             ),
             multipliers=multipliers,
             statistics=Statistics(

@@ -359,7 +359,7 @@ class Search:
             "every extremal breaks a condition of the path",
             got="; ".join(text for text in (f"{broken} on the way" if broken else "", beside) if text),
             expected="not negative, and not zero along the way",
-            advice="more thrust or a higher start; Pseudospectral() where riding along the condition is acceptable",
+            advice="more thrust or a higher start; the direct method (--method direct, Pseudospectral()) may ride along it",
         )
 
     def _ridden(self) -> str | None:

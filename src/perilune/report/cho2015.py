@@ -111,9 +111,7 @@ def problem(retro: Retro | None = None, *, thrust: float = CONSTANTS.thrust) -> 
     )
 
 
-def reproduce(
-    out_dir: str | Path, force: bool = False, watch: Watch | None = None, level: int = 3
-) -> Reproduction:
+def reproduce(out_dir: str | Path, force: bool = False, watch: Watch | None = None, level: int = 3) -> Reproduction:
     """Compute everything in the paper and write ``report.md``, its data and its figures.
 
     Parameters
@@ -221,9 +219,7 @@ def best_with_retro_burn(solution: Solution) -> Extremal:
     """Pick the best of a solution's extremals that have a retro burn."""
     found = [extremal for extremal in solution.extremals if extremal.free["retro_delta_v"] > 0]
     if not found:
-        raise PeriluneError(
-            "no extremal with a retro burn was found", advice="nearer to the jump there are two"
-        )
+        raise PeriluneError("no extremal with a retro burn was found", advice="nearer to the jump there are two")
     return min(found, key=lambda extremal: extremal.objective)
 
 

@@ -125,9 +125,7 @@ def _claim_rows(made: Reproduction) -> list[list[str]]:
     saved = results(ordinary)["propellant"]["value"] - results(hybrid)["propellant"]["value"]
     share = saved / results(ordinary)["propellant"]["value"]
     climb = highest(ordinary, "altitude") - CONSTANTS.perilune_altitude
-    climbs = [
-        highest(s, "altitude") - CONSTANTS.perilune_altitude for _, s in sorted(made.by_thrust.items())
-    ]
+    climbs = [highest(s, "altitude") - CONSTANTS.perilune_altitude for _, s in sorted(made.by_thrust.items())]
     rising, beta = highest(hybrid, "v"), highest(hybrid, "thrust_angle")
     burns = _points(made, "by_retro_burn", "landed_mass")
     best = max(burns, key=lambda row: row[1])[0]
@@ -165,9 +163,7 @@ def _claim_rows(made: Reproduction) -> list[list[str]]:
 def _discrepancies(made: Reproduction) -> str:
     computed = computed_numbers(made)["optimal retro burn"]
     printed = PRINTED["optimal retro burn"][0]
-    lost = (
-        results(made.hybrid)["landed_mass"]["value"] - results(made.at_printed_burn)["landed_mass"]["value"]
-    )
+    lost = results(made.hybrid)["landed_mass"]["value"] - results(made.at_printed_burn)["landed_mass"]["value"]
     jump = best_with_retro_burn(made.at_break_even)
     rows = [
         [f"{e.get('delta_v', 0.0):.3f}", f"{e.get('landed_mass', 0.0):.6f}", e["nature"]]
@@ -219,9 +215,7 @@ def _mass_by_burn(made: Reproduction) -> Figure:
             strict=False,
         )
     ]
-    return lines(
-        [(rows[:, 0], rows[:, 1], "o-", "")], ("retro burn ΔV (m/s)", "landed mass (kg)"), marks, height=2.6
-    )
+    return lines([(rows[:, 0], rows[:, 1], "o-", "")], ("retro burn ΔV (m/s)", "landed mass (kg)"), marks, height=2.6)
 
 
 def _by_impulse(made: Reproduction, quantity: str, text: str) -> Figure:

@@ -131,9 +131,7 @@ def extremals_document(solution: Solution) -> list[dict[str, Any]]:
     return rows
 
 
-def write_solution(
-    solution: Solution, directory: str | Path, scenario_text: str, force: bool = False
-) -> None:
+def write_solution(solution: Solution, directory: str | Path, scenario_text: str, force: bool = False) -> None:
     """Write ``solution.json`` and the trajectory as CSV.
 
     Parameters
@@ -153,15 +151,9 @@ def write_solution(
 
 def write_solution_files(solution: Solution, directory: Path, scenario_text: str) -> None:
     """As `write_solution`, into a directory that exists."""
-    (directory / SOLUTION_FILE).write_text(
-        json_text(whole_document(solution, scenario_text)), encoding="utf-8"
-    )
+    (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
     for k, trajectory in enumerate(solution.trajectories):
-        name = (
-            "trajectory.csv"
-            if len(solution.trajectories) == 1
-            else f"trajectory_{k + 1}_{trajectory.phase}.csv"
-        )
+        name = "trajectory.csv" if len(solution.trajectories) == 1 else f"trajectory_{k + 1}_{trajectory.phase}.csv"
         (directory / name).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
 
 

@@ -105,14 +105,10 @@ def save(figure: Figure, directory: Path, name: str) -> None:
     """Write ``name.png`` and ``name.svg``; equal figures give equal files."""
     with matplotlib.rc_context(STYLE):
         FigureCanvasAgg(figure).print_figure(directory / f"{name}.png", metadata={"Software": None})
-        FigureCanvasSVG(figure).print_figure(
-            directory / f"{name}.svg", metadata={"Date": None, "Creator": "perilune"}
-        )
+        FigureCanvasSVG(figure).print_figure(directory / f"{name}.svg", metadata={"Date": None, "Creator": "perilune"})
 
 
-def new_figure(
-    height: float = 2.3, rows: int = 1, cols: int = 1, width: float = COLUMN_WIDTH
-) -> tuple[Figure, Any]:
+def new_figure(height: float = 2.3, rows: int = 1, cols: int = 1, width: float = COLUMN_WIDTH) -> tuple[Figure, Any]:
     """Figure of one column's width in the house style, and its axes (an array if there are several)."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
@@ -147,9 +143,7 @@ def history(flights: Mapping[str, Solution], name: str) -> Figure:
     """One quantity of `HISTORIES` against time for several flights, as Figs 2 and 4-7 of the paper."""
     text, factor = HISTORIES[name]
     figure, axes = new_figure()
-    for (who, solution), colour, dash in zip(
-        flights.items(), (BLUE, VERMILION, GREEN), ("-", "--", ":"), strict=False
-    ):
+    for (who, solution), colour, dash in zip(flights.items(), (BLUE, VERMILION, GREEN), ("-", "--", ":"), strict=False):
         for time, column in flight_columns(solution, _COLUMN_OF.get(name, name)):
             axes.plot(time, factor * column.values, dash, color=colour, label=who)
             who = "_"  # one entry in the legend for all phases of a flight
@@ -164,9 +158,7 @@ def history(flights: Mapping[str, Solution], name: str) -> Figure:
 
 def legend_above(figure: Figure, axes: Any, columns: int = 2) -> None:
     """Legend over the axes, where it can hide no line."""
-    figure.legend(
-        *axes.get_legend_handles_labels(), loc="outside upper center", ncols=columns, handlelength=2.2
-    )
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=columns, handlelength=2.2)
 
 
 @styled
@@ -189,9 +181,7 @@ def costates(solution: Solution) -> Figure:
 
 def _costate_symbol(column: Column) -> str:
     state = column.name.removeprefix("lambda_")
-    return (
-        rf"$\lambda_{{\{state}}}$" if state in ("phi", "theta", "psi", "gamma") else rf"$\lambda_{{{state}}}$"
-    )
+    return rf"$\lambda_{{\{state}}}$" if state in ("phi", "theta", "psi", "gamma") else rf"$\lambda_{{{state}}}$"
 
 
 @styled
@@ -201,11 +191,7 @@ def optimality(solution: Solution) -> Figure:
     t = np.linspace(0.0, solution.trajectories[0].duration, 603)[1:-1]
     phase = solution.problem.phases[0]
     per = f"{solution.problem.objective_unit}/s"
-    planar = (
-        len(phase.controls) == 1
-        and isinstance(phase.controls[0], Direction)
-        and len(phase.control_names) == 2
-    )
+    planar = len(phase.controls) == 1 and isinstance(phase.controls[0], Direction) and len(phase.control_names) == 2
     figure, axes = new_figure(height=3.6 if planar else 2.2, rows=2 if planar else 1)
     axes = np.atleast_1d(axes)
     H, required = hamiltonian(solution, 0, t), required_hamiltonian(solution, 0)
@@ -226,9 +212,7 @@ def optimality(solution: Solution) -> Figure:
                 t, hamiltonian(solution, 0, t, turned) - H, dash, color=colour, label=f"turned by {degrees}°"
             )
         axes[1].set_ylabel(rf"$H(\beta+\delta)-H(\beta)$ ({per})")
-        axes[1].legend(
-            loc="lower center", bbox_to_anchor=(0.45, 1.0), ncols=3, handlelength=2.0, columnspacing=1.0
-        )
+        axes[1].legend(loc="lower center", bbox_to_anchor=(0.45, 1.0), ncols=3, handlelength=2.0, columnspacing=1.0)
     axes[-1].set(xlabel="time from ignition (s)", xlim=(0, solution.trajectories[0].duration))
     figure.align_ylabels()
     return figure
