@@ -59,18 +59,19 @@ class Lanes:
 def lanes(conditions: Conditions, index: int | None) -> Lanes | None:
     """Compile the lanes of a boundary value problem; None for several phases or switched controls."""
     extremal = conditions.phases[0]
+    mode = extremal.modes[0]
     start, needed, silent_entries = conditions.starts[0], conditions.needed[0], conditions.silent[0]
     if len(conditions.phases) > 1 or len(extremal.modes) > 1:
         return None
     size, silent = len(conditions.unknowns), {unknown for _, unknown in conditions.silent_rows}
-    active: list[int] = [i for i in range(size) if i not in silent]
+    active = [i for i in range(size) if i not in silent]
     rows = [i for i in range(size) if i not in {row for row, _ in conditions.silent_rows}]
     flown = equations(extremal, needed, silent_entries)
-    kept: list[int] = flown.kept.tolist()
-    numbers = extremal.modes[0].size1_in(1)
+    kept = flown.kept.tolist()
+    numbers = mode.size1_in(1)
     y, p = ca.SX.sym("y", len(active)), ca.SX.sym("p", numbers + 1)
     z = ca.SX.sym("z", len(kept))
-    whole_y, whole_z = ca.SX.zeros(size, 1), ca.SX.zeros(extremal.modes[0].size1_in(0), 1)
+    whole_y, whole_z = ca.SX.zeros(size, 1), ca.SX.zeros(mode.size1_in(0), 1)
     whole_y[active], whole_z[kept] = y, z
     z0, duration = start(whole_y, ca.SX(0, 1), p[:numbers])[:2]
     residual = conditions.residual(whole_y, whole_z, p[:numbers])[0]
