@@ -28,6 +28,8 @@ _EXPORTS = {
     "NotConvergedError": "perilune.outcome",
     "Indirect": "perilune.methods.indirect",
     "Pseudospectral": "perilune.methods.pseudospectral",
+    "Hybrid": "perilune.methods.hybrid",
+    "Genetic": "perilune.genetic",
     "MOON": "perilune.models.bodies",
     "solve": "perilune.solve",
     "sweep": "perilune.sweep",
@@ -41,7 +43,9 @@ __all__ = [
     "Check",
     "Direction",
     "Free",
+    "Genetic",
     "Given",
+    "Hybrid",
     "Indirect",
     "InfeasibleError",
     "NotConvergedError",
@@ -62,6 +66,8 @@ __all__ = [
 
 if TYPE_CHECKING:
     from perilune import models
+    from perilune.genetic import Genetic
+    from perilune.methods.hybrid import Hybrid
     from perilune.methods.indirect import Indirect
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON

@@ -359,7 +359,7 @@ class Search:
             "every extremal breaks a condition of the path",
             got="; ".join(text for text in (f"{broken} on the way" if broken else "", beside) if text),
             expected="not negative, and not zero along the way",
-            advice="more thrust or a higher start; the direct method (--method direct, Pseudospectral()) may ride along it",
+            advice="more thrust or a higher start; the direct method (--method direct, Pseudospectral()) may ride it",
         )
 
     def _ridden(self) -> str | None:
