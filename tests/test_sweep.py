@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.outcome import PeriluneError
+from perilune.outcome import Outcome, PeriluneError
 from perilune.problem import Problem
 from perilune.solution import Solution
 from perilune.solve import solve
@@ -38,6 +38,7 @@ def test_unsolvable_members_are_reported(landing: Problem) -> None:
     family = sweep(landing.with_given(retro_delta_v=0.0), {"vehicle.mass": [300.0, -1.0, 310.0]})
     assert family.points[0].solution is not None
     assert family.points[1].solution is None
+    assert family.points[1].outcome is Outcome.INFEASIBLE
     assert family.points[1].message
     assert family.points[2].solution is not None
 

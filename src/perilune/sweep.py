@@ -15,7 +15,7 @@ import numpy as np
 from perilune.continuation import Member, follow
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
-from perilune.outcome import PeriluneError, unknown_name
+from perilune.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
 from perilune.problem import Problem
 from perilune.rootfind import Root
 from perilune.solution import Iteration, Solution
@@ -30,6 +30,12 @@ class FamilyPoint:
     value: float
     solution: Solution | None
     message: str = ""
+    failure: Outcome = Outcome.NOT_CONVERGED
+
+    @property
+    def outcome(self) -> Outcome:
+        """The solution's outcome, or how the member failed."""
+        return self.failure if self.solution is None else self.solution.outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +93,7 @@ def sweep(
                 points.append(FamilyPoint(value=value, solution=solution))
             except PeriluneError as error:
                 base = None
-                points.append(FamilyPoint(value=value, solution=None, message=str(error)))
+                points.append(failed_point(value, error))
     except KeyboardInterrupt:
         interrupted = True
     return Family(
@@ -97,6 +103,12 @@ def sweep(
         points=tuple(points),
         interrupted=interrupted,
     )
+
+
+def failed_point(value: float, error: PeriluneError) -> FamilyPoint:
+    """The member that an error stands in for: physics forbids it, or the search for it failed."""
+    failure = Outcome.NOT_CONVERGED if isinstance(error, NotConvergedError) else Outcome.INFEASIBLE
+    return FamilyPoint(value=value, solution=None, message=str(error), failure=failure)
 
 
 def _the_one_parameter(problem: Problem, over: Mapping[str, Sequence[float]]) -> tuple[str, list[float]]:

@@ -228,14 +228,14 @@ def _varied(file: Path, changes: list[str], key: str, values: list[float]) -> Pr
 def _family(problem: Problem, name: str, values: list[float], level: int, watch: Callable[..., None]) -> Family:
     """The family, in which values that pre-flight refuses, or that burn more than there is, say so."""
     from perilune.models.preflight import check_propellant, preflight
-    from perilune.sweep import FamilyPoint, sweep as sweep_problem
+    from perilune.sweep import failed_point, sweep as sweep_problem
 
-    refused: dict[float, FamilyPoint] = {}
+    refused = {}
     for value in values:
         try:
             preflight(problem.with_given(**{name: value}))
         except PeriluneError as error:
-            refused[value] = FamilyPoint(value=value, solution=None, message=str(error))
+            refused[value] = failed_point(value, error)
     possible = [value for value in values if value not in refused]
     if not possible:
         raise InfeasibleError(
@@ -248,7 +248,7 @@ def _family(problem: Problem, name: str, values: list[float], level: int, watch:
             if point.solution is not None:
                 check_propellant(point.solution)
         except InfeasibleError as error:
-            solved[value] = FamilyPoint(value=value, solution=None, message=str(error))
+            solved[value] = failed_point(value, error)
     return replace(family, points=tuple({**refused, **solved}[v] for v in values if v in refused or v in solved))
 
 

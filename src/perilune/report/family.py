@@ -33,7 +33,7 @@ def family_document(family: Family) -> dict[str, Any]:
         points.append(
             {
                 "value": float(point.value) * factor,
-                "outcome": solution.outcome.name if solution else "NOT_CONVERGED",
+                "outcome": point.outcome.name,
                 "verification_level": solution.verification.level if solution else 0,
                 "results": results(solution) if solution else {},
                 "message": point.message,
