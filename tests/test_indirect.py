@@ -65,6 +65,18 @@ def test_jacobian_by_taylor_ratio(landing: Problem, hybrid: Solution) -> None:
         assert rests[0] / rests[1] == pytest.approx(4.0, rel=0.02)
 
 
+def test_fused_algebra_is_the_same(landing: Problem) -> None:
+    """One smooth phase takes a path of its own; it gives what the general one gives, to rounding."""
+    p, shooting = extremal_parameters(landing), Shooting(derive(landing))
+    y = 0.3 * np.random.default_rng(0).normal(size=len(derive(landing).unknowns))
+    y[derive(landing).free_at] = 0.3, 0.6
+    assert shooting._fused is not None
+    fused, assembled = shooting._fused(y, p), shooting._assembled(y, p)
+    assert fused is not None and assembled is not None
+    for one, other in zip((*fused[:2], *fused[2]), (*assembled[:2], *assembled[2]), strict=True):
+        assert one == pytest.approx(other, rel=1e-13, abs=1e-13)
+
+
 def test_multiple_shooting_agrees(landing: Problem, hybrid: Solution) -> None:
     """From disturbed joints to the same root."""
     p = extremal_parameters(landing)

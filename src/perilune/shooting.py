@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -50,8 +50,16 @@ class Shooting:
         self.conditions, self.segments, self.arcs = conditions, segments, 0
         self._size = len(conditions.unknowns)
         self._last: tuple[Vector, Vector, list[Vector]] | None = None  # what Newton ended with is asked for again
-        self._steps = _steps(conditions, segments, threading.get_ident())
-        self._residual = _lean(conditions.residual, threading.get_ident())
+        plain = segments == len(conditions.phases) == len(conditions.phases[0].modes) == 1
+        self._fused = _fused(conditions, threading.get_ident()) if plain else None
+
+    @cached_property
+    def _steps(self) -> tuple[_Step, ...]:
+        return _steps(self.conditions, self.segments, threading.get_ident())
+
+    @cached_property
+    def _residual(self) -> Callable[..., Sequence[Matrix]]:
+        return _lean(self.conditions.residual, threading.get_ident())
 
     def __call__(self, Y: Vector, p: Vector, held: Mapping[int, float]) -> tuple[Vector, Matrix]:
         """Residual and Jacobian.
@@ -70,25 +78,30 @@ class Shooting:
         residual, jacobian
             NaN where an arc could not be flown.
         """
-        flown = self._fly(Y, p)
-        if flown is None:
+        found = self._assembled(Y, p) if self._fused is None else self._fused(Y, p)
+        if found is None:
             return np.full(len(Y), np.nan), np.full((len(Y), len(Y)), np.nan)
-        ends, end_jacobians, gaps, gap_jacobians = flown
-        self._last = Y, p, ends
-        y = Y[: self._size]
-        h, h_y, h_z = self._residual(y, ends[0] if len(ends) == 1 else np.concatenate(ends), p)
-        h = h[:, 0].copy()
-        J = h_z @ (end_jacobians[0] if len(ends) == 1 else np.vstack(end_jacobians))
-        J[:, : self._size] += h_y
+        h, J, ends = found
+        self.arcs += self._fused is not None
+        self._last, y = (Y, p, ends), Y
         first, free = self.conditions.stationarity_at.start, self.conditions.free_at.start
         replaced = [(first + index, free + index, value) for index, value in held.items()]
         for row, unknown, value in (*replaced, *((row, unknown, 0.0) for row, unknown in self.conditions.silent_rows)):
             h[row] = y[unknown] - value
             J[row] = 0.0
             J[row, unknown] = 1.0
-        if gaps:
-            h, J = np.concatenate([h, *gaps]), np.vstack([J, *gap_jacobians])
         return h, J
+
+    def _assembled(self, Y: Vector, p: Vector) -> tuple[Vector, Matrix, list[Vector]] | None:
+        """Residual, Jacobian and ends from the arcs, one after another."""
+        flown = self._fly(Y, p)
+        if flown is None:
+            return None
+        ends, end_jacobians, gaps, gap_jacobians = flown
+        h, h_y, h_z = self._residual(Y[: self._size], np.concatenate(ends), p)
+        J = h_z @ np.vstack(end_jacobians)
+        J[:, : self._size] += h_y
+        return np.concatenate([h[:, 0], *gaps]), np.vstack([J, *gap_jacobians]), ends
 
     def root(
         self, Y: Vector, p: Vector, held: Mapping[int, float], watch: Watch | None = None, **settings: Any
@@ -111,8 +124,12 @@ class Shooting:
         """Canonical z at the end of each phase, flown from y, zero where it is not needed; NaN where an arc is lost."""
         if self._last is not None and np.array_equal(self._last[0], y) and np.array_equal(self._last[1], p):
             return self._last[2]
+        lost = [np.full(2 * e.half, np.nan) for e in self.conditions.phases]
+        if self._fused is not None:
+            found = self._fused(y, p)
+            return lost if found is None else found[2]
         flown = self._fly(y, p)
-        return flown[0] if flown is not None else [np.full(2 * e.half, np.nan) for e in self.conditions.phases]
+        return lost if flown is None else flown[0]
 
     def joints(self, y: Vector, p: Vector) -> Vector | None:
         """Y for this number of segments from y alone: the states at the joints are those of a flight in one piece."""
@@ -221,3 +238,43 @@ def _lean(function: ca.Function, thread: int) -> Callable[..., Sequence[Matrix]]
     if len(kept) == len(symbols):
         return evaluate
     return lambda *arguments: evaluate(*[arguments[i] for i in kept])
+
+
+Fused = Callable[[Vector, Vector], "tuple[Vector, Matrix, list[Vector]] | None"]
+
+
+@lru_cache(maxsize=64)
+def _fused(conditions: Conditions, thread: int) -> Fused:
+    """Single shooting of one smooth phase with all algebra around its one arc in machine code.
+
+    The same as `Shooting._assembled`, which the tests hold it to; the arc's columns go straight from the start's
+    derivative and into the residual's.
+    """
+    extremal, start = conditions.phases[0], conditions.starts[0]
+    flown = equations(extremal, conditions.needed[0], conditions.silent[0])
+    kept, size, whole = flown.kept.tolist(), len(conditions.unknowns), extremal.modes[0].size1_in(0)
+    y, p, z = (ca.SX.sym(n, k) for n, k in (("y", size), ("p", extremal.modes[0].size1_in(1)), ("z", len(kept))))
+    z0, duration, z0_y, _, T_y = start(y, ca.SX(0, 1), p)
+    moving = sorted({c for r, c in zip(*z0_y.sparsity().get_triplet(), strict=True) if r in kept})
+    known = p[flown.numbers.tolist()]
+    opening = compile_single(ca.Function("opening", [y, p], [z0[kept], duration, z0_y[kept, moving], known]))
+
+    S, end, dz = ca.SX.sym("S", len(kept) * len(moving)), ca.SX.zeros(whole, 1), ca.SX.zeros(len(kept), size)
+    end[kept] = z
+    dz[:, moving] = ca.reshape(S, len(moving), len(kept)).T
+    dz += ca.mtimes(flown.modes[0](z, known), T_y)
+    h, h_y, h_z = conditions.residual(y, end, p)
+    outputs = ca.cse([h, h_y + ca.mtimes(h_z[:, kept], dz)])
+    closing = compile_single(ca.Function("closing", [y, z, S, p], outputs))
+    fly = engine(flown, len(moving)).single(columns=True)
+
+    def shoot(Y: Vector, numbers: Vector) -> tuple[Vector, Matrix, list[Vector]] | None:
+        z0, duration, seeds, used = opening(Y, numbers)
+        if fly(z0[:, 0], used[:, 0], float(duration[0, 0]), seeds) not in _FLOWN:
+            return None
+        h, J = closing(Y, fly.z, fly.S.ravel(), numbers)
+        end = np.zeros(whole)
+        end[kept] = fly.z
+        return h[:, 0].copy(), J.copy(), [end]
+
+    return shoot
