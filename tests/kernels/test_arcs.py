@@ -208,6 +208,13 @@ def test_dense_output_follows_the_arc(backend: str) -> None:
     assert d(2.0).shape == (4,)
 
 
+def test_dense_output_after_a_batch(backend: str) -> None:
+    """The code of a batch writes no nodes: a single flight on the same engine must not take it."""
+    e = engine(kepler(), backend)
+    e.propagate(np.tile(kepler_state(0.3, 0.0), (6, 1)), [1.0], 5.0)
+    np.testing.assert_allclose(e.dense(kepler_state(0.3, 0.0), [1.0], 5.0)(2.0), kepler_state(0.3, 2.0), atol=2e-10)
+
+
 def test_dense_output_backwards(backend: str) -> None:
     d = engine(kepler(), backend).dense(kepler_state(0.3, 0.0), [1.0], -3.0)
     np.testing.assert_allclose(d(-1.7), kepler_state(0.3, -1.7), atol=2e-10)

@@ -174,7 +174,9 @@ class NativeEngine:
     def _fly(self, asked: Request, threads: int | None, nodes: Matrix | None = None) -> tuple[Arcs, Matrix | None]:
         lanes, with_columns = len(asked.z0), asked.seeds is not None
         # A batch that has shrunk to its last lane goes on with the code it has: another build costs more than it saves.
-        width = 1 if lanes == 1 and (with_columns, LANES) not in self._calls else LANES
+        # Nodes are written by the code for one lane only.
+        at_hand = nodes is None and (with_columns, LANES) in self._calls
+        width = 1 if lanes == 1 and not at_hand else LANES
         order = np.argsort(np.abs(asked.duration), kind="stable") if lanes > LANES else np.arange(lanes)
         z, info = np.empty_like(asked.z0), np.empty((lanes, 5))
         seeds = asked.seeds if asked.seeds is not None else np.empty((lanes, self.system.nz, 0))
