@@ -93,8 +93,7 @@ class Search:
 
     def correct(self, y: Vector, held: float, p: Vector | None = None) -> Root:
         """Newton with the bounded free parameter, if there is one, held; at other given parameters p where asked."""
-        root = self.shooting.root(y, self.p if p is None else p, self._hold(held), self._iteration)
-        return self._count(root)
+        return self._newton(y, self._hold(held), p)
 
     def residual(self, y: Vector, held: float, p: Vector) -> Vector:
         """Shooting residual with the bounded free parameter, if there is one, held."""
@@ -226,21 +225,23 @@ class Search:
 
     def _roots_from(self, Y: Matrix, held: float) -> Iterator[Root]:
         """Roots from many starts: in lanes where the problem allows, and those polished; else one after another."""
-        together = lanes(self.conditions, self.scanned)
-        if together is None:
-            found = (self._newton(y, self._hold(held), max_step=0.5) for y in Y)
-        else:
+        together, found = lanes(self.conditions, self.scanned), None
+        if together is not None:
             if self.scanned is not None:
                 Y[:, self.conditions.free_at.start + self.scanned] = held
             ends, converged = together.solve(Y, self.p, np.full(len(Y), held))
             distinct = np.unique(np.round(ends[converged], 6), axis=0, return_index=True)[1]
-            found = (self.correct(y, held) for y in ends[converged][np.sort(distinct)])
-            if not converged.any():  # lanes damp more simply than `rootfind` does
-                found = (self._newton(y, self._hold(held), max_step=0.5) for y in Y)
+            if converged.any():
+                found = (self.correct(y, held) for y in ends[converged][np.sort(distinct)])
+        if found is None:  # not for lanes, or beyond them: they damp more simply than `rootfind` does
+            found = (self._newton(y, self._hold(held), max_step=0.5) for y in Y)
         yield from (root for root in found if root.converged)
 
-    def _newton(self, y: Vector, held: dict[int, float] | None = None, **settings: float) -> Root:
-        return self._count(self.shooting.root(y, self.p, held or {}, self._iteration, **settings))
+    def _newton(
+        self, y: Vector, held: dict[int, float] | None = None, p: Vector | None = None, **settings: float
+    ) -> Root:
+        numbers = self.p if p is None else p
+        return self._count(self.shooting.root(y, numbers, held or {}, self._iteration, **settings))
 
     def _count(self, root: Root) -> Root:
         if not root.converged and np.all(np.isfinite(root.residual)):
