@@ -70,8 +70,7 @@ def inside(runs: int) -> None:
     """Solves inside this process, everything loaded and compiled."""
     from perilune import Pseudospectral
     from perilune.scenario import load_file
-    from perilune.solve import solve
-    from perilune.verify import verify
+    from perilune.solve import solve, verify
 
     problem = load_file(Path(SCENARIO)).problem
     solution = solve(problem, level=0)

@@ -23,9 +23,9 @@ import numpy as np
 
 from perilune.models.bodies import CERES, EUROPA, MERCURY, MOON
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.outcome import InfeasibleError, Outcome, PeriluneError
-from perilune.problem import Problem
+from perilune.problem.problem import Problem
 from perilune.solve import solve
+from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 BODIES = (MOON, MERCURY, EUROPA, CERES)
 

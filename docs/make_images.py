@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.solution import Solution
+    from perilune.problem.solution import Solution
 
 IMAGES = Path(__file__).parent / "images"
 
@@ -28,7 +28,7 @@ def draw(hybrid: Solution, ordinary: Solution, directory: Path) -> list[Path]:
 
 if __name__ == "__main__":
     from perilune.models.landing import Retro
-    from perilune.report.cho2015 import CONSTANTS, problem
+    from perilune.reproductions.cho2015 import CONSTANTS, problem
     from perilune.solve import solve
 
     IMAGES.mkdir(exist_ok=True)

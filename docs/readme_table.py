@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.solution import Solution
+    from perilune.problem.solution import Solution
 
 DIGITS = {"m/s": 5, "kg": 5, "s": 3, "deg": 5}
 # Specific impulses [s] around that at which the retro burn stops paying; between them its gain is linear.
@@ -26,8 +26,8 @@ def against_the_paper(hybrid: Solution, ordinary: Solution, near_break_even: tup
     near_break_even
         The hybrid landing at each specific impulse of `BRACKET`.
     """
-    from perilune.report.cho2015 import PRINTED, gain_of_retro_burn
-    from perilune.report.export import results
+    from perilune.io.export import results
+    from perilune.reproductions.cho2015 import PRINTED, gain_of_retro_burn
 
     with_burn, without = results(hybrid), results(ordinary)
     ours = {
@@ -74,7 +74,7 @@ def not_printed(hybrid: Solution, ordinary: Solution) -> list[str]:
 
 if __name__ == "__main__":
     from perilune.models.landing import Retro
-    from perilune.report.cho2015 import CONSTANTS, problem
+    from perilune.reproductions.cho2015 import CONSTANTS, problem
     from perilune.solve import solve
 
     whole = problem(Retro(specific_impulse=CONSTANTS.specific_impulse))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from cho import cho_landing
-from perilune.problem import Problem
-from perilune.solution import Solution
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
 from perilune.solve import solve
 
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.maths import NUMERIC
 from perilune.models.bodies import Body
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.outcome import Outcome
-from perilune.problem import Problem
-from perilune.solution import Curve, Solution, Trajectory, hermite_nodes
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import Outcome
 
 STEP = 1e-40
 MOON = Body(name="moon", gravitational_parameter=4902.7779e9, radius=1738.14e3, rotation_rate=2.6617e-6)

@@ -13,11 +13,12 @@ import pytest
 
 from command_line import HYBRID, ORDINARY, read_json, snapshot
 from perilune.cli import run
-from perilune.outcome import InfeasibleError, NotConvergedError, Outcome
-from perilune.problem import Problem
-from perilune.solution import Iteration, Solution
+from perilune.families.sweep import Family, FamilyPoint
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
 from perilune.solve import prove
-from perilune.sweep import Family, FamilyPoint
+from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome
+from perilune.words.watch import Iteration
 
 
 def answer_with(monkeypatch: pytest.MonkeyPatch, act: Callable[..., Solution]) -> None:
@@ -238,7 +239,7 @@ def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None
 def test_sweep_reports_what_is_impossible_and_goes_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
 ) -> None:
-    module = importlib.import_module("perilune.sweep")
+    module = importlib.import_module("perilune.families.sweep")
     asked: list[list[float]] = []
 
     def sweep(problem: Problem, over: dict[str, list[float]], *, level: int, watch: Any) -> Any:
@@ -276,7 +277,9 @@ def family_of(solution: Solution, *, interrupted: bool = False) -> Callable[...,
 def test_a_stopped_sweep_says_how_far_it_came(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(importlib.import_module("perilune.sweep"), "sweep", family_of(ordinary, interrupted=True))
+    monkeypatch.setattr(
+        importlib.import_module("perilune.families.sweep"), "sweep", family_of(ordinary, interrupted=True)
+    )
     out = tmp_path / "family"
     assert run(["sweep", ORDINARY, "--vary", "vehicle.thrust=440:460:10 N", "--out", str(out), "--json"]) == 130
     told = capsys.readouterr()
@@ -303,7 +306,7 @@ def test_a_sweep_may_bring_its_key_into_the_scenario(
     vary: str,
     given: dict[str, float],
 ) -> None:
-    module = importlib.import_module("perilune.sweep")
+    module = importlib.import_module("perilune.families.sweep")
     monkeypatch.setattr(module, "sweep", family_of(hybrid))
     families: list[Any] = []
     monkeypatch.setattr(

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from perilune.maths import NUMERIC
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.bodies import Body
@@ -21,9 +20,10 @@ from perilune.models.descent import Ignition, Site, Steering, powered_descent
 from perilune.models.landing import Vehicle
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.rotating import gravity, heading_axes, local_axes, place, potential
-from perilune.outcome import InfeasibleError, PeriluneError
-from perilune.problem import Problem
-from perilune.solution import Solution
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 # Peng et al. 2012 (25)-(27) as decoded; mu is not printed, and the printed fuel needs g0 = 9.80.
 PENG_MOON = Body(name="moon", gravitational_parameter=4902.8e9, radius=1738e3, rotation_rate=2.6617e-6)

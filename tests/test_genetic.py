@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.genetic import Generation, Genetic
 from perilune.methods.fitness import ControlFitness, CostateFitness
+from perilune.methods.genetic import Generation, Genetic
 from perilune.methods.hybrid import Hybrid
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.outcome import NotConvergedError, PeriluneError
-from perilune.problem import Bounded, Variable
+from perilune.problem.problem import Bounded, Variable
+from perilune.words.outcome import NotConvergedError, PeriluneError
 from test_descent import PENG_STEERING, peng
 from test_indirect import impossible_steering, tangent_steering
 

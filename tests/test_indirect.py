@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from perilune.continuation import Member, follow
+from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.indirect import Indirect
-from perilune.outcome import NotConvergedError, Outcome, PeriluneError
-from perilune.pontryagin import derive, extremal_parameters
-from perilune.problem import Bounded, Free, Given, Problem, Variable
-from perilune.rootfind import Root, damped_newton
-from perilune.shooting import Shooting
-from perilune.solution import Curve, Iteration, Solution, hermite_nodes
+from perilune.problem.problem import Bounded, Free, Given, Problem, Variable
+from perilune.problem.solution import Curve, Solution, hermite_nodes
+from perilune.shooting.continuation import Member, follow
+from perilune.shooting.function import Shooting
+from perilune.shooting.rootfind import Root, damped_newton
 from perilune.solve import solve
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune.words.watch import Iteration
 from problems.ascents import tangent_steering
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from cho import CHO_MOON, cho_landing
-from perilune.maths import NUMERIC
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
-from perilune.outcome import InfeasibleError, PeriluneError
-from perilune.problem import Given, Problem
-from perilune.solution import Nature, Solution
+from perilune.problem.problem import Given, Problem
+from perilune.problem.solution import Nature, Solution
 from perilune.solve import solve
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 
 def test_perilune_speed(landing: Problem) -> None:

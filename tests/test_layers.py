@@ -1,70 +1,90 @@
-"""A file imports only from its own layer or one above it; checked on the syntax tree, so lazy imports count too."""
+"""Imports go one way, from room to room and from file to file; read off the syntax trees, so lazy imports count too."""
 
 from __future__ import annotations
 
 import ast
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 SOURCE = Path(__file__).parent.parent / "src" / "perilune"
-
-LAYERS = {
-    "words": {"outcome", "units", "types", "maths"},
-    "records": {"problem", "verification", "solution"},
-    "mathematics": {
-        "symbolic", "pontryagin", "kernels", "propagate", "collocation", "mesh", "nlp", "rootfind", "shooting",
-        "lanes",
-        "control_law", "continuation", "extremals", "genetic", "first_guess",
-        "contradictions", "segments",
-    },
-    "methods": {"methods"},
-    "use": {"verify", "solve", "sweep"},
-    "subject": {"models"},
-    "outside": {"scenario", "report", "cli", "__main__", "__init__"},
-}  # fmt: skip
-RANK = {module: rank for rank, modules in enumerate(LAYERS.values()) for module in modules}
-# `solve` hands its answer to `verify`, which re-solves neighbours: the two verbs of one layer know each other.
+# From the ground up: a room imports only from rooms before it. `docs/architecture.md` says what lives in each.
+ROOMS = (
+    "words", "problem", "kernels", "conditions", "shooting", "direct", "methods", "proof", "solve", "families",
+    "models", "scenario", "io", "report", "reproductions", "cli", "__main__",
+)  # fmt: skip
+FACE = "__init__"  # of the package: it names what is handed on, lazily
 FILES = sorted(SOURCE.rglob("*.py"))
+MATHEMATICS = ROOMS[: ROOMS.index("models")]
 
 
-def top_module(path: Path) -> str:
-    """Name of the module or package directly below perilune."""
-    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+def module_of(path: Path) -> str:
+    """Dotted name below perilune; a package's own file has the package's name."""
+    return ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
+
+
+def room_of(module: str) -> str:
+    return module.partition(".")[0]
+
+
+@cache
+def modules() -> frozenset[str]:
+    return frozenset(module_of(path) for path in FILES)
 
 
 def imported(path: Path) -> set[str]:
-    """Modules below perilune that a file imports anywhere in it."""
+    """Modules below perilune that a file imports anywhere in it; of a package, the submodule where one is named."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("perilune.")}
+            found |= {a.name.removeprefix("perilune.") for a in node.names if a.name.startswith("perilune.")}
         elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "perilune":
-            parts = node.module.split(".")
-            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
+            base = node.module.removeprefix("perilune").removeprefix(".")
+            for alias in node.names:
+                inner = f"{base}.{alias.name}".removeprefix(".")
+                found.add(inner if inner in modules() else base or FACE)
     return found
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
-def test_imports_go_one_way(path: Path) -> None:
-    """No import from a layer below."""
-    module = top_module(path)
-    assert module in RANK, f"{module} has no layer: name it in LAYERS and in docs/architecture.md"
-    wrong = {name for name in imported(path) if RANK.get(name, -1) > RANK[module]}
-    assert not wrong, f"{path.name} ({module}) imports from below its layer: {sorted(wrong)}"
+@pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_rooms_are_built_upwards(path: Path) -> None:
+    """No import from a room above."""
+    room = room_of(module_of(path))
+    if room == FACE:
+        return
+    assert room in ROOMS, f"{room} has no place: name it in ROOMS and in docs/architecture.md"
+    above = {m for m in imported(path) if room_of(m) in ROOMS[ROOMS.index(room) + 1 :]}
+    assert not above, f"{module_of(path)} imports from above: {sorted(above)}"
 
 
-def test_the_check_sees_a_wrong_import(tmp_path: Path) -> None:
-    """The check itself can fail."""
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """The files of a circle of imports, or none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+@pytest.mark.xfail(reason="kernels, search, figures and the papers are opened next", strict=True)
+def test_no_files_import_each_other_in_a_circle() -> None:
+    graph = {module_of(path): imported(path) - {module_of(path)} for path in FILES if module_of(path) != FACE}
+    assert not circle(graph)
+
+
+def test_the_checks_see_what_is_wrong(tmp_path: Path) -> None:
     file = tmp_path / "problem.py"
-    file.write_text("def f():\n    from perilune.cli import main\n")
-    assert imported(file) == {"cli"}
-    assert RANK["cli"] > RANK["problem"]
+    file.write_text("def f():\n    from perilune.cli.commands import obey\n    import perilune.words.units\n")
+    assert imported(file) == {"cli.commands", "words.units"}
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}})
+    assert not circle({"a": {"b"}, "b": {"c"}, "c": set()})
 
 
 def test_mathematics_knows_no_rockets() -> None:
-    """Words of the subject do not appear in the code of the layers above it."""
+    """Words of the subject do not appear in the code of the rooms below it."""
     for path in FILES:
-        if RANK[top_module(path)] <= RANK["methods"]:
+        if room_of(module_of(path)) in MATHEMATICS:
             names = {n.id for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Name)}
             assert not names & {"thrust", "specific_impulse", "perilune_altitude", "landed_mass"}, path

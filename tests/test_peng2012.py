@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 
 from perilune.cli import run
+from perilune.io.columns import required_hamiltonian
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.descent import Site
 from perilune.models.landing import Vehicle
 from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.outcome import NotConvergedError, Outcome
+from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
-from perilune.report.history import required_hamiltonian
-from perilune.report.peng2012 import (
+from perilune.report.spatial import path
+from perilune.reproductions.peng2012 import (
     AT_FIFTY,
     CASE,
     PRINTED,
@@ -38,10 +39,9 @@ from perilune.report.peng2012 import (
     problem_of_the_paper,
     starts,
 )
-from perilune.report.peng2012_report import convergence_csv, figures, markdown, point_times, scaled_hamiltonian
-from perilune.report.spatial import path
-from perilune.solution import Solution
+from perilune.reproductions.peng2012_report import convergence_csv, figures, markdown, point_times, scaled_hamiltonian
 from perilune.solve import solve
+from perilune.words.outcome import NotConvergedError, Outcome
 
 
 def silent(_: Any) -> None:
@@ -162,7 +162,7 @@ def test_the_command_writes_it_all(
 ) -> None:
     """Report, data and figures; the exit code is that of the solution that was to be proved."""
     doubtful = replace(made, indirect=replace(made.indirect, outcome=Outcome.NOT_PROVED))
-    monkeypatch.setattr("perilune.report.peng2012.compute", lambda watch, level, seeds: doubtful)
+    monkeypatch.setattr("perilune.reproductions.peng2012.compute", lambda watch, level, seeds: doubtful)
     out = tmp_path / "report"
     assert run(["reproduce", "peng-2012", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
     assert "report.md" in capsys.readouterr().out

@@ -23,9 +23,9 @@ from perilune.models.preflight import (
     preflight,
     refuse_impossible,
 )
-from perilune.outcome import InfeasibleError
-from perilune.problem import Direction, Given, Phase, Problem, Variable
-from perilune.solution import Solution
+from perilune.problem.problem import Direction, Given, Phase, Problem, Variable
+from perilune.problem.solution import Solution
+from perilune.words.outcome import InfeasibleError
 
 
 def lander(

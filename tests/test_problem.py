@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from perilune.outcome import PeriluneError
-from perilune.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+from perilune.problem.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+from perilune.words.outcome import PeriluneError
 
 
 def slider(**changes: Any) -> Problem:

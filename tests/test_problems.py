@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.outcome import PeriluneError
-from perilune.pontryagin import derive, extremal_parameters
-from perilune.problem import Problem
-from perilune.shooting import Shooting
-from perilune.solution import Curve, Solution
-from perilune.symbolic import canonical_free, state_scales
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Curve, Solution
+from perilune.problem.symbolic import canonical_free, state_scales
+from perilune.shooting.function import Shooting
+from perilune.words.outcome import PeriluneError
 from problems import LIBRARY, Answered
 from problems.answered import Method
 from problems.goddard import FOOT, goddard

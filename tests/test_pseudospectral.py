@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perilune.maths import NUMERIC
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.bodies import MOON
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-from perilune.problem import Bounded, Free, Variable
+from perilune.problem.problem import Bounded, Free, Variable
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from problems.ascents import tangent_steering
 from problems.integrators import least_energy
 from problems.landings import meditch
@@ -63,7 +63,7 @@ def test_convergence_is_spectral(scheme):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_meditch_switches_where_it_must(scheme):
     lines: list[str] = []
-    s = Pseudospectral(scheme=scheme).run(meditch(), watch=lines.append)
+    s = Pseudospectral(scheme=scheme).run(meditch(), watch=lambda line: lines.append(str(line)))
     assert s.objective == pytest.approx(1.42031259905, abs=1e-8)
     assert 2.349 * (1 - s.trajectories[0].state.values[-1, 2]) == pytest.approx(s.objective, abs=1e-6)
     assert [line.split(":")[0] for line in lines if "nodes" in line][:2] == ["mesh 0", "mesh 1"]

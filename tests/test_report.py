@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
+from perilune.io.columns import columns, costate_unit, flown_control, hamiltonian
+from perilune.io.export import results, solution_document, trajectory_csv, write_solution
+from perilune.io.files import fresh_directory, json_text
+from perilune.io.reload import hash_of, read_solution
 from perilune.models.landing import Retro
-from perilune.outcome import Outcome, PeriluneError
-from perilune.problem import Problem
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Extremal, Nature, Solution, Statistics
+from perilune.problem.verification import Check, Verification
 from perilune.report import write_all
-from perilune.report.export import results, solution_document, trajectory_csv, write_solution
-from perilune.report.files import fresh_directory, json_text
-from perilune.report.history import columns, costate_unit, flown_control, hamiltonian
-from perilune.report.reload import hash_of, read_solution
 from perilune.report.summary import solution_markdown, solution_summary, table
-from perilune.solution import Extremal, Nature, Solution, Statistics
-from perilune.verification import Check, Verification
+from perilune.words.outcome import Outcome, PeriluneError
 
 SCENARIO = "[retro]\nspecific_impulse = '310 s'  # Cho's, µ\n"
 CHECKS = (

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from perilune.outcome import PeriluneError
-from perilune.report.cho2015 import PRINTED, best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn
+from perilune.families.sweep import Family, FamilyPoint
+from perilune.problem.solution import Extremal, Nature, Solution
 from perilune.report.family import family_csv, family_document, write_family
-from perilune.solution import Extremal, Nature, Solution
-from perilune.sweep import Family, FamilyPoint
+from perilune.reproductions.cho2015 import PRINTED, best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn
+from perilune.words.outcome import PeriluneError
 
 # --- families ---
 
@@ -98,6 +98,6 @@ def test_a_stopped_family_stops_the_reproduction(monkeypatch: pytest.MonkeyPatch
     """A sweep answers Ctrl-C with what it has, which must not be taken for the whole figure."""
     stopped = Family(problem=hybrid.problem, parameter="retro_delta_v", unit="m/s", points=(), interrupted=True)
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", lambda *_, **__: hybrid)
-    monkeypatch.setattr(importlib.import_module("perilune.sweep"), "sweep", lambda *_, **__: stopped)
+    monkeypatch.setattr(importlib.import_module("perilune.families.sweep"), "sweep", lambda *_, **__: stopped)
     with pytest.raises(KeyboardInterrupt):
         compute(lambda _: None, level=0)

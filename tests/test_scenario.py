@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from perilune.models.bodies import MOON
-from perilune.outcome import InfeasibleError, PeriluneError
 from perilune.scenario import load_file, load_text, template, values_of
 from perilune.scenario.text import LARGEST_FILE
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 HYBRID = EXAMPLES / "hybrid_lander.toml"

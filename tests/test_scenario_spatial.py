@@ -11,10 +11,10 @@ import pytest
 from command_line import ROOT, read_json
 from perilune.cli import run
 from perilune.cli.methods import NAMES, method_of
-from perilune.outcome import InfeasibleError, PeriluneError
-from perilune.report.peng2012 import CASE, problem
+from perilune.reproductions.peng2012 import CASE, problem
 from perilune.scenario import load_file, load_text
 from perilune.scenario.sections import DOCUMENTS, sections_of
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 POLAR = ROOT / "examples" / "polar_descent.toml"
 HYBRID = ROOT / "examples" / "hybrid_lander.toml"

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.outcome import Outcome, PeriluneError
-from perilune.problem import Problem
-from perilune.solution import Solution
+from perilune.families.sweep import sweep
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
 from perilune.solve import solve
-from perilune.sweep import sweep
+from perilune.words.outcome import Outcome, PeriluneError
 
 
 def test_landed_mass_against_delta_v(landing: Problem) -> None:

@@ -7,8 +7,8 @@ import math
 import pytest
 from hypothesis import given, strategies as st
 
-from perilune.outcome import PeriluneError
-from perilune.units import Scales, dimension_text, parse_quantity, unit
+from perilune.words.outcome import PeriluneError
+from perilune.words.units import Scales, dimension_text, parse_quantity, unit
 
 
 @pytest.mark.parametrize(

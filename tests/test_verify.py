@@ -12,11 +12,11 @@ import pytest
 
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
 from perilune.models.landing import Retro, bookkeeping
-from perilune.outcome import Outcome, PeriluneError
-from perilune.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
-from perilune.solution import Curve, Solution, Trajectory
-from perilune.verification import Verification
-from perilune.verify import verify
+from perilune.problem.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.verification import Verification
+from perilune.solve import verify
+from perilune.words.outcome import Outcome, PeriluneError
 
 HYBRID = Retro(specific_impulse=310.0)
 # First values only: Newton's method finds the roots to the last digit.

@@ -9,13 +9,12 @@ import pytest
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.outcome import Outcome, PeriluneError
-from perilune.problem import Problem
-from perilune.solution import Curve, Solution
-from perilune.solve import solve
-from perilune.verification import Check, Verification
-from perilune.verify import verify
-from perilune.verify.crossed import agreement
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Curve, Solution
+from perilune.problem.verification import Check, Verification
+from perilune.proof.crossed import agreement
+from perilune.solve import solve, verify
+from perilune.words.outcome import Outcome, PeriluneError
 from problems.integrators import CEILING, least_energy
 from problems.landings import meditch
 

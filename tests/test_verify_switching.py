@@ -11,13 +11,12 @@ import pytest
 
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.precision import Corridor
-from perilune.outcome import Outcome
-from perilune.problem import Bounded, Given, Phase, Problem, Variable
-from perilune.solution import Curve, Solution, Trajectory
-from perilune.solve import solve
-from perilune.verification import Check, Verification
-from perilune.verify import verify
-from perilune.verify.extremal import TOUCHING_MESH
+from perilune.problem.problem import Bounded, Given, Phase, Problem, Variable
+from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.verification import Check, Verification
+from perilune.proof.extremal import TOUCHING_MESH
+from perilune.solve import solve, verify
+from perilune.words.outcome import Outcome
 from problems.integrators import CEILING, least_energy, least_time
 from problems.landings import meditch
 from problems.staging import staged_burns

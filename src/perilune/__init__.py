@@ -11,29 +11,29 @@ __version__ = "0.1.0"
 
 # name: module. Loaded on first use, so that `import perilune` costs nothing.
 _EXPORTS = {
-    "Problem": "perilune.problem",
-    "Phase": "perilune.problem",
-    "Variable": "perilune.problem",
-    "Direction": "perilune.problem",
-    "Bounded": "perilune.problem",
-    "Given": "perilune.problem",
-    "Free": "perilune.problem",
-    "Scales": "perilune.units",
-    "Solution": "perilune.solution",
-    "Verification": "perilune.verification",
-    "Check": "perilune.verification",
-    "Outcome": "perilune.outcome",
-    "PeriluneError": "perilune.outcome",
-    "InfeasibleError": "perilune.outcome",
-    "NotConvergedError": "perilune.outcome",
+    "Problem": "perilune.problem.problem",
+    "Phase": "perilune.problem.problem",
+    "Variable": "perilune.problem.problem",
+    "Direction": "perilune.problem.problem",
+    "Bounded": "perilune.problem.problem",
+    "Given": "perilune.problem.problem",
+    "Free": "perilune.problem.problem",
+    "Scales": "perilune.words.units",
+    "Solution": "perilune.problem.solution",
+    "Verification": "perilune.problem.verification",
+    "Check": "perilune.problem.verification",
+    "Outcome": "perilune.words.outcome",
+    "PeriluneError": "perilune.words.outcome",
+    "InfeasibleError": "perilune.words.outcome",
+    "NotConvergedError": "perilune.words.outcome",
     "Indirect": "perilune.methods.indirect",
     "Pseudospectral": "perilune.methods.pseudospectral",
     "Hybrid": "perilune.methods.hybrid",
-    "Genetic": "perilune.genetic",
+    "Genetic": "perilune.methods.genetic",
     "MOON": "perilune.models.bodies",
     "solve": "perilune.solve",
-    "sweep": "perilune.sweep",
-    "verify": "perilune.verify",
+    "sweep": "perilune.families.sweep",
+    "verify": "perilune.solve",
     "models": "perilune.models",
 }
 
@@ -66,19 +66,18 @@ __all__ = [
 
 if TYPE_CHECKING:
     from perilune import models
-    from perilune.genetic import Genetic
+    from perilune.families.sweep import sweep
+    from perilune.methods.genetic import Genetic
     from perilune.methods.hybrid import Hybrid
     from perilune.methods.indirect import Indirect
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
-    from perilune.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-    from perilune.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
-    from perilune.solution import Solution
-    from perilune.solve import solve
-    from perilune.sweep import sweep
-    from perilune.units import Scales
-    from perilune.verification import Check, Verification
-    from perilune.verify import verify
+    from perilune.problem.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+    from perilune.problem.solution import Solution
+    from perilune.problem.verification import Check, Verification
+    from perilune.solve import solve, verify
+    from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+    from perilune.words.units import Scales
 
 
 class _Package(ModuleType):

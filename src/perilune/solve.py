@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from perilune.methods.indirect import Indirect
-from perilune.outcome import Outcome
-from perilune.problem import Problem
-from perilune.solution import Iteration, Solution
+from perilune.methods.method import Method
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.words.outcome import Outcome
+from perilune.words.watch import Watch
 
-
-class Method(Protocol):
-    """What every method is: a frozen record of settings with a `run`."""
-
-    def run(
-        self,
-        problem: Problem,
-        guess: Solution | None = None,
-        watch: Callable[[Iteration | str], None] | None = None,
-    ) -> Solution:
-        """Solve the problem, from a guess or from nothing."""
-        ...
+if TYPE_CHECKING:
+    from perilune.problem.verification import Verification
+    from perilune.proof.resolved import Resolve
 
 
 def solve(
@@ -31,7 +23,7 @@ def solve(
     *,
     guess: Solution | None = None,
     level: int = 3,
-    watch: Callable[[Iteration | str], None] | None = None,
+    watch: Watch | None = None,
 ) -> Solution:
     """Solve a problem and prove the answer.
 
@@ -65,8 +57,29 @@ def prove(solution: Solution, level: int) -> Solution:
     """The same solution with its verification up to `level`, and the outcome that follows; level 0 changes nothing."""
     if level == 0:
         return solution
-    from perilune.verify import verify
-
     verification = verify(solution, level=level)
     proved = verification.passed and verification.level >= level
     return replace(solution, verification=verification, outcome=Outcome.PROVED if proved else Outcome.NOT_PROVED)
+
+
+def verify(
+    solution: Solution, level: int = 3, resolve: Resolve | None = None, other: Method | None = None
+) -> Verification:
+    """Check what a solution claims; see `perilune.proof.levels.examine`.
+
+    Parameters
+    ----------
+    solution, level
+        What to check, and how far.
+    resolve
+        Solves the neighbouring problems of level 3; by default `solve`, from the solution and unverified.
+    other
+        The other method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
+    """
+    from perilune.proof.levels import examine
+
+    return examine(solution, level, resolve or _solve_again, other)
+
+
+def _solve_again(problem: Problem, guess: Solution) -> Solution:
+    return solve(problem, guess=guess, level=0)

@@ -10,7 +10,7 @@ import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
 
 from perilune.kernels import ArcStatus, compile_arcs
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 
 def engine(rhs: ca.Function, backend: str, columns: Any = 0) -> Any:

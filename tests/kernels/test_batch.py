@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from perilune.kernels.batch import BatchShooter, ShootingStatus
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 #: lam_r, lam_u, lam_v, T near the nominal landing: 1007.2 s.
 GUESS = np.array([0.887, 0.458, -0.063, 0.973])

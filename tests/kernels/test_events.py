@@ -8,7 +8,7 @@ import pytest
 from meditch import COST, EXHAUST, FINAL_TIME, PARAMETERS, START, SWITCH, modes_and_switch
 
 from perilune.kernels import ArcStatus, Event, compile_arcs
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 
 def fall() -> tuple[ca.Function, ca.Function]:

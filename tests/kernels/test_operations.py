@@ -8,7 +8,7 @@ import pytest
 
 from perilune.kernels.mapped import compile_map
 from perilune.kernels.program import hoist, trace
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 EDGES = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -0.5, np.inf, -np.inf, np.nan, 5e-324, 2.3e-308, 1.7e308, -1.7e308])
 

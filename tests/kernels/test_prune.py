@@ -9,7 +9,7 @@ from lander import DURATION, PARAMETERS, landing_rhs, start
 
 from perilune.kernels import compile_arcs
 from perilune.kernels.prune import prune
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 
 def test_the_planar_landing_loses_angle_and_costates_that_decouple() -> None:

@@ -13,7 +13,7 @@ from meditch import FINAL_TIME, PARAMETERS as MEDITCH, START, SWITCH, modes_and_
 
 from perilune.kernels import ArcStatus, compile_arcs
 from perilune.kernels.mapped import compile_single
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 
 def test_one_arc_is_what_the_batch_flies(backend: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem import Problem
+from perilune.problem.problem import Problem
 
 Method = Indirect | Pseudospectral
 

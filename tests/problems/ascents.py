@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from perilune.problem import Direction, Free, Given, Phase, Problem, Variable
-from perilune.units import Scales
+from perilune.problem.problem import Direction, Free, Given, Phase, Problem, Variable
+from perilune.words.units import Scales
 from problems.answered import Answered
 
 END = tuple(Variable(name=n, unit=u) for n, u in (("height", "m"), ("along", "m/s"), ("up", "m/s")))

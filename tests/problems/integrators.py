@@ -7,7 +7,7 @@ from functools import partial
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem import Bounded, Free, Given, Phase, Problem, Variable
+from perilune.problem.problem import Bounded, Free, Given, Phase, Problem, Variable
 from problems.answered import Answered
 
 

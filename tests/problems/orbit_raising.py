@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perilune.problem import Direction, Given, Phase, Problem, Variable
+from perilune.problem.problem import Direction, Given, Phase, Problem, Variable
 from problems.answered import Answered
 
 

@@ -6,8 +6,8 @@ import math
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem import Free, Given, Phase, Problem, Variable
-from perilune.units import Scales
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.words.units import Scales
 from problems.answered import Answered
 
 

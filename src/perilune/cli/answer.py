@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from perilune.outcome import NotConvergedError, PeriluneError
+from perilune.words.outcome import NotConvergedError, PeriluneError
 
 INTERRUPTED = 130
 OUTCOME_OF_CODE = {1: "FAULT", 2: "REFUSED", 3: "INFEASIBLE", 4: "NOT_CONVERGED", INTERRUPTED: "INTERRUPTED"}
@@ -81,7 +81,7 @@ def say(answer: Answer, as_json: bool) -> int:
     if as_json or not refused:
         text = answer.text
         if as_json:
-            from perilune.report.files import json_text
+            from perilune.io.files import json_text
 
             text = json_text(answer.document)
         try:

@@ -16,12 +16,12 @@ import typer
 from perilune.cli.answer import INTERRUPTED, Answer, deliver, forsake_stdout, refusal, say
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, note, progress, refuse_used, warn
-from perilune.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 if TYPE_CHECKING:
-    from perilune.problem import Problem
-    from perilune.solution import Solution
-    from perilune.sweep import Family
+    from perilune.families.sweep import Family
+    from perilune.problem.problem import Problem
+    from perilune.problem.solution import Solution
 
 app = typer.Typer(
     add_completion=False,
@@ -53,7 +53,7 @@ def obey(arguments: Sequence[str]) -> int:
 
 
 # The module of each paper has `reproduce`.
-PAPERS = {"cho-2015": "perilune.report.cho2015", "peng-2012": "perilune.report.peng2012"}
+PAPERS = {"cho-2015": "perilune.reproductions.cho2015", "peng-2012": "perilune.reproductions.peng2012"}
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="FILE", help="Scenario in TOML; `perilune new` writes one.")]
 Changes = Annotated[
@@ -157,7 +157,7 @@ def _ordinary(solution: Solution) -> Solution | None:
 
 
 def _solution_answer(solution: Solution, verbose: bool, out: Path | None = None) -> Answer:
-    from perilune.report.export import solution_document
+    from perilune.io.export import solution_document
     from perilune.report.summary import solution_summary
 
     text = solution_summary(solution, every_check=verbose) + (f"\n\nwritten to {out}" if out is not None else "")
@@ -227,8 +227,8 @@ def _varied(file: Path, changes: list[str], key: str, values: list[float]) -> Pr
 
 def _family(problem: Problem, name: str, values: list[float], level: int, watch: Callable[..., None]) -> Family:
     """The family, in which values that pre-flight refuses, or that burn more than there is, say so."""
+    from perilune.families.sweep import failed_point, sweep as sweep_problem
     from perilune.models.preflight import check_propellant, preflight
-    from perilune.sweep import failed_point, sweep as sweep_problem
 
     refused = {}
     for value in values:
@@ -303,8 +303,8 @@ def verify(
     """Prove a saved solution again, from its file alone."""
 
     def work() -> Answer:
+        from perilune.io.reload import read_solution
         from perilune.models.preflight import check_propellant
-        from perilune.report.reload import read_solution
         from perilune.solve import prove
 
         solution = prove(read_solution(directory), level)
@@ -333,7 +333,7 @@ def reproduce(
     def work() -> Answer:
         from importlib import import_module
 
-        from perilune.outcome import unknown_name
+        from perilune.words.outcome import unknown_name
 
         if paper not in PAPERS:
             raise unknown_name("paper", paper, list(PAPERS))

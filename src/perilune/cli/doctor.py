@@ -12,8 +12,8 @@ def diagnosis(clear_cache: bool) -> Answer:
     import platform
     from importlib.util import find_spec
 
+    from perilune.io.export import versions
     from perilune.kernels import cache
-    from perilune.report.export import versions
 
     removed = cache.clear() if clear_cache else None
     kept, compiles = cache.report(), find_spec("llvmlite") is not None

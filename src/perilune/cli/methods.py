@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from perilune.outcome import unknown_name
+from perilune.words.outcome import unknown_name
 
 if TYPE_CHECKING:
-    from perilune.solve import Method
+    from perilune.methods.method import Method
 
 NAMES = ("indirect", "direct", "hybrid")
 
@@ -29,7 +29,7 @@ def method_of(name: str) -> Method:
         return Indirect()
     if name == "direct":
         return Pseudospectral()
-    from perilune.genetic import Genetic
+    from perilune.methods.genetic import Genetic
     from perilune.methods.hybrid import Hybrid
 
     return Hybrid(Genetic(), Pseudospectral())

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from perilune.cli.answer import INTERRUPTED, refusal, stopped
-from perilune.outcome import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
     from perilune.models.preflight import Finding
     from perilune.scenario import Scenario
-    from perilune.solution import Iteration
+    from perilune.words.watch import Iteration
 
 LONGEST_LOG = 1000  # lines of progress that a failure keeps
 
@@ -67,7 +67,7 @@ def note(text: str) -> None:
 def refuse_used(out: Path | None, force: bool) -> None:
     """Refuse an unusable target before the work, not after it."""
     if out is not None:
-        from perilune.report.files import fresh_directory
+        from perilune.io.files import fresh_directory
 
         with fresh_directory(out, force):
             pass
@@ -80,9 +80,9 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
         yield
     except (InfeasibleError, NotConvergedError, KeyboardInterrupt) as error:
         if out is not None:
-            from perilune.report.export import versions
-            from perilune.report.files import fresh_directory, json_text
-            from perilune.report.reload import hash_of
+            from perilune.io.export import versions
+            from perilune.io.files import fresh_directory, json_text
+            from perilune.io.reload import hash_of
 
             known = error if isinstance(error, PeriluneError) else stopped()
             said = refusal(known, getattr(error, "exit_code", INTERRUPTED))

@@ -15,8 +15,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.outcome import PeriluneError
-from perilune.types import Batch, Matrix, Vector
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Batch, Matrix, Vector
 
 #: Events recorded for each lane; an arc that meets more ends with `ArcStatus.STEP_LIMIT`.
 MAX_EVENTS = 16

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from perilune.kernels.engine import compile_arcs
 from perilune.kernels.mapped import compile_map
-from perilune.outcome import PeriluneError
-from perilune.types import Matrix, Vector
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 
 _LOOSEST = 1e-6  # tolerance of the first flights
 _SMALLEST_STEP = 2.0**-12

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from perilune.kernels import tableau
 from perilune.kernels.arcs import Arcs
-from perilune.types import Batch, Matrix, Vector
+from perilune.words.types import Batch, Matrix, Vector
 
 Rates = Callable[[Matrix, Vector], Matrix]
 

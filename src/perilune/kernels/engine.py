@@ -22,8 +22,8 @@ from perilune.kernels.arcs import MAX_EVENTS, MAX_STEPS, TABLE, Arcs, Engine, Ev
 from perilune.kernels.dense import DenseArc, dense_arc
 from perilune.kernels.single import SingleArc
 from perilune.kernels.system import ArcSystem
-from perilune.outcome import PeriluneError
-from perilune.types import Matrix, Vector
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 
 _LOG = logging.getLogger("perilune.kernels")
 LANES = 4

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from perilune.kernels.arcs import MAX_EVENTS, ArcStatus, Event
 from perilune.kernels.crossing import _AFTER, _WHOLE, TOLERANCE
-from perilune.types import Vector
+from perilune.words.types import Vector
 
 if TYPE_CHECKING:
     from perilune.kernels.interpreter import Flight, Trial

@@ -19,7 +19,7 @@ from perilune.kernels.dense import DenseArc, dense_arc
 from perilune.kernels.interpreted_crossing import Crossings
 from perilune.kernels.single import SingleArc
 from perilune.kernels.system import ArcSystem
-from perilune.types import Matrix, Vector
+from perilune.words.types import Matrix, Vector
 
 _SAFETY, _SHRINK, _GROW, _RESOLVED, _FIRST, _LEAST = 0.9, 0.2, 10.0, 1e-14, 3.0, 0.01**0.125  # as in `driver`
 Mask = NDArray[np.bool_]

@@ -20,7 +20,7 @@ from perilune.kernels.emit import kernel, library
 from perilune.kernels.ir import Writer
 from perilune.kernels.program import trace
 from perilune.kernels.single import SingleMap
-from perilune.types import Matrix
+from perilune.words.types import Matrix
 
 _WIDTH = 4
 _LANES_PER_THREAD = 512

@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 
 def available() -> bool:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 #: Operations by CasADi's name for them (without ``OP_``), and ours.
 OPERATIONS = {

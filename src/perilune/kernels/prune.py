@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from perilune.kernels.dense import DenseArc
-from perilune.outcome import PeriluneError
-from perilune.types import Matrix, Vector
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.kernels.arcs import INFO, MAX_EVENTS
-from perilune.outcome import PeriluneError
-from perilune.types import Matrix, Vector
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 
 #: Given the arrays of a call by name, return what runs it.
 Binder = Callable[[dict[str, NDArray[Any]]], Callable[[], Any]]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from perilune.kernels.arcs import Event
 from perilune.kernels.program import Program, trace
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

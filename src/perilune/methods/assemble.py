@@ -6,15 +6,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from perilune.conditions.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
 from perilune.kernels import DenseArc
-from perilune.maths import NUMERIC
-from perilune.outcome import PeriluneError
-from perilune.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
-from perilune.problem import Bounded, Direction, Phase, Problem
-from perilune.propagate import flight
-from perilune.solution import Curve, Solution, Trajectory, hermite_nodes
-from perilune.symbolic import canonical_free, free_scales, state_scales
-from perilune.types import Matrix, Vector
+from perilune.problem.problem import Bounded, Direction, Phase, Problem
+from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
+from perilune.problem.symbolic import canonical_free, free_scales, state_scales
+from perilune.shooting.propagate import flight
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 
 # Tolerance of the arcs that are exported. Their curves are interpolated to 1e-10 in states, 1e-9 in costates and 3e-11
 # in controls (canonical): the re-flight integrates the control's error over the whole burn, and 3e-11 rad of a few

@@ -27,15 +27,15 @@ from typing import Any
 
 import numpy as np
 
-from perilune.maths import NUMERIC
+from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.assemble import free_values, multipliers, trajectories
-from perilune.outcome import Outcome, PeriluneError
-from perilune.pontryagin import derive, extremal_parameters
-from perilune.problem import Bounded, Phase, Problem
-from perilune.propagate import engine, equations
-from perilune.solution import Curve, Solution, Trajectory
-from perilune.symbolic import canonical_given, free_scales, state_scales
-from perilune.types import Batch, Matrix, Vector
+from perilune.problem.problem import Bounded, Phase, Problem
+from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.symbolic import canonical_given, free_scales, state_scales
+from perilune.shooting.propagate import engine, equations
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.types import Batch, Matrix, Vector
 
 STEPS = 40  # of one phase under given controls: far more accurate than what a population resolves
 TOLERANCE, MOST_STEPS = 1e-6, 300  # of extremals; one that needs more steps is no good start either

@@ -10,17 +10,15 @@ converged, never the population's own.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from perilune.genetic import Generation, Genetic
+from perilune.methods.genetic import Generation, Genetic
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.outcome import NotConvergedError, PeriluneError
-from perilune.problem import Problem
-from perilune.solution import Extremal, Iteration, Nature, Solution
-
-Watch = Callable[[Iteration | str], None]
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Extremal, Nature, Solution
+from perilune.words.outcome import NotConvergedError, PeriluneError
+from perilune.words.watch import Watch, silent
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class Hybrid:
         """
         from perilune.methods.fitness import ControlFitness, CostateFitness
 
-        say: Watch = watch or (lambda _: None)
+        say = watch or silent
         began = time.perf_counter()
         fitness = CostateFitness(problem) if isinstance(self.second, Indirect) else ControlFitness(problem, self.nodes)
         survivors = self.first.search(fitness, fitness.lower, fitness.upper, lambda g: say(_line(g)))

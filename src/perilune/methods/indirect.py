@@ -8,7 +8,7 @@ Rungs, in order, each tried only where the one before failed:
 3. *multiple shooting* from the same, for arcs too unstable to fly in one piece.
 
 A free parameter between finite bounds (the retro burn) is held at first; then the whole family along it is followed
-and every extremal on it found (`perilune.extremals`).
+and every extremal on it found (`perilune.shooting.extremals`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from perilune.methods.search import Search, Watch
-from perilune.problem import Problem
-from perilune.solution import Solution
+from perilune.methods.search import Search
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.words.watch import Watch, silent
 
 if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
@@ -74,4 +75,4 @@ class Indirect:
         InfeasibleError
             If extremals were found and every one breaks a path condition.
         """
-        return Search(self, problem, watch or (lambda _: None)).solve(guess)
+        return Search(self, problem, watch or silent).solve(guess)

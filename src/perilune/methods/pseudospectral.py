@@ -10,26 +10,24 @@ that it is checked by the same conditions as an answer of the indirect method, a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from perilune.collocation import Mesh, Scheme, rule
-from perilune.outcome import Outcome, PeriluneError
-from perilune.problem import Problem
-from perilune.solution import Iteration, Solution, Statistics
-from perilune.types import Matrix, Vector
+from perilune.direct.collocation import Mesh, Scheme, rule
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution, Statistics
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Iteration, Watch, silent
 
 if TYPE_CHECKING:
-    from perilune.nlp import Answer, PhaseValues, Program
-    from perilune.segments import Segment
+    from perilune.direct.nlp import Answer, PhaseValues, Program
+    from perilune.direct.segments import Segment
 
 # Starts that end at a point of least, but not zero, violation before the problem is taken to be infeasible.
 CONVINCED = 2
 # A condition violated by less, in canonical units, is met.
 MISSED = 1e-7
-
-Watch = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +94,10 @@ class Pseudospectral:
             If no feasible trajectory was found, or the accuracy was not reached; the message names the
             conditions that are missed, in SI.
         """
-        from perilune.contradictions import check_consistent
+        from perilune.direct.contradictions import check_consistent
 
         check_consistent(problem)
-        return _Run(settings=self, problem=problem, watch=watch or (lambda line: None)).solve(guess)
+        return _Run(settings=self, problem=problem, watch=watch or silent).solve(guess)
 
 
 @dataclass
@@ -121,8 +119,8 @@ class _Run:
 
     def solve(self, guess: Solution | None) -> Solution:
         """First mesh, then refinement until the mesh is accurate enough."""
-        from perilune.mesh import mesh_errors, refined, relative_errors
-        from perilune.segments import flown_segments, sampled, sampler
+        from perilune.direct.mesh import mesh_errors, refined, relative_errors
+        from perilune.direct.segments import flown_segments, sampled, sampler
 
         s, problem = self.settings, self.problem
         program, answer = self.first_answer(guess)
@@ -152,14 +150,14 @@ class _Run:
 
     def program(self, meshes: tuple[Mesh, ...]) -> Program:
         """The NLP on the given meshes."""
-        from perilune.nlp import Program
+        from perilune.direct.nlp import Program
 
         return Program(problem=self.problem, scheme=self.settings.scheme, meshes=meshes)
 
     def first_answer(self, guess: Solution | None) -> tuple[Program, Answer]:
         """Solve on the first mesh from the guess, or from the straight lines; last, from the nearest miss."""
-        from perilune.first_guess import first_guesses
-        from perilune.segments import sampled
+        from perilune.direct.first_guess import first_guesses
+        from perilune.direct.segments import sampled
 
         s = self.settings
         program = self.program(tuple(Mesh.uniform(s.segments, s.nodes) for _ in self.problem.phases))
@@ -200,8 +198,8 @@ class _Run:
 
     def fail(self, program: Program, answer: Answer) -> tuple[Program, Answer]:
         """Refuse, with the conditions that the best trajectory misses."""
-        from perilune.contradictions import missed_conditions
-        from perilune.outcome import NotConvergedError
+        from perilune.direct.contradictions import missed_conditions
+        from perilune.words.outcome import NotConvergedError
 
         missed = missed_conditions(program, answer, MISSED)
         raise NotConvergedError(
@@ -216,8 +214,8 @@ class _Run:
 
     def fail_mesh(self, errors: list[Matrix], worst: float, after: str) -> None:
         """Refuse an answer whose mesh is not as accurate as asked for."""
-        from perilune.mesh import error_text
-        from perilune.outcome import NotConvergedError
+        from perilune.direct.mesh import error_text
+        from perilune.words.outcome import NotConvergedError
 
         raise NotConvergedError(
             "the mesh did not reach the requested accuracy",
@@ -229,7 +227,7 @@ class _Run:
 
     def solution(self, program: Program, answer: Answer, segments: list[list[Segment]], worst: float) -> Solution:
         """The answer in SI."""
-        from perilune.segments import trajectory
+        from perilune.direct.segments import trajectory
 
         s, problem = self.settings, self.problem
         objective_scale = problem.scales.of(problem.objective_unit)
@@ -266,7 +264,7 @@ def _violation(answer: Answer) -> float:
 
 
 def _mesh_line(problem: Problem, program: Program, errors: list[Matrix], worst: float, number: int) -> str:
-    from perilune.mesh import error_text
+    from perilune.direct.mesh import error_text
 
     nodes = sum(mesh.nodes for mesh in program.meshes)
     segments = sum(len(mesh.degrees) for mesh in program.meshes)

@@ -6,15 +6,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.continuation import Member
-from perilune.extremals import Found, HeldFamily, scan
-from perilune.lanes import lanes
+from perilune.conditions.pontryagin import Conditions, derive, extremal_parameters
 from perilune.methods.assemble import (
     beyond_shooting,
     controls,
@@ -27,19 +25,20 @@ from perilune.methods.assemble import (
     trajectories,
     unknowns_from,
 )
-from perilune.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-from perilune.pontryagin import Conditions, derive, extremal_parameters
-from perilune.problem import Problem
-from perilune.rootfind import Root
-from perilune.shooting import Shooting
-from perilune.solution import Deferred, Extremal, Iteration, Nature, Solution, Statistics
-from perilune.symbolic import canonical_free, free_scales, state_scales
-from perilune.types import Matrix, Vector
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
+from perilune.problem.symbolic import canonical_free, free_scales, state_scales
+from perilune.shooting.continuation import Member
+from perilune.shooting.extremals import Found, HeldFamily, scan
+from perilune.shooting.function import Shooting
+from perilune.shooting.lanes import lanes
+from perilune.shooting.rootfind import Root
+from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Iteration, Watch
 
 if TYPE_CHECKING:
     from perilune.methods.indirect import Indirect
-
-Watch = Callable[[Iteration | str], None]
 
 _SPHERE = "costates on the unit sphere"
 _ROUGHEST = 0.05  # relative mesh error beyond which a direct solution is not worth quoting
@@ -250,10 +249,11 @@ class Search:
                 self.best_failure = root
         return root
 
-    def _iteration(self, iteration: Iteration) -> None:
-        self.iterations += 1
-        self.history.append(iteration)
-        self.watch(iteration)
+    def _iteration(self, event: Iteration | str) -> None:
+        if isinstance(event, Iteration):
+            self.iterations += 1
+            self.history.append(event)
+        self.watch(event)
 
     # -- what makes a root an answer ------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from perilune.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,15 +15,15 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from perilune.maths import NUMERIC
 from perilune.models.bodies import MOON, Body
 from perilune.models.descent_frames import CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
 from perilune.models.landing import Vehicle
 from perilune.models.rotating import dot, local_axes
-from perilune.outcome import InfeasibleError, PeriluneError
-from perilune.problem import Bounded, Control, Direction, Free, Given, Phase, Problem
-from perilune.types import Physics
-from perilune.units import Scales
+from perilune.problem.problem import Bounded, Control, Direction, Free, Given, Phase, Problem
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.types import Physics
+from perilune.words.units import Scales
 
 # Of the rocket-equation bounds, for the rotation and J2 that they leave out.
 _SLACK = 1.02

@@ -38,8 +38,8 @@ from perilune.models.rotating import (
     local_axes,
     place,
 )
-from perilune.problem import Variable
-from perilune.types import Physics
+from perilune.problem.problem import Variable
+from perilune.words.types import Physics
 
 _AXIS = (0.0, 0.0, 1.0)
 

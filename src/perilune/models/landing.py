@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from perilune.maths import NUMERIC
 from perilune.models.bodies import MOON, Body
-from perilune.outcome import PeriluneError
-from perilune.problem import Direction, Free, Given, Phase, Problem, Variable
-from perilune.solution import Solution
-from perilune.units import Scales
-from perilune.verification import Check
+from perilune.problem.problem import Direction, Free, Given, Phase, Problem, Variable
+from perilune.problem.solution import Solution
+from perilune.problem.verification import Check
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from perilune.words.units import Scales
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact: 3rd CGPM (1901); the paper uses 9.81
 

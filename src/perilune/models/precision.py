@@ -21,15 +21,15 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.maths import NUMERIC
 from perilune.models.bodies import MOON, Body
 from perilune.models.descent import Site, body_and_vehicle, section, throttle_control
 from perilune.models.descent_frames import MASS, mass_rate, thrust, variables
 from perilune.models.landing import Vehicle
 from perilune.models.rotating import combine, free_acceleration
-from perilune.outcome import InfeasibleError, PeriluneError
-from perilune.problem import Direction, Free, Given, Phase, Problem
-from perilune.units import Scales
+from perilune.problem.problem import Direction, Free, Given, Phase, Problem
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.units import Scales
 
 
 @dataclass(frozen=True, kw_only=True)

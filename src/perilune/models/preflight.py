@@ -22,11 +22,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from perilune.maths import NUMERIC
 from perilune.models.landing import perilune_speed
-from perilune.outcome import InfeasibleError, PeriluneError
-from perilune.problem import Problem
-from perilune.solution import Solution
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 LEAST_LANDED_SHARE = 0.1
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from perilune.solution import Solution
+from perilune.problem.solution import Solution
 
 
 def write_all(
@@ -35,9 +35,9 @@ def write_all(
     PeriluneError
         If the directory cannot be written, or is not empty and `force` is false.
     """
-    from perilune.report.export import write_solution_files
+    from perilune.io.export import write_solution_files
+    from perilune.io.files import fresh_directory
     from perilune.report.figures import save, solution_figures
-    from perilune.report.files import fresh_directory
     from perilune.report.summary import solution_markdown
 
     with fresh_directory(out_dir, force) as work:

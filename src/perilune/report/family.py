@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.report.export import results
-from perilune.report.files import finite, fresh_directory, json_text
+from perilune.io.export import results
+from perilune.io.files import finite, fresh_directory, json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from perilune.sweep import Family
+    from perilune.families.sweep import Family
 
 FAMILY_NAME = "family"
 

@@ -20,9 +20,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from perilune.problem import Direction
-from perilune.report.history import Column, columns, flown_control, hamiltonian, hamiltonian_terms, required_hamiltonian
-from perilune.solution import Solution
+from perilune.io.columns import Column, columns, flown_control, hamiltonian, hamiltonian_terms, required_hamiltonian
+from perilune.problem.problem import Direction
+from perilune.problem.solution import Solution
 
 COLUMN_WIDTH = 3.4  # inches
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, GREY = (

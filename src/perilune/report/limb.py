@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune.io.columns import columns, flown_control
+from perilune.problem.solution import Solution
 from perilune.report.figures import BLUE, GREEN, GREY, VERMILION, flight_columns, new_figure, styled
-from perilune.report.history import columns, flown_control
-from perilune.solution import Solution
 
 WIDTH = 7.0  # inches: two columns, as the path is long and flat
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.maths import NUMERIC
 from perilune.models.rotating import dot, heading_axes, local_axes
+from perilune.problem.solution import Solution
 from perilune.report.figures import BLUE, GREEN, GREY, VERMILION, flight_columns, legend_above, new_figure, styled
-from perilune.solution import Solution
-from perilune.types import Vector
+from perilune.words.maths import NUMERIC
+from perilune.words.types import Vector
 
 # File name of a figure: column and axis label of each panel that a problem may have.
 PANELS = {

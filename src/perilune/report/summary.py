@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from perilune.report.export import extremals_document, results
-from perilune.solution import Solution
-from perilune.verification import LEVEL_NAMES, Verification
+from perilune.io.export import extremals_document, results
+from perilune.problem.solution import Solution
+from perilune.problem.verification import LEVEL_NAMES, Verification
 
 _DIGITS = {"kg": 6, "m/s": 4, "s": 4}
 

@@ -35,7 +35,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from perilune.problem import Problem
+from perilune.problem.problem import Problem
 from perilune.scenario.build import problem_of
 from perilune.scenario.schema import checked, quantity_of, values_of
 from perilune.scenario.text import apply, parse, read, written

@@ -8,7 +8,7 @@ from perilune.models.descent import Ignition, Site, Steering, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.preflight import geometry, refuse_impossible
-from perilune.problem import Given, Problem
+from perilune.problem.problem import Given, Problem
 from perilune.scenario.plausible import body_of, check_altitudes, check_vehicle
 from perilune.scenario.sections import (
     DescentDocument,

@@ -9,9 +9,9 @@ import math
 from typing import NoReturn
 
 from perilune.models import bodies
-from perilune.outcome import PeriluneError, unknown_name
 from perilune.scenario.schema import quantity_of
 from perilune.scenario.sections import BodySection, LandingSection, OrbitSection, VehicleSection
+from perilune.words.outcome import PeriluneError, unknown_name
 
 GRAVITATIONAL_CONSTANT = 6.6743e-11  # m^3/(kg s^2), CODATA 2018; only for the plausibility of a body's density
 # Comets have about 500 kg/m^3 and Mercury and the Earth 5500; a slip between km and m changes the density

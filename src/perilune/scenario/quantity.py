@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from perilune.outcome import PeriluneError
-from perilune.units import parse_quantity
+from perilune.words.outcome import PeriluneError
+from perilune.words.units import parse_quantity
 
 LONGEST_VALUE = 200  # characters
 

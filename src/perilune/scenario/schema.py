@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import BeforeValidator, ValidationError
 
-from perilune.outcome import PeriluneError, unknown_name
 from perilune.scenario.quantity import LONGEST_VALUE, Quantity
 from perilune.scenario.sections import DOCUMENTS, HYBRID, Document, sections_of
-from perilune.units import parse_quantity
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.units import parse_quantity
 
 MOST_STEPS = 10_000
 _RANGE = 'for example --vary "retro.delta_v=0:1600:50 m/s", or with a unit in each part'

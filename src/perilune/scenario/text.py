@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from perilune.outcome import PeriluneError, unknown_name
 from perilune.scenario.sections import DOCUMENTS, sections_of
+from perilune.words.outcome import PeriluneError, unknown_name
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
 LONGEST_LINE = 1000  # characters; keeps the time of the TOML parser linear in practice

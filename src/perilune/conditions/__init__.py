@@ -1,0 +1,1 @@
+"""Pontryagin's conditions of a problem, and the control that minimises H."""

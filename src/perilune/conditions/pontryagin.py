@@ -1,0 +1,383 @@
+"""First-order optimality conditions of a `Problem`, derived by automatic differentiation alone.
+
+Sign convention (the tests assert it: lambda(t0) = dJ*/dx0):
+
+    H = lambda . f(x, u, p), the control minimises H                             Cho et al. 2015 (11), (14)
+    lambda' = -dH/dx                                                             (12), which prints H_r for H_x
+    lambda(T) = dJ/dx + nu . dpsi/dx at the last end                             (18), (19)
+    lambda_k(T) = (dlink/dx)^T lambda_{k+1}(0) + nu_k . dpsi_k/dx at an inner end
+
+and for each free parameter q, which may move the initial state, the ends, the links or a duration,
+
+    dJ/dq + nu . dpsi/dq + lambda_1(0) . dstart/dq + lambda_{k+1}(0) . dlink_k/dq + (H_k(T_k) if q is T_k) = 0.
+
+For the retro burn this last line is Cho et al. (19), "lambda_u(0) + lambda_m(0) M/c exp(...) = 0", and H_f = 0. A free
+parameter in the dynamics becomes a constant state, whose costate collects the integral of dH/dq.
+
+A bounded control that enters H linearly sits at a bound: at the upper one where its switching function S = dH/du is
+negative. Each combination of bounds is a *mode* with smooth dynamics of its own; zeros of S are events between modes.
+
+Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all in canonical units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from perilune.conditions.control_law import minimising_control, switched_scalars
+from perilune.problem.problem import Phase, Problem
+from perilune.problem.symbolic import (
+    SYMBOLIC,
+    Parameters,
+    canonical_given,
+    column,
+    elements,
+    trace_at_end,
+    trace_parameters,
+    trace_rates,
+)
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Vector
+from perilune.words.units import quotient
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhaseExtremal:
+    """The canonical equations of one phase, z = (x, constant states, lambda) in canonical units.
+
+    Parameters
+    ----------
+    modes
+        (z, p) -> z' for each combination of bounds: bit i of the mode is set where switched control i is at its upper
+        bound. One function where no control switches. p is `extremal_parameters`.
+    reports
+        (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
+    switching
+        (z, p) -> S of each switched control.
+    state_count
+        Number of x's own components; z has 2 (state_count + constants) components.
+    constants
+        Indices of the free parameters that were made constant states.
+    """
+
+    modes: tuple[ca.Function, ...]
+    reports: tuple[ca.Function, ...]
+    switching: ca.Function
+    state_count: int
+    constants: tuple[int, ...]
+
+    def mode(self, z: Vector, p: Vector) -> int:
+        """The mode at a point, from the signs of the switching functions."""
+        if len(self.modes) == 1:
+            return 0
+        signs = np.array(self.switching(z, p)).ravel() < 0
+        return int(np.sum(signs * 2 ** np.arange(len(signs))))
+
+    @property
+    def half(self) -> int:
+        """Length of lambda."""
+        return self.state_count + len(self.constants)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Conditions:
+    """The boundary value problem of a `Problem`.
+
+    Parameters
+    ----------
+    phases
+        Canonical equations of each phase.
+    starts
+        For each phase (y, z_before, p) -> (z0, duration), with its Jacobians by y and z_before; the first phase takes
+        an empty z_before.
+    residual
+        (y, all end z stacked, p) -> residual, Jacobian by y, Jacobian by the ends.
+    unknowns, residuals
+        (name, unit) of each component, units in SI.
+    free_at, costate_at
+        Slices of y: the free parameters, and each phase's lambda(0).
+    stationarity_at
+        Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals.
+    silent
+        For each phase the entries of z that vanish on every extremal: costates of coordinates that neither the
+        dynamics nor the end know of. Cho et al. (13), (19): lambda_phi.
+    silent_rows
+        (row of the residual, unknown) of each of them: the condition that it vanishes at the end.
+    needed
+        For each phase the entries of the end z on which the rest depends.
+    """
+
+    phases: tuple[PhaseExtremal, ...]
+    starts: tuple[ca.Function, ...]
+    residual: ca.Function
+    unknowns: tuple[tuple[str, str], ...]
+    residuals: tuple[tuple[str, str], ...]
+    free_at: slice
+    costate_at: tuple[slice, ...]
+    stationarity_at: slice
+    silent: tuple[tuple[int, ...], ...]
+    silent_rows: tuple[tuple[int, int], ...]
+    needed: tuple[tuple[int, ...], ...]
+
+
+def extremal_parameters(problem: Problem) -> Vector:
+    """The numbers p of the canonical equations: the given parameters, then (lower, upper) of each bounded control."""
+    limits = [
+        limit / problem.scales.of(control.unit)
+        for phase in problem.phases
+        for control in switched_scalars(phase)
+        for limit in (control.lower, control.upper)
+    ]
+    return np.concatenate([canonical_given(problem), limits])
+
+
+def _phase_extremal(
+    phase: Phase, p: Parameters, bounds: dict[str, ca.SX], numbers: ca.SX, free_names: tuple[str, ...]
+) -> PhaseExtremal:
+    n = len(phase.states)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
+    f = trace_rates(phase, x, u, p.record)
+    constants = tuple(i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(f, p.free[i]))
+    if phase.duration in free_names and ca.depends_on(f, p.free[free_names.index(phase.duration)]):
+        raise PeriluneError(
+            f"the dynamics of {phase.name} depend on the phase's own duration",
+            advice="make time a state with rate 1",
+        )
+    q = ca.vertcat(ca.SX(0, 1), *[p.free[i] for i in constants])
+    lam = ca.SX.sym("lam", n + len(constants))
+    hamiltonian = ca.dot(lam[:n], f)
+    law, switching = minimising_control(phase, hamiltonian, u, bounds)
+    # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
+    gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
+    # The constant states are symbols of p.free; as entries of z they need symbols of their own.
+    z = ca.vertcat(x, q, lam)
+    symbol = ca.SX.sym("z", z.numel())
+    modes, reports = [], []
+    for mode in range(2 ** len(switching)):
+        held = [bounds[name][(mode >> i) & 1] for i, name in enumerate(switching)]
+        at = [phase.control_names.index(name) for name in switching]
+        control = ca.substitute(law, ca.vertcat(ca.SX(0, 1), *[u[i] for i in at]), ca.vertcat(ca.SX(0, 1), *held))
+        rate = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient)
+        rate, value = (ca.substitute(e, u, control) for e in (rate, hamiltonian))
+        expressions = [ca.substitute(e, z, symbol) for e in (rate, control, ca.jtimes(control, z, rate), value)]
+        rate, control, control_rate, value = ca.cse(expressions)
+        modes.append(ca.Function("rhs", [symbol, numbers], [rate], ["z", "p"], ["rate"]))
+        outputs = [control, control_rate, value]
+        reports.append(ca.Function("report", [symbol, numbers], outputs, ["z", "p"], ["u", "u_rate", "H"]))
+    S = ca.substitute(ca.vertcat(ca.SX(0, 1), *switching.values()), z, symbol)
+    return PhaseExtremal(
+        modes=tuple(modes),
+        reports=tuple(reports),
+        switching=ca.Function("switching", [symbol, numbers], [S], ["z", "p"], ["S"]),
+        state_count=n,
+        constants=constants,
+    )
+
+
+def derive(problem: Problem) -> Conditions:
+    """Derive the boundary value problem of a `Problem`.
+
+    Values and bounds do not enter the expressions, so problems that differ only in them share one derivation.
+
+    Raises
+    ------
+    PeriluneError
+        If a control's minimum of H is not known in closed form.
+    """
+    return _derive(_Structure(problem))
+
+
+class _Structure:
+    """A problem, hashed by everything but its numbers."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        units = tuple((name, g.unit) for name, g in problem.given.items())
+        free = tuple((f.name, f.unit) for f in problem.free)
+        self.key = (
+            problem.phases,
+            problem.start,
+            problem.links,
+            problem.objective,
+            problem.objective_unit,
+            units,
+            free,
+        )
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Structure) and self.key == other.key
+
+
+@lru_cache(maxsize=64)
+def _derive(structure: _Structure) -> Conditions:
+    problem = structure.problem
+    p = trace_parameters(problem)
+    limits = [ca.SX.sym(f"{phase.name}_{c.name}", 2) for phase in problem.phases for c in switched_scalars(phase)]
+    numbers, taken, phases = ca.vertcat(p.given, *limits), iter(limits), []
+    for phase in problem.phases:
+        bounds = {c.name: next(taken) for c in switched_scalars(phase)}
+        phases.append(_phase_extremal(phase, p, bounds, numbers, problem.free_names))
+    lam0 = [ca.SX.sym(f"lam0_{k}", e.half) for k, e in enumerate(phases)]
+    nu = [ca.SX.sym(f"nu_{k}", len(phase.end_conditions)) for k, phase in enumerate(problem.phases)]
+    y = ca.vertcat(*lam0, p.free, *nu)
+    ends = [ca.SX.sym(f"zf_{k}", 2 * e.half) for k, e in enumerate(phases)]
+
+    starts, initial_states = _starts(problem, p, numbers, tuple(phases), lam0, y)
+    conditions, costates = [], []
+    last = problem.phases[-1]
+    cost = ca.SX(problem.objective(last.state_record(*elements(ends[-1][: len(last.states)])), p.record, SYMBOLIC))
+    lagrangian = cost  # its derivative by q collects every way a free parameter acts at the boundaries
+    for k, (phase, extremal, zf) in enumerate(zip(problem.phases, phases, ends, strict=True)):
+        x_end, lam_end = zf[: extremal.half], zf[extremal.half :]
+        psi = trace_at_end(phase, zf[: extremal.state_count], p.record)
+        conditions.append(psi)
+        boundary = ca.dot(nu[k], psi)
+        if phase is last:
+            boundary += cost
+        else:  # the link carries the next phase's costate back to this end
+            boundary += ca.dot(lam0[k + 1], initial_states[k + 1](zf))
+        costates.append(lam_end - ca.gradient(boundary, x_end))
+        lagrangian += ca.dot(nu[k], psi) + ca.dot(lam0[k], initial_states[k](ends[k - 1] if k else ca.SX(0, 1)))
+    stationarity = ca.gradient(lagrangian, p.free)
+    for phase, extremal, zf in zip(problem.phases, phases, ends, strict=True):
+        if phase.duration in problem.free_names:
+            stationarity[problem.free_names.index(phase.duration)] += _hamiltonian(extremal, zf, numbers)
+    residual = ca.vertcat(*conditions, *costates, stationarity)
+    zf = ca.vertcat(*ends)
+    silent = tuple(_silent(e, z, rows) for e, z, rows in zip(phases, ends, costates, strict=True))
+    silent_rows = _silent_rows(phases, silent, sum(c.numel() for c in conditions))
+    # J is read off the ends too: a cost that is integrated stands in no condition.
+    read = ca.vertcat(residual, cost)
+    needed = _needed(phases, ends, read, starts, silent, {row for row, _ in silent_rows})
+    count = sum(e.half for e in phases)
+    unknowns, residuals = _names(problem, tuple(phases))
+    return Conditions(
+        phases=tuple(phases),
+        starts=starts,
+        residual=ca.Function(
+            "residual",
+            [y, zf, numbers],
+            ca.cse([residual, ca.jacobian(residual, y), ca.jacobian(residual, zf)]),
+        ),
+        unknowns=unknowns,
+        residuals=residuals,
+        free_at=slice(count, count + len(problem.free)),
+        costate_at=_slices([e.half for e in phases]),
+        stationarity_at=slice(residual.numel() - len(problem.free), residual.numel()),
+        silent=silent,
+        silent_rows=silent_rows,
+        needed=needed,
+    )
+
+
+def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:
+    """Costates with rate zero in every mode whose condition at the end is that they vanish."""
+    half, p = extremal.half, ca.SX.sym("p", extremal.modes[0].size1_in(1))
+    rates = [mode(zf, p) for mode in extremal.modes]
+    return tuple(
+        half + i
+        for i in range(half)
+        if ca.substitute(transversality[i], zf[half + i], 0).is_zero() and all(r[half + i].is_zero() for r in rates)
+    )
+
+
+def _silent_rows(
+    phases: list[PhaseExtremal], silent: tuple[tuple[int, ...], ...], first_row: int
+) -> tuple[tuple[int, int], ...]:
+    found, at = [], 0
+    for extremal, entries in zip(phases, silent, strict=True):
+        found += [(first_row + at + i - extremal.half, at + i - extremal.half) for i in entries]
+        at += extremal.half
+    return tuple(found)
+
+
+def _needed(
+    phases: list[PhaseExtremal],
+    ends: list[ca.SX],
+    read: ca.SX,
+    starts: tuple[ca.Function, ...],
+    silent: tuple[tuple[int, ...], ...],
+    silent_rows: set[int],
+) -> tuple[tuple[int, ...], ...]:
+    """Entries of each end that the other rows (the residual's, and J), or the next phase's start, depend on."""
+    rows = read[[i for i in range(read.numel()) if i not in silent_rows]]
+    for zf, entries in zip(ends, silent, strict=True):
+        for i in entries:
+            rows = ca.substitute(rows, zf[i], 0)
+    found = []
+    for k, zf in enumerate(ends):
+        wanted = set(ca.jacobian(ca.simplify(rows), zf).sparsity().get_triplet()[1])
+        if k + 1 < len(phases):
+            wanted |= set(starts[k + 1].sparsity_out(3).get_triplet()[1])
+        found.append(tuple(sorted(wanted - set(silent[k]))))
+    return tuple(found)
+
+
+def _hamiltonian(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
+    """H on the minimising control: the least of the modes', since each mode's control is admissible."""
+    value = extremal.reports[0](z, numbers)[2]
+    for report in extremal.reports[1:]:
+        value = ca.fmin(value, report(z, numbers)[2])
+    return value
+
+
+def _starts(
+    problem: Problem,
+    p: Parameters,
+    numbers: ca.SX,
+    phases: tuple[PhaseExtremal, ...],
+    lam0: list[ca.SX],
+    y: ca.SX,
+) -> tuple[tuple[ca.Function, ...], list[Callable[[ca.SX], ca.SX]]]:
+    """Functions for the start of each phase, and the start's states as callables of the end before."""
+    starts, states = [], []
+    for k, (phase, extremal) in enumerate(zip(problem.phases, phases, strict=True)):
+        constants = [p.free[i] for i in extremal.constants]
+
+        def state(before: ca.SX, k: int = k, constants: list[ca.SX] = constants) -> ca.SX:
+            if k == 0:
+                return ca.vertcat(column(problem.start(p.record, SYMBOLIC)), *constants)
+            previous = problem.phases[k - 1]
+            record = previous.state_record(*elements(before[: len(previous.states)]))
+            return ca.vertcat(column(problem.links[k - 1](record, p.record, SYMBOLIC)), *constants)
+
+        states.append(state)
+        before = ca.SX.sym("before", 2 * phases[k - 1].half if k else 0)
+        z0 = ca.vertcat(state(before), lam0[k])
+        duration = getattr(p.record, phase.duration)
+        outputs = [z0, duration, ca.jacobian(z0, y), ca.jacobian(z0, before), ca.jacobian(duration, y)]
+        starts.append(ca.Function(f"start_{k}", [y, before, numbers], ca.cse([ca.SX(o) for o in outputs])))
+    return tuple(starts), states
+
+
+def _slices(lengths: list[int]) -> tuple[slice, ...]:
+    ends = [sum(lengths[: i + 1]) for i in range(len(lengths))]
+    return tuple(slice(end - length, end) for end, length in zip(ends, lengths, strict=True))
+
+
+Names = tuple[tuple[str, str], ...]
+
+
+def _names(problem: Problem, phases: tuple[PhaseExtremal, ...]) -> tuple[Names, Names]:
+    """(name, unit) of each unknown and of each residual."""
+    cost = problem.objective_unit
+    lam, nu, psi, transversality = [], [], [], []
+    for phase, extremal in zip(problem.phases, phases, strict=True):
+        promoted = [(problem.free[i].name, problem.free[i].unit) for i in extremal.constants]
+        for name, unit in [*((s.name, s.unit) for s in phase.states), *promoted]:
+            lam.append((f"{phase.name}.lambda_{name}(0)", quotient(cost, unit)))
+            transversality.append((f"{phase.name}: transversality of {name} at the end", quotient(cost, unit)))
+        for c in phase.end_conditions:
+            nu.append((f"{phase.name}.nu_{c.name}", quotient(cost, c.unit)))
+            psi.append((f"{phase.name}: {c.name}", c.unit))
+    free = [(f.name, f.unit) for f in problem.free]
+    stationarity = [(f"stationarity in {f.name}", quotient(cost, f.unit)) for f in problem.free]
+    return (*lam, *free, *nu), (*psi, *transversality, *stationarity)

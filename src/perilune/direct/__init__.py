@@ -1,0 +1,1 @@
+"""Collocation, its nonlinear program, its mesh."""

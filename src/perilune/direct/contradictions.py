@@ -1,0 +1,128 @@
+"""What cannot be, said in the user's own words: before the program is built, and after it was not solved.
+
+Before: a start or an end condition that depends on given numbers only and breaks a bound is a proof of
+infeasibility, and cheap. After: the largest violations of the best iterate, each as a named condition in SI.
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+
+from perilune.direct.nlp import Answer, Program
+from perilune.problem.problem import Bounded, Phase, Problem, Variable
+from perilune.problem.symbolic import (
+    SYMBOLIC,
+    canonical_given,
+    column,
+    state_scales,
+    trace_at_end,
+    trace_parameters,
+)
+from perilune.words.outcome import InfeasibleError
+from perilune.words.types import Vector
+
+# A bound is broken when it is exceeded by more than this part of the canonical unit; rounding stays far
+# below.
+SLACK = 1e-9
+
+
+def check_consistent(problem: Problem) -> None:
+    """Refuse bounds that contradict each other, the start or the end.
+
+    Raises
+    ------
+    InfeasibleError
+        Naming the bound and what breaks it, in SI.
+    """
+    for phase in problem.phases:
+        for control in phase.controls:
+            if isinstance(control, Bounded) and not control.lower <= control.upper:
+                raise InfeasibleError(
+                    f"bounds of control {control.name} are empty",
+                    got=f"[{control.lower:g}, {control.upper:g}] {control.unit}",
+                    expected="lower <= upper",
+                )
+    longest = {f.name: f.upper for f in problem.free} | {name: g.value for name, g in problem.given.items()}
+    for name in problem.duration_names:
+        if not longest[name] > 0:
+            raise InfeasibleError(
+                f"{name} is the length of a phase and must be positive",
+                got=f"at most {longest[name]:g} s",
+                expected="> 0 s",
+            )
+    _check_start(problem)
+    for phase in problem.phases:
+        _check_end(problem, phase)
+
+
+def _check_start(problem: Problem) -> None:
+    """Components of the start that depend on no free parameter must lie within their bounds."""
+    p = trace_parameters(problem)
+    start = column(problem.start(p.record, SYMBOLIC))
+    values = np.array(ca.Function("start", [p.free, p.given], [start])(np.nan, canonical_given(problem))).ravel()
+    phase = problem.phases[0]
+    for state, value, scale in zip(phase.states, values, state_scales(problem, phase), strict=True):
+        # The free parameters were NaN: what is a number does not depend on them.
+        if not math.isnan(value):
+            _check_inside(f"the start puts {state.name}", state, value * scale, scale)
+
+
+def _check_end(problem: Problem, phase: Phase) -> None:
+    """End conditions that are affine in one state, with known coefficients, fix that state."""
+    if not phase.end_conditions:
+        return
+    p = trace_parameters(problem)
+    x = ca.SX.sym("x", len(phase.states))
+    unknown = ca.vertcat(x, p.free)
+    conditions = trace_at_end(phase, x, p.record)
+    for i, condition in enumerate(phase.end_conditions):
+        slope = ca.jacobian(conditions[i], unknown)
+        touched = slope.sparsity().get_triplet()[1]
+        if len(touched) != 1 or touched[0] >= x.numel() or ca.depends_on(slope, unknown):
+            continue
+        j = touched[0]
+        at_zero = ca.Function("end", [x, p.free, p.given], [conditions[i], slope[j]])
+        value, gradient = (float(v) for v in at_zero(0.0, 0.0, canonical_given(problem)))
+        state, scale = phase.states[j], state_scales(problem, phase)[j]
+        what = f"the end condition {condition.name} of {phase.name} puts {state.name}"
+        _check_inside(what, state, -value / gradient * scale, scale)
+
+
+def _check_inside(what: str, state: Variable, value: float, scale: float) -> None:
+    over = max(state.lower - value, value - state.upper)
+    if over > SLACK * scale:
+        raise InfeasibleError(
+            f"{what} outside its bounds",
+            got=f"{value:.9g} {state.unit}, which is {over:.3g} {state.unit} outside",
+            expected=f"between {state.lower:g} and {state.upper:g} {state.unit}",
+            advice="widen the bound, or change the condition",
+        )
+
+
+def missed_conditions(program: Program, answer: Answer, slack: float) -> list[str]:
+    """Every condition that an iterate violates, the worst (in canonical units) first, in words and SI."""
+    found: list[tuple[float, str]] = []
+    for (k, kind), residual in answer.residuals.items():
+        names, scales = _row_names(program.problem, program.problem.phases[k], kind)
+        if not len(residual):
+            continue
+        worst = residual.reshape(-1, len(names)).max(axis=0)
+        for (name, unit), scale, violation in zip(names, scales, worst, strict=True):
+            if not violation <= slack:
+                found.append((float(violation), f"{name} is missed by {violation * scale:.4g} {unit}"))
+    return [text for _, text in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _row_names(problem: Problem, phase: Phase, kind: str) -> tuple[list[tuple[str, str]], Vector]:
+    """(condition, unit) and SI size of each column of a kind of rows."""
+    if kind in ("start", "defect", "quadrature"):
+        word = "the start of" if kind == "start" else "the dynamics of"
+        return [(f"{word} {s.name} in {phase.name}", s.unit) for s in phase.states], state_scales(problem, phase)
+    if kind == "direction":
+        return [(f"unit length of a direction in {phase.name}", "")], np.ones(1)
+    conditions = phase.path_conditions if kind == "path" else phase.end_conditions
+    names = [(f"the {kind} condition {phase.name}.{c.name}", c.unit) for c in conditions]
+    return names, np.array([problem.scales.of(c.unit) for c in conditions])

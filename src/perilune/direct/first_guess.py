@@ -1,0 +1,165 @@
+"""Where a direct method starts: straight lines from nothing, or the trajectories of any solution.
+
+The straight line runs from the start to `Phase.typical_end`; its control is the one whose rates come nearest
+to the line's slope in the least-squares sense, with the dynamics linearised in u (exact for a thrust
+direction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import casadi as ca
+import numpy as np
+
+from perilune.direct.nlp import control_scales
+from perilune.direct.segments import Sampler, admissible
+from perilune.problem.problem import Bounded, Phase, Problem
+from perilune.problem.solution import Solution, Trajectory
+from perilune.problem.symbolic import canonical_free, state_scales, trace_parameters, trace_rates
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+
+# First durations tried from nothing, as multiples of the typical ones.
+STRETCHES = (1.0, 1.6, 0.6, 2.8)
+# Points at which a straight line's control is fitted.
+FITTED = 21
+
+
+def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Vector, list[Sampler], str]]:
+    """Free parameters (canonical), one sampler [SI] for each phase, and what the start is called."""
+    if guess is not None:
+        yield _from_solution(problem, guess)
+        return
+    for stretch in STRETCHES if set(problem.duration_names) & set(problem.free_names) else (1.0,):
+        free = {
+            f.name: float(np.clip(f.typical * (stretch if f.name in problem.duration_names else 1.0), f.lower, f.upper))
+            for f in problem.free
+        }
+        yield (
+            canonical_free(problem, free),
+            _straight_lines(problem, free),
+            f"straight line, durations x {stretch:g}",
+        )
+
+
+def _from_solution(problem: Problem, guess: Solution) -> tuple[Vector, list[Sampler], str]:
+    for phase, flown in zip(problem.phases, guess.trajectories, strict=False):
+        if (flown.state.values.shape[1], flown.control.values.shape[1]) != (
+            len(phase.states),
+            len(phase.control_names),
+        ):
+            raise PeriluneError(
+                f"the guess does not fit phase {phase.name}",
+                got=f"{flown.state.values.shape[1]} states and {flown.control.values.shape[1]} controls",
+                expected=f"{len(phase.states)} and {len(phase.control_names)}",
+                advice="give a solution of a problem with the same phases, or none",
+            )
+    if len(guess.trajectories) != len(problem.phases):
+        raise PeriluneError(
+            "the guess has another number of phases",
+            got=str(len(guess.trajectories)),
+            expected=str(len(problem.phases)),
+            advice="give a solution of a problem with the same phases, or none",
+        )
+    # A parameter that is free now may have been given there.
+    free = {f.name: float(getattr(guess.parameters, f.name, f.typical)) for f in problem.free}
+    return (
+        canonical_free(problem, free),
+        [_flown(t) for t in guess.trajectories],
+        f"start from {guess.method} solution",
+    )
+
+
+def _flown(trajectory: Trajectory) -> Sampler:
+    def sample(fraction: Vector) -> tuple[Matrix, Matrix]:
+        t = np.asarray(fraction) * trajectory.duration
+        return trajectory.state(t), trajectory.control(t)
+
+    return sample
+
+
+def _straight_lines(problem: Problem, free: dict[str, float]) -> list[Sampler]:
+    p = problem.parameters(free)
+    samplers: list[Sampler] = []
+    before: Vector | None = None
+    for k, phase in enumerate(problem.phases):
+        if before is None:
+            start = problem.start(p, NUMERIC)
+        else:
+            start = problem.links[k - 1](problem.phases[k - 1].state_record(*before), p, NUMERIC)
+        start = np.array(start, dtype=float)
+        before = start if phase.typical_end is None else np.array(phase.typical_end(p, NUMERIC), dtype=float)
+        samplers.append(_line(problem, phase, start, before, free))
+    return samplers
+
+
+def _line(problem: Problem, phase: Phase, start: Vector, end: Vector, free: dict[str, float]) -> Sampler:
+    knots = np.linspace(0.0, 1.0, FITTED)
+    states = start + knots[:, None] * (end - start)
+    slope = (end - start) / getattr(problem.parameters(free), phase.duration)
+    controls = _fitted_controls(problem, phase, states, slope, free)
+
+    def sample(fraction: Vector) -> tuple[Matrix, Matrix]:
+        at = np.asarray(fraction)
+        u = np.empty((len(at), controls.shape[1]))
+        for j, values in enumerate(controls.T):
+            u[:, j] = np.interp(at, knots, values)
+        return start + at[:, None] * (end - start), u
+
+    return sample
+
+
+def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vector, free: dict[str, float]) -> Matrix:
+    """Controls (points, nu) in SI whose rates come nearest to the slope (states in canonical units)."""
+    x_scale, u_scale = state_scales(problem, phase), control_scales(problem, phase)
+    middle, reach = _control_middle(problem, phase)
+    if not len(middle):
+        return np.empty((len(states), 0))
+    model = _linear_in_control(problem, phase)
+    given = [g.value / problem.scales.of(g.unit) for g in problem.given.values()]
+    found = []
+    for x in states:
+        rates, slopes = (np.array(v) for v in model(x / x_scale, middle, canonical_free(problem, free), given))
+        wanted = slope / x_scale * problem.scales.time - rates[:, 0]
+        if not (np.isfinite(wanted).all() and np.isfinite(slopes).all()):
+            found.append(middle)
+            continue
+        step = np.linalg.lstsq(slopes, wanted, rcond=1e-10)[0]
+        found.append(middle + np.clip(step, -reach, reach))
+    controls = np.array(found) * u_scale
+    at = 0
+    for control in phase.controls:
+        here = slice(at, at + len(control.names))
+        if not isinstance(control, Bounded):
+            controls[np.linalg.norm(controls[:, here], axis=1) < 1e-9, at] = 1.0
+        at += len(control.names)
+    return admissible(phase, controls)
+
+
+def _linear_in_control(problem: Problem, phase: Phase) -> ca.Function:
+    p = trace_parameters(problem)
+    x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
+    rates = trace_rates(phase, x, u, p.record)
+    return ca.Function("linear", [x, u, p.free, p.given], [rates, ca.jacobian(rates, u)])
+
+
+def _control_middle(problem: Problem, phase: Phase) -> tuple[Vector, Vector]:
+    """Middle of each control's range and how far it may go from there, in canonical units."""
+    middle: list[float] = []
+    reach: list[float] = []
+    for control in phase.controls:
+        if isinstance(control, Bounded):
+            scale = problem.scales.of(control.unit)
+            lower, upper = control.lower / scale, control.upper / scale
+            if np.isfinite(upper - lower):
+                middle.append(0.5 * (lower + upper))
+                reach.append(0.4 * (upper - lower))
+            else:
+                middle.append(float(np.clip(0.0, lower, upper)))
+                reach.append(np.inf)
+        else:
+            middle += [0.0] * len(control.names)
+            reach += [np.inf] * len(control.names)
+    return np.array(middle), np.array(reach)

@@ -1,0 +1,199 @@
+"""What a collocated answer is made of: polynomials of state, control and costate on each segment, in SI.
+
+Covector mapping, from the Lagrangian J + Lambda.(defects) + M.(quadrature) + rho.(start) + nu.(end):
+
+    lam_i = -(Lambda_i / w_i + M),   lam(end) = -M                    gauss  (Benson et al. 2006)
+    lam_i = -Lambda_i / w_i,         lam(end) = -sum_i D_i,end Lambda_i   radau  (Garg et al. 2010)
+    lam(start of phase) = -rho,      nu as it is
+
+which is the sign convention of `perilune.conditions.pontryagin`, lambda(t0) = dJ*/dx(t0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from perilune.direct.collocation import Polynomial, Rule
+from perilune.direct.nlp import Answer, PhaseValues, Program, control_scales
+from perilune.problem.problem import Direction, Phase, Problem
+from perilune.problem.solution import Curve, Trajectory, hermite_nodes
+from perilune.problem.symbolic import state_scales
+from perilune.words.types import Matrix, Vector
+
+# Curves are never asked for more than this, canonical: rounding of the polynomials is near.
+FINEST = 1e-11
+# State and control [SI] at fractions of a phase: what a first guess is read from.
+Sampler = Callable[[Vector], tuple[Matrix, Matrix]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """One segment of a solution in SI: times [s] and polynomials in tau of state, control and costate."""
+
+    begin: float
+    end: float
+    state: Polynomial
+    control: Polynomial
+    costate: Polynomial
+
+    def tau(self, t: Vector) -> Vector:
+        """Place of times t on [-1, 1]."""
+        # A segment of no length (a phase that the optimum does without) has its start only.
+        width = self.end - self.begin or 1.0
+        return 2.0 * (np.asarray(t, dtype=float) - self.begin) / width - 1.0
+
+    def time(self, tau: Vector) -> Vector:
+        """Times of places on [-1, 1]."""
+        return self.begin + 0.5 * (np.asarray(tau) + 1.0) * (self.end - self.begin)
+
+
+def admissible(phase: Phase, u: Matrix) -> Matrix:
+    """Controls (n, nu) with directions normalised and bounds held, which interpolation may leave a little."""
+    u, at = np.array(u, dtype=float), 0
+    for control in phase.controls:
+        here = slice(at, at + len(control.names))
+        if isinstance(control, Direction):
+            u[:, here] /= np.linalg.norm(u[:, here], axis=1, keepdims=True)
+        else:
+            u[:, here] = np.clip(u[:, here], control.lower, control.upper)
+        at += len(control.names)
+    return u
+
+
+def _costate(r: Rule, rows: dict[str, Vector], states: int, segment: int, node: int) -> Polynomial:
+    """Canonical costate of one segment, whose points start at `node`, from the multipliers of its rows."""
+    Lambda = rows["defect"].reshape(-1, states)[node : node + r.degree]
+    if r.scheme == "gauss":
+        M = rows["quadrature"].reshape(-1, states)[segment]
+        inner, end = -(Lambda / r.weights[:, None] + M), -M
+    else:
+        inner, end = -Lambda / r.weights[:, None], -r.differentiation[:, -1] @ Lambda
+    return Polynomial(points=np.append(r.points, 1.0), values=np.vstack([inner, end]))
+
+
+def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
+    """Segments of every phase in SI, with costates in J per unit."""
+    problem, found = program.problem, []
+    p = problem.parameters(answer.free_si(problem))
+    objective_scale = problem.scales.of(problem.objective_unit)
+    for k, (phase, layout, values) in enumerate(zip(problem.phases, program.layouts, answer.phases, strict=True)):
+        x_scale, u_scale = state_scales(problem, phase), control_scales(problem, phase)
+        rows = {kind: answer.rows[k, kind] for kind in ("defect", "quadrature")}
+        times, node, segments = values.joints * getattr(p, phase.duration), 0, []
+        for i, (r, first) in enumerate(zip(layout.rules, layout.starts, strict=False)):
+            lam = _costate(r, rows, layout.states, i, node)
+            segments.append(
+                Segment(
+                    begin=float(times[i]),
+                    end=float(times[i + 1]),
+                    state=Polynomial(points=r.support, values=values.state[first : first + r.degree + 1] * x_scale),
+                    control=Polynomial(points=r.points, values=values.control[node : node + r.degree] * u_scale),
+                    costate=Polynomial(points=lam.points, values=lam.values * objective_scale / x_scale),
+                )
+            )
+            node += r.degree
+        found.append(segments)
+    return found
+
+
+def sampler(flown: Sequence[Segment]) -> Sampler:
+    """State and control [SI] at fractions of the phase, for the first guess on another mesh."""
+    ends = np.array([s.end for s in flown])
+    begin, total = flown[0].begin, flown[-1].end - flown[0].begin
+
+    def sample(fraction: Vector) -> tuple[Matrix, Matrix]:
+        time = begin + np.asarray(fraction) * total
+        which = np.clip(np.searchsorted(ends, time, side="left"), 0, len(flown) - 1)
+        state = np.empty((len(time), flown[0].state.values.shape[1]))
+        control = np.empty((len(time), flown[0].control.values.shape[1]))
+        for k, segment in enumerate(flown):
+            here = which == k
+            tau = segment.tau(time[here])
+            state[here], control[here] = segment.state(tau), segment.control(tau)
+        return state, control
+
+    return sample
+
+
+def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues, ...]:
+    """First values of a program's unknowns from one sampler for each phase."""
+    problem, found = program.problem, []
+    for phase, mesh, layout, sample in zip(problem.phases, program.meshes, program.layouts, samplers, strict=True):
+        joints = np.array(mesh.joints)
+        ends = list(zip(joints[:-1], joints[1:], layout.rules, strict=True))
+        # All points of a segment but its end, which is the next segment's start.
+        at_state = [a + 0.5 * (b - a) * (np.concatenate([[-1.0], r.points[1 - r.first :]]) + 1.0) for a, b, r in ends]
+        at_control = [a + 0.5 * (b - a) * (r.points + 1.0) for a, b, r in ends]
+        state = sample(np.concatenate([*at_state, [1.0]]))[0] / state_scales(problem, phase)
+        control = sample(np.concatenate(at_control))[1]
+        found.append(
+            PhaseValues(
+                joints=joints,
+                state=state,
+                control=admissible(phase, control) / control_scales(problem, phase),
+            )
+        )
+    return tuple(found)
+
+
+def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: float) -> Trajectory:
+    """Curves of phase k, interpolated within `tolerance` (canonical; costates ten times that).
+
+    A joint at which a curve is not smooth is there twice, with the values of either side.
+    """
+    phase = problem.phases[k]
+    n, width = len(phase.states), len(phase.control_names)
+    x_scale = state_scales(problem, phase)
+    lam_scale = problem.scales.of(problem.objective_unit) / x_scale
+    fine = max(tolerance, FINEST) * np.concatenate(
+        [x_scale, np.full(n, 10.0) * lam_scale, control_scales(problem, phase)]
+    )
+    pieces = [_nodes(phase, segment, fine) for segment in flown]
+    time = np.concatenate([t for t, _, _ in pieces])
+    values, rates = (np.concatenate([piece[i] for piece in pieces]) for i in (1, 2))
+    keep = np.ones(len(time), dtype=bool)
+    for left in np.cumsum([len(t) for t, _, _ in pieces])[:-1] - 1:
+        jump = np.abs(values[left + 1] - values[left]) > fine
+        keep[left] = bool(jump.any())
+        time[left] = time[left + 1]
+    time, values, rates = time[keep], values[keep], rates[keep]
+    state, costate, control = (
+        Curve(time=time, values=values[:, at], rates=rates[:, at])
+        for at in np.split(np.arange(2 * n + width), [n, 2 * n])
+    )
+    return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
+
+
+def _nodes(phase: Phase, segment: Segment, fine: Vector) -> tuple[Vector, Matrix, Matrix]:
+    """Times, values and rates of state, costate and control along one segment."""
+    slope = 2.0 / (segment.end - segment.begin)
+    parts = (segment.state, segment.costate, segment.control)
+
+    def evaluate(t: Vector) -> tuple[Matrix, Matrix]:
+        tau = segment.tau(segment.begin + t)
+        values = [part(tau) for part in parts]
+        rates = [part.derivative(tau) * slope for part in parts]
+        values[2], rates[2] = _admissible_with_rates(phase, values[2], rates[2])
+        return np.hstack(values), np.hstack(rates)
+
+    t = hermite_nodes(evaluate, segment.end - segment.begin, fine)
+    return segment.begin + t, *evaluate(t)
+
+
+def _admissible_with_rates(phase: Phase, u: Matrix, rates: Matrix) -> tuple[Matrix, Matrix]:
+    """`admissible` and the chain rule through it."""
+    good, rates, at = admissible(phase, u), rates.copy(), 0
+    for control in phase.controls:
+        here = slice(at, at + len(control.names))
+        if isinstance(control, Direction):
+            along = (good[:, here] * rates[:, here]).sum(axis=1, keepdims=True)
+            rates[:, here] = (rates[:, here] - good[:, here] * along) / np.linalg.norm(
+                u[:, here], axis=1, keepdims=True
+            )
+        else:
+            rates[:, here] = np.where(good[:, here] == u[:, here], rates[:, here], 0.0)
+        at += len(control.names)
+    return good, rates

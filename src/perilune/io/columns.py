@@ -1,0 +1,128 @@
+"""A solution as named columns over time: what tables and figures are made of.
+
+States, outputs, controls and costates are read from the solution's own curves, a `Direction` control
+normalised again after interpolation, and the Hamiltonian ``H = lam . f(x, u)`` is evaluated with the
+problem's own dynamics (a running cost is a state, so H has no other term). Angles leave in degrees,
+everything else in SI.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Direction, Phase
+from perilune.problem.solution import Solution, Trajectory
+from perilune.words.maths import NUMERIC
+from perilune.words.types import Matrix, Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """One named quantity with its unit at every time of a table, shape (n,)."""
+
+    name: str
+    unit: str
+    values: Vector
+
+    @property
+    def heading(self) -> str:
+        """Name and unit, as in the first row of a table."""
+        return f"{self.name} [{self.unit}]"
+
+
+def flown_control(phase: Phase, trajectory: Trajectory, t: Vector) -> Matrix:
+    """Control at times t, cubic Hermite then normalised, shape (n, components)."""
+    control = np.array(trajectory.control(t), dtype=float)
+    first = 0
+    for component in phase.controls:
+        part = slice(first, first + len(component.names))
+        if isinstance(component, Direction):
+            control[:, part] /= np.linalg.norm(control[:, part], axis=1, keepdims=True)
+        first = part.stop
+    return control
+
+
+def hamiltonian(solution: Solution, k: int, t: Vector, control: Matrix | None = None) -> Vector:
+    """H of phase k at times t, in units of J per second.
+
+    With the flown control, or with another, shape (n, components). NaN where the method gives no costates.
+    """
+    if solution.trajectories[k].costate is None:
+        return np.full(len(t), math.nan)
+    return np.sum(hamiltonian_terms(solution, k, t, control), axis=0)
+
+
+def hamiltonian_terms(solution: Solution, k: int, t: Vector, control: Matrix | None = None) -> list[Vector]:
+    """Evaluate the terms ``lam_i x_i'`` of H at times t, one for each state; phase k must have costates."""
+    phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
+    assert trajectory.costate is not None
+    u = flown_control(phase, trajectory, t) if control is None else control
+    rates = phase.rates(trajectory.state(t).T, list(u.T), solution.parameters)
+    return [lam * rate for lam, rate in zip(trajectory.costate(t).T, rates, strict=True)]
+
+
+def required_hamiltonian(solution: Solution, k: int) -> float:
+    """Value that H of phase k must have, in units of J per second: minus dJ/dT, as its duration T is free.
+
+    0 where J sees the end state only, -1 where J is the flight time.
+    """
+    p, name, step = solution.parameters, solution.problem.phases[k].duration, 1e-20
+    end = solution.problem.phases[-1].state_record(*solution.trajectories[-1].state.values[-1])
+    moved = SimpleNamespace(**{**vars(p), name: getattr(p, name) + 1j * step})
+    return 0.0 - float(np.imag(solution.problem.objective(end, moved, NUMERIC))) / step
+
+
+def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str, Column]:
+    """Everything known of phase k, by name.
+
+    Parameters
+    ----------
+    solution, k
+        The solution and the number of the phase.
+    t
+        Times from the phase's ignition [s]; the state's nodes if None.
+
+    Returns
+    -------
+    dict
+        In this order: ``time``, outputs, states, control components, ``lambda_<state>``, ``H``.
+    """
+    phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
+    t = trajectory.time if t is None else t
+    control = flown_control(phase, trajectory, t)
+    state = trajectory.state(t)
+    outputs = phase.evaluate("outputs", state.T, list(control.T), solution.parameters)
+    table = [Column(name="time", unit="s", values=t)]
+    table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
+    table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state.T, strict=True)]
+    units = [getattr(c, "unit", "1") for c in phase.controls for _ in c.names]
+    table += [_column(n, u, y, t) for n, u, y in zip(phase.control_names, units, control.T, strict=True)]
+    if trajectory.costate is not None:
+        per = solution.problem.objective_unit
+        table += [
+            Column(name=f"lambda_{v.name}", unit=costate_unit(per, v.unit), values=lam)
+            for v, lam in zip(phase.states, trajectory.costate(t).T, strict=True)
+        ]
+        table.append(Column(name="H", unit=f"{per}/s", values=hamiltonian(solution, k, t)))
+    return {column.name: column for column in table}
+
+
+def costate_unit(objective_unit: str, state_unit: str) -> str:
+    """Write the unit of a costate: objective per unit of its state."""
+    if state_unit == "1":
+        return objective_unit
+    if state_unit == objective_unit:
+        return "1"
+    return f"{objective_unit}/({state_unit})" if "/" in state_unit else f"{objective_unit}/{state_unit}"
+
+
+def _column(name: str, unit: str, values: Any, t: Vector) -> Column:
+    full = np.broadcast_to(np.asarray(values, dtype=float), np.shape(t))
+    return Column(name=name, unit="deg", values=np.degrees(full)) if unit == "rad" else Column(
+        name=name, unit=unit, values=full
+    )  # fmt: skip

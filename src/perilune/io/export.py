@@ -1,0 +1,248 @@
+"""A solution as documents: a short one for programs (``--json``), the whole one to load again, the table.
+
+``solution.json`` explains itself: it names its format and version, describes every field, gives every unit,
+and carries the scenario it came from with its hash, the program versions, costates, multipliers, and the
+control *with the rule by which it is interpolated*, so that another program can fly exactly what was proved.
+`perilune.io.reload` reads it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from perilune import __version__ as perilune_version
+from perilune.io.columns import columns, costate_unit
+from perilune.io.files import finite, fresh_directory, json_text
+from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of, read_solution
+from perilune.problem.problem import Direction, Phase
+from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.words.maths import NUMERIC
+
+__all__ = ["read_solution", "results", "solution_document", "write_solution"]
+
+INTERPOLATION = {
+    "state": "cubic Hermite",
+    "costate": "cubic Hermite",
+    "control of kind direction": "cubic Hermite, then normalised",
+    "control of kind bounded": "cubic Hermite",
+}
+
+_FIELDS = {
+    "scenario": "the scenario file this solution answers, word for word, and the SHA-256 of its UTF-8 text",
+    "given": "parameters with their values, all in SI (angles in radians)",
+    "free": "parameters chosen by the optimiser, in SI, durations of phases included",
+    "objective": "J, minimised, at the solution",
+    "multipliers": "nu of each end condition, by phase.condition; lambda(t_f) = dphi/dx + nu.dpsi/dx",
+    "phases": "in order of flight; time of each from its own ignition, in seconds",
+    "phases.state": "time (n), values (n, states) in their units, rates (n, states) per second",
+    "phases.costate": "lambda = dJ*/dx, same layout; H = lambda.f, minimised; lambda' = -dH/dx; null if none",
+    "phases.control": "same layout; names and kinds of the components in `controls`",
+    "phases.interpolation": "the rule for values between nodes; to normalise is to divide by the length",
+    "extremals": "every root of the necessary conditions found, best first; the first is this solution",
+    "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
+    "unknowns": "the method's own unknowns, from which it can start again",
+    "null": "stands for a number that is not known or not finite",
+}  # fmt: skip
+
+
+def results(solution: Solution) -> dict[str, dict[str, Any]]:
+    """Collect what is asked of a landing, each ``{"value": float, "unit": str}``, where the problem has it.
+
+    The propellant is everything burnt from `vehicle_mass` on, the retro burn's included.
+    """
+    p = solution.parameters
+    first, last = solution.problem.phases[0], solution.problem.phases[-1]
+    found: dict[str, tuple[float, str]] = {}
+    if "m" in last.state_names and "m" in first.state_names:
+        landed = _component(solution.trajectories[-1], last, "m", -1)
+        aboard = getattr(p, "vehicle_mass", _component(solution.trajectories[0], first, "m", 0))
+        found["landed_mass"] = (landed, "kg")
+        found["propellant"] = (aboard - landed, "kg")
+    if hasattr(p, "retro_delta_v"):
+        found["delta_v"] = (p.retro_delta_v, "m/s")
+    found["flight_time"] = (sum(t.duration for t in solution.trajectories), "s")
+    if hasattr(p, "orbit_perilune_altitude"):
+        from perilune.models.landing import perilune_speed
+
+        found["perilune_speed"] = (perilune_speed(p, NUMERIC), "m/s")
+    return {name: {"value": float(value), "unit": unit} for name, (value, unit) in found.items()}
+
+
+def solution_document(solution: Solution) -> dict[str, Any]:
+    """Make what ``perilune solve --json`` prints; a number that is not finite becomes None."""
+    statistics = solution.statistics
+    return finite(
+        {
+            "problem": solution.problem.name,
+            "method": solution.method,
+            "outcome": solution.outcome.name,
+            "results": results(solution),
+            "extremals": extremals_document(solution),
+            "verification": {
+                "level": solution.verification.level,
+                "checks": [
+                    {
+                        "name": c.name,
+                        "level": c.level,
+                        "value": float(c.value),
+                        "limit": float(c.limit),
+                        "unit": c.unit,
+                        "passed": c.passed,
+                        "meaning": c.meaning,
+                    }
+                    for c in solution.verification.checks
+                ],
+            },
+            "statistics": {
+                "rung": statistics.rung,
+                "tried": list(statistics.tried),
+                "iterations": int(statistics.iterations),
+                "arcs": int(statistics.arcs),
+                "residual": float(statistics.residual),
+                "wall_time": float(statistics.wall_time),
+            },
+        }
+    )
+
+
+def extremals_document(solution: Solution) -> list[dict[str, Any]]:
+    """List the extremals, best first: delta_v [m/s], landed_mass [kg] (else the objective), nature."""
+    parameters = vars(solution.parameters)
+    mass = results(solution).get("landed_mass", {}).get("value", math.nan)
+    # J is minus the landed mass for every problem that maximises it, which the solution itself shows.
+    maximises_mass = math.isclose(-solution.objective, mass, rel_tol=1e-6)
+    rows = []
+    for extremal in solution.extremals:
+        row: dict[str, Any] = {}
+        if "retro_delta_v" in parameters:
+            row["delta_v"] = float(extremal.free.get("retro_delta_v", parameters["retro_delta_v"]))
+        if maximises_mass:
+            row["landed_mass"] = -float(extremal.objective)
+        else:
+            row["objective"] = float(extremal.objective)
+        rows.append({**row, "nature": extremal.nature.value})
+    return rows
+
+
+def write_solution(solution: Solution, directory: str | Path, scenario_text: str, force: bool = False) -> None:
+    """Write ``solution.json`` and the trajectory as CSV.
+
+    Parameters
+    ----------
+    solution
+        What to write.
+    directory
+        Where; see `perilune.io.files.fresh_directory`.
+    scenario_text
+        The scenario that `solution.problem` was made of, with every change made to it.
+    force
+        Whether files of the same names may be replaced.
+    """
+    with fresh_directory(directory, force) as work:
+        write_solution_files(solution, work, scenario_text)
+
+
+def write_solution_files(solution: Solution, directory: Path, scenario_text: str) -> None:
+    """As `write_solution`, into a directory that exists."""
+    (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
+    for k, trajectory in enumerate(solution.trajectories):
+        name = "trajectory.csv" if len(solution.trajectories) == 1 else f"trajectory_{k + 1}_{trajectory.phase}.csv"
+        (directory / name).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
+
+
+def whole_document(solution: Solution, scenario_text: str) -> dict[str, Any]:
+    """Everything about a solution, as the tree that ``solution.json`` holds."""
+    problem, short = solution.problem, solution_document(solution)
+    return {
+        "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
+        "versions": versions(),
+        "scenario": {"sha256": hash_of(scenario_text), "text": scenario_text},
+        "problem": {"name": problem.name, "title": problem.title},
+        "method": solution.method,
+        "outcome": {"name": solution.outcome.name, "advice": solution.outcome.value},
+        "objective": {"value": float(solution.objective), "unit": problem.objective_unit},
+        "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
+        "free": _with_units(solution.free, {f.name: f.unit for f in problem.free}),
+        "results": short["results"],
+        "multipliers": _with_units(solution.multipliers, _multiplier_units(solution)),
+        "phases": [
+            _phase_document(phase, trajectory, problem.objective_unit)
+            for phase, trajectory in zip(problem.phases, solution.trajectories, strict=True)
+        ],
+        "extremals": [
+            {"free": dict(e.free), "objective": float(e.objective), "nature": e.nature.value}
+            for e in solution.extremals
+        ],
+        "statistics": short["statistics"],
+        "verification": short["verification"],
+        "unknowns": None if solution.unknowns is None else [float(v) for v in solution.unknowns],
+    }
+
+
+def trajectory_csv(solution: Solution, k: int = 0) -> str:
+    """Phase k as comma-separated values at the state's nodes; units in the header, angles in degrees."""
+    table = columns(solution, k)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([column.heading for column in table.values()])
+    for row in zip(*(column.values for column in table.values()), strict=True):
+        writer.writerow([repr(float(value)) if math.isfinite(value) else "" for value in row])
+    return text.getvalue()
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program and of what it computes with."""
+    found = {"perilune": perilune_version, "python": platform.python_version()}
+    for package in ("numpy", "scipy", "casadi", "llvmlite"):
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+def _phase_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -> dict[str, Any]:
+    return {
+        "name": phase.name,
+        "duration": {"value": trajectory.duration, "unit": "s"},
+        "states": [{"name": s.name, "unit": s.unit, "description": s.description} for s in phase.states],
+        "costate_units": [costate_unit(objective_unit, s.unit) for s in phase.states],
+        "controls": [
+            {"components": list(c.names), "kind": "direction", "unit": "1"}
+            if isinstance(c, Direction)
+            else {"components": list(c.names), "kind": "bounded", "unit": c.unit}
+            for c in phase.controls
+        ],
+        "interpolation": INTERPOLATION,
+        "state": _curve_document(trajectory.state),
+        "control": _curve_document(trajectory.control),
+        "costate": None if trajectory.costate is None else _curve_document(trajectory.costate),
+    }
+
+
+def _curve_document(curve: Curve) -> dict[str, Any]:
+    return {"time": curve.time.tolist(), "values": curve.values.tolist(), "rates": curve.rates.tolist()}
+
+
+def _component(trajectory: Trajectory, phase: Phase, name: str, node: int) -> float:
+    return float(trajectory.state.values[node, phase.state_names.index(name)])
+
+
+def _multiplier_units(solution: Solution) -> dict[str, str]:
+    per = solution.problem.objective_unit
+    return {
+        f"{phase.name}.{condition.name}": costate_unit(per, condition.unit)
+        for phase in solution.problem.phases
+        for condition in phase.end_conditions
+    }
+
+
+def _with_units(values: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
+    return {name: {"value": float(value), "unit": units.get(name, "")} for name, value in values.items()}

@@ -1,0 +1,17 @@
+"""What every method is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.words.watch import Watch
+
+
+class Method(Protocol):
+    """A frozen record of settings with a `run`."""
+
+    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+        """Solve the problem, from a guess or from nothing."""
+        ...

@@ -1,0 +1,1 @@
+"""A problem, its solution and the record of its proof."""

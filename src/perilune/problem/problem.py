@@ -1,0 +1,404 @@
+"""An optimal-control problem as data: phases, the links between them, what is given, what is free, what is minimised.
+
+A `Problem` holds the user's functions and nothing of any method. In SI units throughout:
+
+    minimise  J = objective(x(end of last phase), p)
+    subject to  x' = dynamics(x, u, p)                on each phase, time from the phase's ignition
+                x(0) = start(p)                       first phase
+                x(0) = link(x(end of phase before), p)   later phases
+                end(x(T), p) = 0,  path(x, u, p) >= 0
+
+A *free initial state* is a `start` that depends on free parameters; a free duration is a free parameter named by the
+phase. Running costs are states of their own. Every number that may be varied is a named parameter, *given* or *free*,
+so a sweep, a continuation and a table are the same walk.
+
+All functions take records with attribute access (``x.r``, ``p.thrust``) that also unpack in order, and the maths
+namespace ``m`` of `perilune.words.maths`. Numbers with a dimension belong into parameters, not into the functions: the
+problem is solved in canonical units, and construction tests that the physics is dimensionally homogeneous.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
+
+from perilune.problem.verification import Check
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.types import Physics
+from perilune.words.units import Scales, dimension_text, unit
+
+
+def _in_si(name: str, text: str) -> None:
+    """Inside, every number is in SI: a unit that would scale it is a mistake waiting to happen."""
+    factor, dimension = unit(text)
+    if factor != 1.0:
+        raise PeriluneError(
+            f"inside a problem numbers are in SI: {name}",
+            got=f"the unit {text!r}",
+            expected=repr(dimension_text(dimension)),
+            advice="convert the number, or read it with units.parse_quantity",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """A named component with its unit: a state, an end condition, a path condition or an output.
+
+    `lower` and `upper` bound a state where a method can use it (direct transcription, verification).
+    """
+
+    name: str
+    unit: str = "1"
+    lower: float = -math.inf
+    upper: float = math.inf
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise PeriluneError("a name must be a Python identifier", got=repr(self.name))
+        _in_si(self.name, self.unit)
+        if not self.lower < self.upper:
+            raise PeriluneError(
+                f"bounds of {self.name} are empty",
+                got=f"[{self.lower}, {self.upper}]",
+                expected="lower < upper",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Direction:
+    """A control that is a unit vector of two or three components, free on the circle or sphere."""
+
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.names) not in (2, 3):
+            raise PeriluneError("a direction has two or three components", got=str(len(self.names)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounded:
+    """A scalar control between bounds in SI (infinite bounds allowed), such as a throttle or an angle."""
+
+    name: str
+    unit: str = "1"
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The one component."""
+        return (self.name,)
+
+
+Control = Direction | Bounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """A parameter with a value in SI and its SI unit."""
+
+    value: float
+    unit: str = "1"
+
+    def __post_init__(self) -> None:
+        _in_si("a given value", self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Free:
+    """A parameter that the optimiser chooses, in SI.
+
+    `typical` is its order of magnitude (a first value for methods that need one); a bound that is reached is reported
+    as an extremal of its own.
+    """
+
+    name: str
+    unit: str = "1"
+    lower: float = -math.inf
+    upper: float = math.inf
+    typical: float = 1.0
+
+    def __post_init__(self) -> None:
+        _in_si(self.name, self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """One arc with smooth dynamics.
+
+    Parameters
+    ----------
+    name
+        Name of the phase.
+    states, controls
+        Components of x and u in order.
+    dynamics
+        ``dynamics(x, u, p, m)`` returns the rates of all states.
+    duration
+        Name of the parameter (given or free) that is the length of the phase in seconds.
+    end, end_conditions
+        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition.
+    path, path_conditions
+        ``path(x, u, p, m)`` returns values that must not be negative on the phase.
+    outputs, output_variables
+        ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
+    typical_end
+        ``typical_end(p, m)`` returns a rough end state; only its order matters (a direct method starts there).
+    """
+
+    name: str
+    states: tuple[Variable, ...]
+    controls: tuple[Control, ...] = ()
+    dynamics: Physics
+    duration: str
+    end: Physics | None = None
+    end_conditions: tuple[Variable, ...] = ()
+    path: Physics | None = None
+    path_conditions: tuple[Variable, ...] = ()
+    outputs: Physics | None = None
+    output_variables: tuple[Variable, ...] = ()
+    typical_end: Physics | None = None
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states, in order."""
+        return tuple(s.name for s in self.states)
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Names of the control components, in order."""
+        return tuple(name for control in self.controls for name in control.names)
+
+    @cached_property
+    def state_record(self) -> Callable[..., Any]:
+        """Record type of x."""
+        return namedtuple("State", self.state_names)
+
+    @cached_property
+    def control_record(self) -> Callable[..., Any]:
+        """Record type of u."""
+        return namedtuple("Control", self.control_names)
+
+    def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+        """Rates of the states for plain sequences x and u (each component may itself be an array)."""
+        return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
+
+    def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+        """Values of ``end`` (which takes no control), ``path`` or ``outputs``; empty where the phase has none."""
+        physics = getattr(self, function)
+        if physics is None:
+            return ()
+        arguments = (self.state_record(*x), p, m) if function == "end" else (
+            self.state_record(*x), self.control_record(*u), p, m
+        )  # fmt: skip
+        return physics(*arguments)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Phases, links, parameters and the objective.
+
+    Parameters
+    ----------
+    name
+        Name of the problem.
+    phases
+        In order of flight.
+    start
+        ``start(p, m)`` returns the first phase's initial state.
+    links
+        One ``link(x, p, m)`` for each later phase: its initial state from the end state of the phase before.
+    given
+        Parameters with values.
+    free
+        Parameters to be chosen, the durations among them.
+    objective, objective_unit
+        ``objective(x, p, m)`` of the last end state, minimised, and its unit.
+    ranges
+        ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
+        range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
+        make no sense together.
+    bookkeeping
+        ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
+    scales
+        Canonical units.
+    title
+        One line for reports.
+    """
+
+    name: str
+    phases: tuple[Phase, ...]
+    start: Physics
+    links: tuple[Physics, ...] = ()
+    given: Mapping[str, Given] = field(default_factory=dict)
+    free: tuple[Free, ...] = ()
+    objective: Physics
+    objective_unit: str = "1"
+    ranges: Physics | None = None
+    bookkeeping: Callable[[Any], Sequence[Check]] | None = None
+    scales: Scales = field(default_factory=Scales)
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "given", MappingProxyType(dict(self.given)))
+        if self.ranges is not None:
+            found = self.ranges(self.parameters({}), NUMERIC)
+            free = (
+                replace(f, lower=r[0], upper=r[1], typical=r[2])
+                for f in self.free
+                if (r := found.get(f.name, _range(f)))
+            )
+            object.__setattr__(self, "free", tuple(free))
+        _check_structure(self)
+        _check_homogeneous(self)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in order."""
+        return tuple(f.name for f in self.free)
+
+    @property
+    def duration_names(self) -> tuple[str, ...]:
+        """Names of the parameters that are durations of phases."""
+        return tuple(phase.duration for phase in self.phases)
+
+    def unit_of(self, parameter: str) -> str:
+        """Unit text of a parameter."""
+        if parameter in self.given:
+            return self.given[parameter].unit
+        return next(f.unit for f in self.free if f.name == parameter)
+
+    def parameters(self, free: Mapping[str, Any]) -> SimpleNamespace:
+        """Record ``p`` of all parameters in SI, with the free ones' values as passed."""
+        return SimpleNamespace(**{name: g.value for name, g in self.given.items()}, **dict(free))
+
+    def with_given(self, **values: float) -> Problem:
+        """Give parameters new values in SI; a free parameter named here is fixed.
+
+        Raises
+        ------
+        PeriluneError
+            If a name is no parameter of the problem.
+        """
+        given, known = dict(self.given), {*self.given, *self.free_names}
+        for name, value in values.items():
+            if name not in known:
+                raise unknown_name("parameter", name, sorted(known))
+            given[name] = Given(value=float(value), unit=self.unit_of(name))
+        return replace(self, given=given, free=tuple(f for f in self.free if f.name not in values))
+
+
+def _range(f: Free) -> tuple[float, float, float]:
+    return f.lower, f.upper, f.typical
+
+
+def _check_structure(problem: Problem) -> None:
+    if not problem.phases:
+        raise PeriluneError("a problem needs at least one phase", got="none")
+    if len(problem.links) != len(problem.phases) - 1:
+        raise PeriluneError(
+            "each phase after the first needs a link from the one before",
+            got=f"{len(problem.links)} links for {len(problem.phases)} phases",
+            expected=f"{len(problem.phases) - 1} links",
+        )
+    both = set(problem.given) & set(problem.free_names)
+    if both:
+        raise PeriluneError("a parameter cannot be given and free at once", got=", ".join(sorted(both)))
+    for name, g in problem.given.items():
+        if not math.isfinite(g.value):
+            raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
+    for f in problem.free:
+        if not f.lower <= f.upper or math.isnan(f.typical):
+            raise PeriluneError(
+                f"bounds of {f.name} are empty", got=f"[{f.lower}, {f.upper}]", expected="lower <= upper"
+            )
+    for name in problem.duration_names:
+        if name not in problem.given and name not in problem.free_names:
+            raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
+
+
+def _sample(problem: Problem, scales: Scales) -> tuple[SimpleNamespace, list[tuple[list[float], list[float]]]]:
+    """Parameters and one (x, u) for each phase, the same physical point written in the given canonical units."""
+    fractions = iter((0.618034 * (k + 1)) % 1.0 for k in range(10_000))
+    si = problem.scales
+    p = SimpleNamespace()
+    for name, g in problem.given.items():
+        setattr(p, name, g.value / scales.of(g.unit))
+    for f in problem.free:
+        inside = f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.typical
+        setattr(p, f.name, inside / scales.of(f.unit))
+    points = []
+    for phase in problem.phases:
+        x = [(0.7 + 0.5 * next(fractions)) * si.of(s.unit) / scales.of(s.unit) for s in phase.states]
+        u: list[float] = []
+        for control in phase.controls:
+            if isinstance(control, Direction):
+                raw = [0.3 + next(fractions) for _ in control.names]
+                u += [r / math.hypot(*raw) for r in raw]
+            else:
+                lower = max(control.lower, -si.of(control.unit))
+                upper = min(control.upper, si.of(control.unit))
+                u.append((lower + 0.4 * (upper - lower)) / scales.of(control.unit))
+        points.append((x, u))
+    return p, points
+
+
+def _values(problem: Problem, scales: Scales) -> list[tuple[str, str, float]]:
+    """(what, unit, value) of everything the user's functions return at the sample, written in canonical units."""
+    p, points = _sample(problem, scales)
+    found: list[tuple[str, str, float]] = []
+
+    def add(what: str, names: Sequence[tuple[str, str]], values: Sequence[Any]) -> None:
+        if len(values) != len(names):
+            raise PeriluneError(
+                f"{what} returns the wrong number of values",
+                got=str(len(values)),
+                expected=f"{len(names)}: " + ", ".join(n for n, _ in names),
+            )
+        found.extend((f"{what}, {n}", u, float(v)) for (n, u), v in zip(names, values, strict=True))
+
+    def pairs(variables: Sequence[Variable], per: str = "") -> list[tuple[str, str]]:
+        return [(v.name, v.unit + per) for v in variables]
+
+    first = problem.phases[0]
+    add("start", pairs(first.states), problem.start(p, NUMERIC))
+    for k, (phase, (x, u)) in enumerate(zip(problem.phases, points, strict=True)):
+        add(f"dynamics of {phase.name}", pairs(phase.states, "/s"), phase.rates(x, u, p))
+        add(f"end of {phase.name}", pairs(phase.end_conditions), phase.evaluate("end", x, u, p))
+        add(f"path of {phase.name}", pairs(phase.path_conditions), phase.evaluate("path", x, u, p))
+        add(f"outputs of {phase.name}", pairs(phase.output_variables), phase.evaluate("outputs", x, u, p))
+        if k < len(problem.links):
+            after = problem.phases[k + 1]
+            add(
+                f"link to {after.name}",
+                pairs(after.states),
+                problem.links[k](phase.state_record(*x), p, NUMERIC),
+            )
+    x, _ = points[-1]
+    last = problem.phases[-1]
+    add("objective", [("J", problem.objective_unit)], [problem.objective(last.state_record(*x), p, NUMERIC)])
+    return found
+
+
+def _check_homogeneous(problem: Problem) -> None:
+    """Evaluate the physics in SI and in other units; a result that does not scale hides a dimensional constant."""
+    # Incommensurate with each other, so that no power product of them is 1 by accident.
+    scales = Scales(length=7.3, time=0.19, mass=23.0)
+    for (what, unit_text, si), (_, _, other) in zip(_values(problem, Scales()), _values(problem, scales), strict=True):
+        scaled = other * scales.of(unit_text)
+        if math.isfinite(si) and not math.isclose(
+            si, scaled, rel_tol=1e-6, abs_tol=1e-9 * problem.scales.of(unit_text)
+        ):
+            raise PeriluneError(
+                f"the physics is not dimensionally homogeneous: {what}",
+                got=f"{si:.6g} computed in SI, {scaled:.6g} computed in other units",
+                expected=f"a quantity in {unit_text}",
+                advice="move constants with a dimension out of the function into `given`, with their unit",
+            )

@@ -1,0 +1,221 @@
+"""The one `Solution` type of every method: trajectories with costates, what was chosen, how it was found, its proof.
+
+A trajectory is stored as values *and rates* at nodes, and cubic Hermite interpolation between them is part of the
+record: what is exported is exactly what the verifier flies. `hermite_nodes` chooses nodes so that this loses nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Problem
+from perilune.problem.verification import Verification
+from perilune.words.outcome import Outcome
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Iteration
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """A vector function of time: values and rates at nodes, cubic Hermite between them.
+
+    Parameters
+    ----------
+    time
+        Nodes [s], shape (n,), increasing.
+    values, rates
+        Shape (n, k), in SI and SI per second.
+    """
+
+    time: Vector
+    values: Matrix
+    rates: Matrix
+
+    def __call__(self, t: float | Vector) -> Any:
+        """Value at times t: shape (k,) for a number, (len(t), k) for an array."""
+        at = np.atleast_1d(np.asarray(t, dtype=float))
+        i = np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
+        h = self.time[i + 1] - self.time[i]
+        s = ((at - self.time[i]) / h)[:, None]
+        h = h[:, None]
+        left, right = self.values[i], self.values[i + 1]
+        slope_left, slope_right = self.rates[i] * h, self.rates[i + 1] * h
+        jump = right - left
+        out = left + s * (
+            slope_left + s * (3 * jump - 2 * slope_left - slope_right + s * (slope_left + slope_right - 2 * jump))
+        )
+        return out if np.ndim(t) else out[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """One phase of a solution, in SI, time from the phase's ignition.
+
+    Parameters
+    ----------
+    phase
+        Name of the phase.
+    state, control, costate
+        Curves with as many components as the phase has states, control components and states. A `Direction` control
+        is normalised again after interpolation. `costate` is None where a method gives none.
+    """
+
+    phase: str
+    state: Curve
+    control: Curve
+    costate: Curve | None = None
+
+    @property
+    def time(self) -> Vector:
+        """Nodes [s]."""
+        return self.state.time
+
+    @property
+    def duration(self) -> float:
+        """Length of the phase [s]."""
+        return float(self.state.time[-1])
+
+
+class Deferred(Sequence[Trajectory]):
+    """Trajectories that are made when first looked at: most members of a table never are."""
+
+    def __init__(self, count: int, make: Callable[[], tuple[Trajectory, ...]]) -> None:
+        self._count, self._make = count, make
+        self._made: tuple[Trajectory, ...] | None = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Any:
+        if self._made is None:
+            self._made = self._make()
+        return self._made[index]
+
+
+class Nature(Enum):
+    """What an extremal is for the objective, in its free parameters (the control being optimal along each)."""
+
+    GLOBAL_OPTIMUM = "global optimum"
+    LOCAL_OPTIMUM = "local optimum"
+    WORST = "locally worst"
+    BOUNDARY_GLOBAL_OPTIMUM = "global optimum, at a bound"
+    BOUNDARY_OPTIMUM = "local optimum, at a bound"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extremal:
+    """One root of the necessary conditions: free parameters [SI], objective, and what it is."""
+
+    free: Mapping[str, float]
+    objective: float
+    nature: Nature
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistics:
+    """How the answer was found."""
+
+    rung: str = ""
+    tried: tuple[str, ...] = ()
+    iterations: int = 0
+    arcs: int = 0
+    residual: float = float("nan")
+    wall_time: float = float("nan")
+    history: tuple[Iteration, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """An answer of any method.
+
+    Parameters
+    ----------
+    problem
+        What was solved.
+    method
+        Name of the method.
+    outcome
+        How it ended.
+    objective
+        J in SI.
+    free
+        Values of the free parameters in SI, durations included.
+    trajectories
+        One for each phase.
+    multipliers
+        nu of the end conditions, by phase and condition name (``"descent.touchdown_altitude"``), in J per unit.
+    extremals
+        Every extremal found, best first; this solution is the first.
+    unknowns
+        The method's own unknowns, so that it can start again from here (`method` says whose they are).
+    """
+
+    problem: Problem
+    method: str
+    outcome: Outcome
+    objective: float
+    free: Mapping[str, float]
+    trajectories: Sequence[Trajectory]
+    multipliers: Mapping[str, float] = field(default_factory=dict)
+    extremals: tuple[Extremal, ...] = ()
+    unknowns: Vector | None = None
+    statistics: Statistics = field(default_factory=Statistics)
+    verification: Verification = field(default_factory=Verification)
+
+    def __post_init__(self) -> None:
+        for name in ("free", "multipliers"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @property
+    def parameters(self) -> Any:
+        """Record ``p`` of all parameters in SI, as the physics receives it."""
+        return self.problem.parameters(self.free)
+
+    def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
+        """The phase's named outputs at times t, in SI."""
+        definition, flown = self.problem.phases[phase], self.trajectories[phase]
+        values = definition.evaluate("outputs", flown.state(t).T, flown.control(t).T, self.parameters)
+        return {
+            v.name: np.broadcast_to(np.asarray(value, dtype=float), np.shape(t))
+            for v, value in zip(definition.output_variables, values, strict=True)
+        }
+
+
+def hermite_nodes(
+    evaluate: Callable[[Vector], tuple[Matrix, Matrix]], duration: float, tolerance: Vector, limit: int = 6401
+) -> Vector:
+    """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point.
+
+    Parameters
+    ----------
+    evaluate
+        Values and rates, each (n, k), at times (n,).
+    duration
+        Length [s].
+    tolerance
+        Largest error of each of the k components.
+    limit
+        Most nodes; reached only by curves with a kink.
+    """
+    time = np.linspace(0.0, duration, 101)
+    values, rates = evaluate(time)
+    while len(time) < limit:
+        middle = 0.5 * (time[1:] + time[:-1])
+        exact, exact_rates = evaluate(middle)
+        error = np.abs(Curve(time=time, values=values, rates=rates)(middle) - exact) / tolerance
+        bad = np.nonzero(error.max(axis=1) > 1.0)[0]
+        if not len(bad):
+            break
+        at = bad + 1
+        time = np.insert(time, at, middle[bad])
+        values, rates = (
+            np.insert(values, at, exact[bad], axis=0),
+            np.insert(rates, at, exact_rates[bad], axis=0),
+        )
+    return time

@@ -1,0 +1,81 @@
+"""Trace a user's physics on CasADi SX: the one text that is also flown by the verifier becomes expressions.
+
+Everything is traced in canonical units: because the physics is dimensionally homogeneous (tested by `Problem`), the
+same text holds when states and parameters are divided by their `Scales`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from perilune.problem.problem import Free, Phase, Problem
+from perilune.words.maths import NUMPY_NAMES
+from perilune.words.types import Vector
+
+SYMBOLIC = SimpleNamespace(**{name: getattr(ca, name) for name in NUMPY_NAMES})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    """Symbols of a problem's parameters: `given` in the order of `Problem.given`, `free` in that of `Problem.free`."""
+
+    given: ca.SX
+    free: ca.SX
+    record: SimpleNamespace
+
+
+def trace_parameters(problem: Problem) -> Parameters:
+    """One symbol for each given and each free parameter."""
+    given = ca.SX.sym("given", len(problem.given))
+    free = ca.SX.sym("free", len(problem.free))
+    record = SimpleNamespace(
+        **{name: given[i] for i, name in enumerate(problem.given)},
+        **{name: free[i] for i, name in enumerate(problem.free_names)},
+    )
+    return Parameters(given=given, free=free, record=record)
+
+
+def column(values: Any) -> ca.SX:
+    """A user's returned sequence as one column of expressions."""
+    return ca.vertcat(ca.SX(0, 1), *[ca.SX(v) for v in values])
+
+
+def elements(vector: ca.SX) -> list[ca.SX]:
+    """The entries of a column, as the user's functions receive them."""
+    return [vector[i] for i in range(vector.numel())]
+
+
+def trace_rates(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> ca.SX:
+    """The phase's dynamics as a column."""
+    return column(phase.rates(elements(x), elements(u), p, SYMBOLIC))
+
+
+def trace_at_end(phase: Phase, x: ca.SX, p: SimpleNamespace) -> ca.SX:
+    """The phase's end conditions as a column."""
+    return column(phase.evaluate("end", elements(x), [], p, SYMBOLIC))
+
+
+def canonical_given(problem: Problem) -> Vector:
+    """Values of the given parameters in canonical units."""
+    return np.array([g.value / problem.scales.of(g.unit) for g in problem.given.values()])
+
+
+def canonical_free(problem: Problem, free: Mapping[str, float]) -> Vector:
+    """Values of the free parameters in canonical units, from SI."""
+    return np.array([free[f.name] / problem.scales.of(f.unit) for f in problem.free])
+
+
+def free_scales(parameters: tuple[Free, ...], problem: Problem) -> Vector:
+    """SI size of the canonical unit of each free parameter."""
+    return np.array([problem.scales.of(f.unit) for f in parameters])
+
+
+def state_scales(problem: Problem, phase: Phase) -> Vector:
+    """SI size of the canonical unit of each state."""
+    return np.array([problem.scales.of(s.unit) for s in phase.states])

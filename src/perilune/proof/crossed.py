@@ -1,0 +1,170 @@
+"""Level 4, cross-checked: another method solves the same problem, and both answers are one within their mesh error.
+
+The mesh error is the larger of what the two methods report of themselves (`Statistics.residual`), relative to one
+plus the size of a quantity in canonical units. An answer of the indirect method is compared with a direct one from no
+guess, an answer of the direct method with the extremal that Newton's method reaches from it. What was found on
+either side is listed, and the answer must be the best of it: a proof that *nothing* is better there is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from perilune.methods.method import Method
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Extremal, Nature, Solution
+from perilune.problem.verification import Check
+from perilune.proof.feasible import feasibility, flights
+from perilune.proof.numerics import Arc
+from perilune.words.outcome import PeriluneError
+from perilune.words.units import quotient
+
+FINEST = 1e-9  # no difference between two tables is better known
+# Against the mesh error, which is of one segment; measured on good answers: states 9, costates 4, the rest less.
+AGREEMENT, COSTATE_AGREEMENT = 30.0, 30.0
+# Of costates by the covector mapping, however fine the mesh: at touchdown the multiplier of a path condition
+# that ends at its limit is spread over the last points. Measured 9e-7 (root mean square).
+COVECTOR = 5e-6
+_TIMES = 401
+
+
+def agreement(solution: Solution, other: Method | None) -> Iterator[Check]:
+    """All checks of level 4.
+
+    Parameters
+    ----------
+    solution
+        An answer with costates.
+    other
+        The other method; None takes the direct one for an answer of an indirect method, and the reverse.
+    """
+    rivals, reason = _rivals(solution, other)
+    yield Check(
+        name="cross_solved", level=4, value=0.0 if rivals else float("nan"), limit=0.0, unit="1",
+        meaning=f"another method solves the same problem{reason}",
+    )  # fmt: skip
+    if not rivals:
+        return
+    near = min(rivals, key=lambda rival: abs(rival.objective - solution.objective))
+    error = _mesh_error(solution, near)
+    yield _objectives(solution, near, error)
+    yield _best(solution, rivals, error)
+    yield from _parameters(solution, near, error)
+    for index in range(len(solution.problem.phases)):
+        yield from _curves(solution, near, index, error)
+
+
+def _rivals(solution: Solution, other: Method | None) -> tuple[list[Solution], str]:
+    """Answers of the other method, and where there are none the reason."""
+    from perilune.methods.indirect import Indirect
+    from perilune.methods.pseudospectral import Pseudospectral
+
+    if other is None:
+        other = Indirect() if solution.method == "pseudospectral" else Pseudospectral()
+    try:
+        first = other.run(solution.problem, solution if isinstance(other, Indirect) else None)
+    except PeriluneError as error:
+        return [], f", but {type(other).__name__} does not: {error.what}"
+    if isinstance(other, Indirect):
+        missed = _missed(first)
+        if missed:
+            return [], f", but the extremal that {type(other).__name__} reaches does not meet {', '.join(missed)}"
+        return [first], ""
+    rivals = [first]
+    problem, near = solution.problem, _mesh_error(first)
+    if first.objective - solution.objective > _allowed(problem, problem.objective_unit, first.objective, near):
+        # From no guess it ended in a worse optimum, which refutes nothing: does it confirm this one?
+        try:
+            rivals.append(other.run(problem, solution))
+        except PeriluneError:
+            pass
+    return rivals, ""
+
+
+def _missed(rival: Solution) -> list[str]:
+    """Conditions of level 1 that an extremal does not meet: it knows of none along the path."""
+    return [check.name for check in feasibility(rival, flights(rival, with_costates=False)) if not check.passed]
+
+
+def _mesh_error(*solutions: Solution) -> float:
+    return float(np.fmax.reduce([FINEST, *(s.statistics.residual for s in solutions)]))
+
+
+def _allowed(problem: Problem, unit: str, value: float, error: float) -> float:
+    """Difference of a quantity that the mesh error explains [its unit]."""
+    return AGREEMENT * error * (problem.scales.of(unit) + abs(value))
+
+
+def _objectives(solution: Solution, rival: Solution, error: float) -> Check:
+    problem = solution.problem
+    return Check(
+        name="cross_objective", level=4, value=abs(solution.objective - rival.objective),
+        limit=_allowed(problem, problem.objective_unit, solution.objective, error), unit=problem.objective_unit,
+        meaning=f"difference between the objective, {_both(solution, rival, solution.objective, rival.objective)} "
+        f"{problem.objective_unit}; the relative mesh error is {error:.1e}",
+    )  # fmt: skip
+
+
+def _both(solution: Solution, rival: Solution, here: float, there: float) -> str:
+    return f"{here:.12g} by {solution.method}, {there:.12g} by {rival.method}"
+
+
+def _best(solution: Solution, rivals: Sequence[Solution], error: float) -> Check:
+    """No extremal that either side has found is better than the one claimed."""
+    problem = solution.problem
+    found = [(e, solution.method) for e in _known(solution)]
+    for rival in rivals:
+        found += [(e, rival.method) for e in _known(rival)]
+    found.sort(key=lambda pair: pair[0].objective)
+    listed = "; ".join(f"J = {e.objective:.9g} by {method}{_where(problem, e)}" for e, method in found)
+    return Check(
+        name="best_extremal", level=4, value=max(solution.objective - found[0][0].objective, 0.0),
+        limit=_allowed(problem, problem.objective_unit, solution.objective, error), unit=problem.objective_unit,
+        meaning=f"by how much the best extremal found is better than this one, J = {solution.objective:.9g}; found, "
+        f"best first: {listed}",
+    )  # fmt: skip
+
+
+def _known(solution: Solution) -> Sequence[Extremal]:
+    """The extremals that a solution lists, or itself."""
+    itself = Extremal(free=solution.free, objective=solution.objective, nature=Nature.LOCAL_OPTIMUM)
+    return solution.extremals or [itself]
+
+
+def _where(problem: Problem, extremal: Extremal) -> str:
+    values = [f"{name} {value:.6g} {problem.unit_of(name)}" for name, value in extremal.free.items()]
+    return f" ({', '.join(values)})" if values else ""
+
+
+def _parameters(solution: Solution, rival: Solution, error: float) -> Iterator[Check]:
+    for free in solution.problem.free:
+        here, there = solution.free[free.name], rival.free[free.name]
+        yield Check(
+            name=f"cross_{free.name}", level=4, value=abs(here - there), unit=free.unit,
+            limit=_allowed(solution.problem, free.unit, here, error),
+            meaning=f"difference between {free.name}, {_both(solution, rival, here, there)} {free.unit}",
+        )  # fmt: skip
+
+
+def _curves(solution: Solution, rival: Solution, index: int, error: float) -> Iterator[Check]:
+    """States at equal shares of the phase; costates by their root mean square, as ends hold only on the average."""
+    arc, other = (Arc(solution=s, index=index) for s in (solution, rival))
+    share, cost = np.linspace(0.0, 1.0, _TIMES), solution.problem.objective_unit
+    for kind, unit, limit in (("state", arc.state_scale, AGREEMENT * error),
+                              ("costate", arc.objective_scale / arc.state_scale, COVECTOR + COSTATE_AGREEMENT * error),
+                              ):  # fmt: skip
+        here, there = (getattr(of, kind)(share * of.duration) for of in (arc, other))
+        difference = np.abs(here - there) / unit[:, None]
+        norm = difference.max(axis=1) if kind == "state" else np.sqrt((difference**2).mean(axis=1))
+        value = norm / (1.0 + np.abs(here).max(axis=1) / unit)
+        for i, state in enumerate(arc.phase.states):
+            at = int(np.argmax(difference[i]))
+            both = _both(solution, rival, here[i, at], there[i, at])
+            yield Check(
+                name=f"{arc.prefix}cross_{kind}_{state.name}", level=4, value=float(value[i]), limit=limit, unit="1",
+                meaning=f"{'largest' if kind == 'state' else 'root mean square'} difference between the {kind} of "
+                f"{state.name} along the arc, over one plus its size (scaled); at {share[at] * arc.duration:.6g} s "
+                f"it is {both} {state.unit if kind == 'state' else quotient(cost, state.unit)}",
+            )  # fmt: skip

@@ -1,0 +1,226 @@
+"""Level 2, extremal: the first-order necessary conditions, from the exported curves and the numpy physics.
+
+With H = lam.f (running costs are states) and Phi = phi + nu.psi at each phase's end:
+
+    lam' = -dH/dx,  H constant,  lam(t_f) = dPhi/dx  (or through the link to the next phase's lam(0)),
+    dJ/dp = dPhi/dp + lam(0).dx0/dp + sum over links + int lam.df/dp dt  = 0 for each free p,
+    u minimises H at each time.
+
+These are the conditions of arcs on which no path condition and no bound of a state is active. Where one is, it
+has a multiplier of its own, which no method here returns: the check that says so fails.
+
+A duration T is a parameter too, T H being the rate per unit of normalised time: its condition gives H its
+required value, which is 0 where nothing but the dynamics depends on T. For the free initial state of Cho et
+al. the same line is (19). At an active bound dJ/dp must point outwards (Karush-Kuhn-Tucker). Source: Bryson
+and Ho (1975), sections 2.7, 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Free
+from perilune.problem.solution import Solution
+from perilune.problem.verification import Check
+from perilune.proof.numerics import COMPLEX, STEP, Arc, Flight, jacobian, stacked
+from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality
+from perilune.words.types import Matrix, Vector
+
+# In canonical units. Measured on good answers: costates 1.3e-10, derivatives in parameters 2e-11.
+COSTATE_LIMIT = 1e-9
+STATIONARY_LIMIT = 1e-9
+ACTIVE = 1e-9  # a free parameter this close to its bound, in canonical units, lies on it
+# A touchdown comes within TOUCHING of a height above ground for 0.6 % of the flight; an active arc stays longer. A
+# direct answer keeps a limit at its nodes and may leave it between them: by 30 times its mesh error, measured.
+TOUCHING, TOUCHING_MESH, TOUCHING_SHARE = 1e-6, 50.0, 0.02
+
+
+def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iterator[Check]:
+    """All checks of level 2.
+
+    Parameters
+    ----------
+    solution
+        What is claimed.
+    flown
+        Of `feasible.flights`, with costates.
+    """
+    if any(t.costate is None for t in solution.trajectories):
+        yield Check(
+            name="costates", level=2, value=float("nan"), limit=0.0, unit="1",
+            meaning="the method gave no costates, so optimality cannot be shown; solve again with Indirect()",
+        )  # fmt: skip
+        return
+    arcs = [arc for arc, _ in flown]
+    nu = [end_multipliers(arc) for arc in arcs]
+    for (arc, flight), (_, residual) in zip(flown, nu, strict=True):
+        yield from _costates(arc, flight)
+        yield _transversality(arc, residual)
+        yield _hamiltonian_constant(arc)
+    yield from _multipliers(solution, arcs, [v for v, _ in nu])
+    for free in solution.problem.free:
+        yield _stationary(solution, free, parameter_gradient(arcs, [v for v, _ in nu], free.name))
+    for arc, flight in flown:
+        yield from _inactive(arc, flight)
+        if arc.phase.controls:
+            yield from minimality(arc)
+
+
+def _costates(arc: Arc, flight: Flight) -> Iterator[Check]:
+    n, t = len(arc.phase.states), np.append(arc.quadrature[0], arc.duration)
+    error = np.abs(flight.at(t)[n:] - arc.costate(t)).max(axis=1) * arc.state_scale / arc.objective_scale
+    for state, value in zip(arc.phase.states, error, strict=True):
+        yield Check(
+            name=f"{arc.prefix}costate_{state.name}", level=2, unit="1", limit=COSTATE_LIMIT,
+            value=float(value) if flight.completed else float("nan"),
+            meaning=f"difference between the costate of {state.name} and lam' = -dH/dx flown again (scaled)",
+        )  # fmt: skip
+
+
+def end_gradients(arc: Arc) -> tuple[Matrix, Vector]:
+    """d(psi)/dx, shape (q, n), and the part of lam(t_f) without multipliers, shape (n,); scaled."""
+    problem, record, x = arc.problem, arc.phase.state_record, arc.state(np.array([arc.duration]))
+
+    def gradient(function: Any) -> Matrix:
+        return jacobian(lambda z: stacked(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
+
+    psi = gradient(lambda z: arc.phase.evaluate("end", z, (), arc.p, COMPLEX))
+    if arc.index == len(problem.phases) - 1:
+        return psi, gradient(lambda z: [problem.objective(record(*z), arc.p, COMPLEX)])[0]
+    ahead = Arc(solution=arc.solution, index=arc.index + 1).costate(np.zeros(1))[:, 0]
+    return psi, ahead @ gradient(lambda z: problem.links[arc.index](record(*z), arc.p, COMPLEX))
+
+
+def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
+    """Multipliers nu [J per unit] by least squares, and what of lam(t_f) they leave (scaled)."""
+    psi, ahead = end_gradients(arc)
+    wanted = arc.costate(np.array([arc.duration]))[:, 0] * arc.state_scale - ahead
+    size = np.array([arc.problem.scales.of(v.unit) for v in arc.phase.end_conditions])
+    nu = np.linalg.lstsq(psi.T / size, wanted, rcond=None)[0] / size if len(size) else np.zeros(0)
+    return nu, (wanted - psi.T @ nu) / arc.objective_scale
+
+
+def _transversality(arc: Arc, residual: Vector) -> Check:
+    return Check(
+        name=f"{arc.prefix}transversality", level=2, value=float(np.abs(residual).max()),
+        limit=STATIONARY_LIMIT, unit="1",
+        meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain (scaled); the bound of "
+        "a state that is reached there is none of them",
+    )  # fmt: skip
+
+
+def _multipliers(solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector]) -> Iterator[Check]:
+    differences = []
+    for arc, nu in zip(arcs, found, strict=True):
+        for condition, value in zip(arc.phase.end_conditions, nu, strict=True):
+            name = f"{arc.phase.name}.{condition.name}"
+            if name in solution.multipliers:
+                size = arc.problem.scales.of(condition.unit) / arc.objective_scale
+                differences.append(abs(value - solution.multipliers[name]) * size)
+    if differences:
+        yield Check(
+            name="multipliers", level=2, value=float(np.max(differences)), limit=STATIONARY_LIMIT, unit="1",
+            meaning="largest difference between an end condition's multiplier and the one lam(t_f) implies "
+            "(scaled)",
+        )  # fmt: skip
+
+
+def _hamiltonian_constant(arc: Arc) -> Check:
+    ends = np.array([0.0, arc.duration])
+    at_ends = arc.state(ends), arc.control(ends), arc.costate(ends)
+    x, u, lam = (np.hstack(pair) for pair in zip(at_ends, arc.sampled, strict=True))
+    values = (lam * arc.rates(x, u).real).sum(axis=0)
+    return Check(
+        name=f"{arc.prefix}hamiltonian_constant", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
+        value=float(np.abs(values - values.mean()).max()) * arc.problem.scales.time / arc.objective_scale,
+        meaning="largest change of the Hamiltonian along the arc (scaled); it is constant on an extremal",
+    )  # fmt: skip
+
+
+def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> float:
+    """dJ/dp at an extremal, p a free parameter: J per unit of p, from costates and multipliers (above)."""
+    problem, p = arcs[0].problem, arcs[0].p
+    unit = problem.scales.of(problem.unit_of(name))
+    stepped = SimpleNamespace(**{**vars(p), name: getattr(p, name) + 1j * STEP * unit})
+
+    def slope(weights: Any, values: Sequence[Any]) -> float:
+        return sum(float(w * np.imag(v)) for w, v in zip(weights, values, strict=True)) / (STEP * unit)
+
+    total = slope(arcs[0].costate(np.zeros(1))[:, 0], problem.start(stepped, COMPLEX))
+    for arc, multipliers in zip(arcs, nu, strict=True):
+        end = arc.state(np.array([arc.duration]))[:, 0].tolist()
+        total += slope(multipliers, arc.phase.evaluate("end", end, (), stepped, COMPLEX))
+        if arc.index < len(problem.links):
+            ahead = arcs[arc.index + 1].costate(np.zeros(1))[:, 0]
+            total += slope(ahead, problem.links[arc.index](arc.phase.state_record(*end), stepped, COMPLEX))
+        else:
+            total += slope([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
+        (_, weights), (x, u, lam) = arc.quadrature, arc.sampled
+        f = arc.rates(x, u, stepped)
+        total += float(((lam * f.imag).sum(axis=0) * weights).sum()) / (STEP * unit)
+        if arc.phase.duration == name:
+            total += float(((lam * f.real).sum(axis=0) * weights).sum()) / arc.duration
+    return total
+
+
+def at_bound(solution: Solution, free: Free) -> tuple[bool, bool]:
+    """Whether a free parameter lies on its lower and on its upper bound."""
+    value, near = solution.free[free.name], ACTIVE * solution.problem.scales.of(free.unit)
+    return abs(value - free.lower) <= near, abs(value - free.upper) <= near
+
+
+def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
+    problem = solution.problem
+    scaled = gradient * problem.scales.of(free.unit) / problem.scales.of(problem.objective_unit)
+    lower, upper = at_bound(solution, free)
+    limit, meaning = (
+        STATIONARY_LIMIT,
+        f"derivative of the optimal objective with respect to {free.name} (scaled)",
+    )
+    if free.name in problem.duration_names:
+        limit = HAMILTONIAN_LIMIT
+        meaning += ": how far the Hamiltonian is from its required value, 0 for a free flight time"
+    value = abs(scaled)
+    if lower or upper:
+        allowed = (lower and scaled > 0) or (upper and scaled < 0)
+        value = 0.0 if allowed else abs(scaled)
+        meaning += f"; {free.name} is at its bound, so only a gain from leaving the bound counts"
+    return Check(
+        name=f"stationary_{free.name}", level=2, value=float(value), limit=limit, unit="1", meaning=meaning,
+    )  # fmt: skip
+
+
+def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
+    t = np.linspace(0.0, arc.duration, 2001)
+    x, of = flight.at(t)[: len(arc.phase.states)], arc.problem.scales.of
+    margins = [
+        (f"{condition.name} >= 0", condition, value)
+        for condition, value in zip(arc.phase.path_conditions, arc.path(x, arc.control(t)), strict=True)
+    ]
+    for state, value in zip(arc.phase.states, x, strict=True):
+        if np.isfinite(state.lower):
+            margins.append((f"{state.name} >= {state.lower:g}", state, value - state.lower))
+        if np.isfinite(state.upper):
+            margins.append((f"{state.name} <= {state.upper:g}", state, state.upper - value))
+    near = float(np.fmax(TOUCHING, TOUCHING_MESH * arc.solution.statistics.residual))
+    runs: dict[str, tuple[float, str]] = {}
+    for text, variable, margin in margins:
+        active = np.concatenate([[False], margin <= near * of(variable.unit), [False]])
+        begins, ends = (np.nonzero(np.diff(active.astype(int)) == way)[0] for way in (1, -1))
+        longest = float((ends - begins).max(initial=0)) / len(t)
+        runs[variable.name] = max(runs.get(variable.name, (-1.0, "")), (longest, text))
+    for name, (longest, text) in runs.items():
+        consequence = "; touched at single times it is taken to have no multiplier: one would show in the costates"
+        if longest > TOUCHING_SHARE:
+            consequence = (
+                ": a path condition is active, and the first-order conditions with its multiplier are not checked"
+            )
+        yield Check(
+            name=f"{arc.prefix}inactive_{name}", level=2, unit="1", limit=TOUCHING_SHARE,
+            value=longest if flight.completed else float("nan"),
+            meaning=f"longest share of the flight spent at the limit of {text}{consequence}",
+        )  # fmt: skip

@@ -1,0 +1,72 @@
+"""Proof of a solution by other code than the solver's: SciPy and the numpy physics, no symbols, no kernels.
+
+Level 1 (`feasible`): the exported control is flown again. Level 2 (`extremal`): the first-order conditions
+hold along the exported curves; `switching`: for the control. Level 3 (`second_order`, `resolved`): the extremal is
+locally optimal. Level 4 (`crossed`): another method agrees. Each check has a value, a limit 3 to 10 times above the
+error of a good answer, so that it can fail, and a meaning; a NaN fails.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perilune.methods.method import Method
+from perilune.problem.solution import Solution
+from perilune.problem.verification import Check, Verification
+from perilune.proof.crossed import agreement
+from perilune.proof.extremal import extremality
+from perilune.proof.feasible import feasibility, flights, tables
+from perilune.proof.resolved import Resolve, neighbours
+from perilune.proof.second_order import local_optimality
+from perilune.words.outcome import PeriluneError
+
+
+def examine(solution: Solution, level: int, resolve: Resolve, other: Method | None = None) -> Verification:
+    """Check what a solution claims.
+
+    Parameters
+    ----------
+    solution
+        Of any method, with trajectories. Its own `verification` is not looked at.
+    level
+        1 feasible, 2 extremal, 3 locally optimal, 4 cross-checked; each with those below.
+    resolve
+        ``resolve(problem, guess) -> Solution`` solves a neighbouring problem from this solution for the
+        checks of level 3 that need it.
+    other
+        The method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
+
+    Returns
+    -------
+    Verification
+        Every check made. Unusable tables, or costates that are missing, end the proof at the check that says
+        so.
+
+    Raises
+    ------
+    PeriluneError
+        If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase.
+    """
+    if level not in (1, 2, 3, 4):
+        raise PeriluneError("there is no such level of verification", got=repr(level)[:60], expected="1, 2, 3 or 4")
+    if len(solution.trajectories) != len(solution.problem.phases):
+        raise PeriluneError(
+            "the solution lacks trajectories",
+            got=f"{len(solution.trajectories)} for {len(solution.problem.phases)} phases",
+            expected="one for each phase",
+        )
+    readable = tables(solution)
+    checks: list[Check] = [readable]
+    if readable.passed:
+        # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
+        with np.errstate(all="ignore"):
+            flown = flights(solution, with_costates=level >= 2)
+            checks += feasibility(solution, flown)
+            if level >= 2:
+                checks += extremality(solution, flown)
+            if level >= 3 and all(t.costate is not None for t in solution.trajectories):
+                checks += local_optimality(solution)
+                checks += neighbours(solution, resolve)
+            if level >= 4:
+                checks += agreement(solution, other)
+    return Verification(checks=tuple(checks))

@@ -1,0 +1,119 @@
+"""Level 3 by solving again: what costates and free parameters promise about neighbours comes true.
+
+lam(0) = dJ*/dx0      against central differences of J over problems whose initial state is shifted; what else is
+                      free, but for durations, is held: by the envelope theorem choosing it again changes nothing
+d2J*/dp2 > 0          over problems with a free parameter held to either side of its optimum
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Given, Problem
+from perilune.problem.solution import Solution
+from perilune.problem.verification import Check
+from perilune.proof.extremal import at_bound
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Physics
+
+Resolve = Callable[[Problem, Solution], Solution]
+
+START_SHIFT = 3e-6  # canonical; central differences err by its square: 4e-8 at most measured, J itself by 1e-13
+PARAMETER_SHIFT = 2e-3
+COSTATE_LIMIT = 1e-6
+CURVATURE_LIMIT = -1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShiftedStart:
+    """Initial state plus given parameters ``offset_<state>``; equal records are equal functions."""
+
+    start: Physics
+    names: tuple[str, ...]
+
+    def __call__(self, p: Any, m: Any) -> Sequence[Any]:
+        """Initial state [SI]."""
+        offsets = (getattr(p, f"offset_{name}") for name in self.names)
+        return tuple(value + offset for value, offset in zip(self.start(p, m), offsets, strict=True))
+
+
+def shifted(problem: Problem) -> Problem:
+    """The problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
+    states = problem.phases[0].states
+    offsets = {f"offset_{s.name}": Given(value=0.0, unit=s.unit) for s in states}
+    start = ShiftedStart(start=problem.start, names=problem.phases[0].state_names)
+    return replace(problem, start=start, given={**problem.given, **offsets})
+
+
+def _objective(resolve: Resolve, problem: Problem, guess: Solution) -> float:
+    """J of a neighbouring problem, NaN where it could not be solved: the check then fails, saying so."""
+    try:
+        return float(resolve(problem, guess).objective)
+    except PeriluneError:
+        return float("nan")
+
+
+def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
+    """Checks of level 3 that solve neighbouring problems.
+
+    Parameters
+    ----------
+    solution
+        An extremal with costates.
+    resolve
+        ``resolve(problem, guess)`` returns the extremal of `problem` next to the guess.
+    """
+    problem = solution.problem
+    held = {f.name: solution.free[f.name] for f in problem.free if any(at_bound(solution, f))}
+    # One form of the problem for all neighbours, as each new form is derived and compiled.
+    problem = shifted(problem).with_given(**held)
+    yield from _initial_costates(problem, solution, resolve)
+    yield from _parameters(problem, solution, resolve)
+
+
+def _initial_costates(problem: Problem, solution: Solution, resolve: Resolve) -> Iterator[Check]:
+    costate = solution.trajectories[0].costate
+    if costate is None:
+        return
+    held = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names}
+    moved, of = problem.with_given(**held), problem.scales.of
+    for state, lam in zip(problem.phases[0].states, costate.values[0], strict=True):
+        shift, size = START_SHIFT * of(state.unit), of(state.unit) / of(problem.objective_unit)
+
+        def slope(shift: float, name: str = f"offset_{state.name}") -> float:
+            ahead, behind = (_objective(resolve, moved.with_given(**{name: s}), solution) for s in (shift, -shift))
+            return (ahead - behind) / (2 * shift)
+
+        change = slope(shift)
+        if abs(change - lam) * size > 0.3 * COSTATE_LIMIT:
+            # Long arcs bend more within a shift: Richardson's extrapolation takes out the square of it.
+            change = (4 * change - slope(2 * shift)) / 3
+        yield Check(
+            name=f"initial_costate_{state.name}", level=3, limit=COSTATE_LIMIT, unit="1",
+            value=abs(float(change - lam)) * size,
+            meaning=f"difference between the costate of {state.name} at the start and the change of the "
+            "optimum when "
+            f"the start is shifted by {shift:.3g} {state.unit} and solved again (scaled; NaN: not solved)",
+        )  # fmt: skip
+
+
+def _parameters(problem: Problem, solution: Solution, resolve: Resolve) -> Iterator[Check]:
+    of = problem.scales.of
+    for free in problem.free:
+        if free.name in problem.duration_names:
+            continue
+        value = solution.free[free.name]
+        shift = min(PARAMETER_SHIFT * of(free.unit), 0.5 * (value - free.lower), 0.5 * (free.upper - value))
+        sides = [_objective(resolve, problem.with_given(**{free.name: value + s}), solution) for s in (shift, -shift)]
+        curvature = (sides[0] + sides[1] - 2 * solution.objective) / shift**2
+        yield Check(
+            name=f"second_order_{free.name}", level=3, limit=CURVATURE_LIMIT, unit="1",
+            value=-float(np.float64(curvature)) * of(free.unit) ** 2 / of(problem.objective_unit),
+            meaning=f"minus the curvature of the optimum over {free.name}, solved again {shift:.3g} "
+            f"{free.unit} to "
+            "either side (scaled): below 0 at a minimum, above 0 at a maximum (NaN: not solved)",
+        )  # fmt: skip

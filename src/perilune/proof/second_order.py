@@ -1,0 +1,350 @@
+"""Level 3, locally optimal: strict Legendre conditions, and a positive second variation: no conjugate point.
+
+Among all admissible small variations of control, initial state, durations and switching times, those that keep
+the end conditions, the second variation
+
+    d2J = [dx, dp]' (d2 Phi) [dx, dp] at the end + lam(0).d2x0[dp, dp] + int [dx, dp, du]' (d2 H) [dx, dp,
+    du] dt, dx' = f_x dx + f_u du + f_p dp,     psi_x dx(t_f) + psi_p dp = 0
+
+must be positive. Measured against int du' H_uu du it is 1 - kappa, with kappa the largest eigenvalue of the
+rest. By the Morse index theorem the eigenvalues beyond 1 count the conjugate
+points of the arc, and kappa = 1 is one exactly at the start: for x'' = -x, kappa = (T/pi)^2. In contrast to
+the determinant of the field of extremals this has no singular end, sees double conjugate points, and takes
+free parameters along.
+
+Where a bounded control switches the phase is cut into pieces, and the times t_k of the cuts join p: time is
+normalised on each piece, so they enter f and H as durations do. They have a curvature of their own: the measure
+becomes int du' H_uu du + sum D_k dt_k^2 with D_k > 0 of `switching`. Where no control varies otherwise (bang-bang)
+d2J is the Hessian of the Lagrangian of the finite-dimensional problem in switching times and free parameters, whose
+positivity on the critical cone is sufficient together with the strict conditions of `switching`. Where the end
+conditions leave no variation at all, these suffice alone, and kappa is 0.
+
+On which side of 1 kappa lies does not depend on how time is normalised; how far from it does, where u varies.
+
+The form is discretised on equal steps with a constant control each (implicit midpoint rule); a direction moves in
+its tangent plane, and not at all where no thrust gives it an effect; a scalar on its bound does not vary. Source:
+Gelfand and Fomin (1963), sections 27-29; Bryson and Ho (1975), chapter 6; Hestenes (1966); Maurer, Buskens, Kim,
+Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times, alone and beside a regular control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Bounded
+from perilune.problem.solution import Solution
+from perilune.problem.verification import Check
+from perilune.proof.extremal import at_bound, end_multipliers
+from perilune.proof.numerics import COMPLEX, Arc, hessian, jacobian, normalised, stacked
+from perilune.proof.switching import control_rates, crossings, on_bounds, placed, strictness, tangents
+from perilune.words.types import Matrix, Vector
+
+STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
+CURVATURE_LIMIT = -1e-4
+# Discretisation lowers kappa by 1.6e-4 of itself (oscillator).
+KAPPA_LIMIT = 0.999
+_WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
+
+
+def local_optimality(solution: Solution) -> Iterator[Check]:
+    """Checks of level 3 that need no other solve.
+
+    Parameters
+    ----------
+    solution
+        An extremal with costates.
+    """
+    arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
+    inner = [f.name for f in solution.problem.free if not any(at_bound(solution, f))]
+    durations = [name for name in inner if name in solution.problem.duration_names]
+    pieces = _pieces(arcs, inner)
+    for arc in arcs:
+        yield _legendre_clebsch(arc, [piece for piece in pieces if piece.arc is arc])
+        yield from strictness(arc)
+    regular = all(piece.regular for piece in pieces) and not any(_tangled(arc) for arc in arcs)
+    forms = _form(pieces) if regular else None
+    others = [name for name in inner if name not in durations]
+    yield _positive(forms, [inner.index(name) for name in others], name="conjugate_point",
+        meaning="how far the arc reaches towards a conjugate point: 1 means there is one at its start, beyond 1 a "
+        "better arc lies close by",
+    )  # fmt: skip
+    if others:
+        yield _positive(forms, [], name="second_variation",
+            meaning=f"the same with {', '.join(others)} varied together with the control: beyond 1 a better choice "
+            "is near",
+        )  # fmt: skip
+
+
+def _positive(forms: tuple[Matrix, Matrix, int] | None, fixed: Sequence[int], *, name: str, meaning: str) -> Check:
+    value = float("nan")
+    if forms is None:
+        meaning += (
+            "; not available: H is not strictly convex in a control between its bounds, a scalar reaches its bound "
+            "without a switch in the table, or what jumps there is not one scalar that crosses its switch"
+        )
+    else:
+        form, constraints, m = forms
+        form = np.delete(np.delete(form, fixed, axis=0), fixed, axis=1)
+        value, variations = kappa(form, np.delete(constraints, fixed, axis=1), m - len(fixed))
+        if not variations:
+            meaning += "; the end conditions leave nothing to vary, so that strict switching suffices for a minimum"
+    return Check(name=name, level=3, value=value, limit=KAPPA_LIMIT, unit="1", meaning=meaning)
+
+
+def _tangled(arc: Arc) -> bool:
+    """Whether anything but a single scalar jumps at a break, or its switching function does not cross zero there."""
+    scalars = [at for at, control in placed(arc) if isinstance(control, Bounded)]
+    jumps = arc.jumps != 0
+    alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, scalars, axis=0).any()
+    return not alone or bool((crossings(arc)[jumps.any(axis=0)] <= 0).any())
+
+
+def _pieces(arcs: Sequence[Arc], names: Sequence[str]) -> list[_Piece]:
+    """All arcs from break to break, with `names` and the switching times as parameters."""
+    switches = {
+        (arc.index, k): f"{arc.phase.name} switch {k + 1}"
+        for arc in arcs
+        for k in np.nonzero(arc.jumps.any(axis=0))[0].tolist()
+    }
+    times = {name: float(arcs[i].breaks[k]) for (i, k), name in switches.items()}
+    curvature = [float(crossings(arcs[i])[k]) for i, k in switches]
+    p = SimpleNamespace(**vars(arcs[0].p), **times)
+    found = []
+    for arc in arcs:
+        inside = [switches.get((arc.index, k), float(time)) for k, time in enumerate(arc.breaks)]
+        edges = [0.0, *inside, arc.phase.duration]
+        found += [_Piece(arc, p, (*names, *times), curvature, k, edges[k : k + 2]) for k in range(len(edges) - 1)]
+    return found
+
+
+class _Piece:
+    """First and second derivatives of an arc between breaks, at the middles of equal steps.
+
+    Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
+    the length times H; d counts states, the parameters `names` and the tangent directions of the control that may
+    vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
+    numbers, or names of parameters.
+    """
+
+    def __init__(
+        self,
+        arc: Arc,
+        p: SimpleNamespace,
+        names: Sequence[str],
+        curvature: Sequence[float],
+        index: int,
+        edges: Sequence[str | float],
+    ) -> None:
+        self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
+        self.first, self.last = index == 0, index == len(arc.breaks)
+        left, right = arc.edges[index : index + 2]
+        self.steps = max(FEWEST, round(STEPS * (right - left) / arc.duration))
+        t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
+        x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
+        self.basis, self.partly_held = _moves(arc, x, self.u)
+        n, m, k = len(x), len(names), self.basis.shape[1]
+        self.sizes = n, m, k
+        of, problem = arc.problem.scales.of, arc.problem
+        known = {*problem.given, *problem.free_names}
+        self.parameter_scale = np.array([of(problem.unit_of(name) if name in known else "s") for name in names])
+        self.scale = np.concatenate([arc.state_scale, self.parameter_scale, np.ones(k)])
+        self.parameter_values = np.array([float(getattr(p, name)) for name in names])
+        z = np.concatenate(
+            [x, np.repeat(self.parameter_values[:, None], self.steps, axis=1), np.zeros((k, self.steps))]
+        )
+        self.F = jacobian(self._rates, z, self.scale)
+        self.W = hessian(self._hamiltonian, z, self.scale)
+        self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
+
+    @property
+    def regular(self) -> bool:
+        """Whether H is strictly convex in the control all along."""
+        return not self.partly_held and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
+
+    def parameters(self, values: Any) -> SimpleNamespace:
+        """All parameters in SI with `names` replaced."""
+        return SimpleNamespace(**{**vars(self.p), **dict(zip(self.names, values, strict=True))})
+
+    def _f(self, z: Any) -> Any:
+        n, m, _ = self.sizes
+        p = self.parameters(z[n : n + m])
+        middle = (1,) * (z.ndim - 2)
+        u = self.u.reshape(len(self.u), *middle, self.steps) + 0 * z[0]
+        for column in range(self.basis.shape[1]):
+            u = u + self.basis[:, column].reshape(len(self.u), *middle, self.steps) * z[n + m + column]
+        u = normalised(self.arc.phase, u) if len(self.u) else u
+        left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
+        return (right - left) * self.arc.rates(z[:n], u, p)
+
+    def _rates(self, z: Any) -> Any:
+        return self._f(z) / self.arc.state_scale.reshape(-1, *(1,) * (z.ndim - 1))
+
+    def _hamiltonian(self, z: Any) -> Any:
+        lam = self.lam.reshape(len(self.lam), *(1,) * (z.ndim - 2), self.steps)
+        return (lam * self._f(z)).sum(axis=0) / self.arc.objective_scale
+
+
+def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
+    """Tangents along which the control may vary, (components, k, N), and whether a bound holds a scalar for a part."""
+    basis, varying, partly, row = tangents(arc, u) if len(u) else np.zeros((0, 0, u.shape[1])), [], False, 0
+    f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
+    effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)
+    for at, control in placed(arc):
+        if isinstance(control, Bounded):
+            lower, upper = on_bounds(arc, at, control, u)
+            always = bool(lower.all() or upper.all())
+            partly |= not always and bool((lower | upper).any())
+            varying += [] if always else [row]
+            row += 1
+        else:
+            rows = range(row, row + len(control.names) - 1)
+            varying += [i for i in rows if effect[i]]
+            row = rows.stop
+    return basis[:, varying], partly
+
+
+def _legendre_clebsch(arc: Arc, pieces: Sequence[_Piece]) -> Check:
+    curvature = [np.linalg.eigvalsh(piece.H_uu) for piece in pieces if piece.sizes[2]]
+    value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=-1.0)
+    return Check(
+        name=f"{arc.prefix}legendre_clebsch", level=3, value=value, limit=CURVATURE_LIMIT, unit="1",
+        meaning="minus the smallest second derivative of the Hamiltonian in the control, over its largest: below 0 "
+        "when a control that is not on a bound is a strict minimum all along (-1: there is none)",
+    )  # fmt: skip
+
+
+def _kernel(constraints: Matrix) -> Matrix:
+    """Orthonormal basis of the variations that keep the linearised end conditions, in columns."""
+    _, sizes, rows = np.linalg.svd(constraints, full_matrices=True)
+    return rows[int((sizes > 1e-10 * sizes.max(initial=0.0)).sum()) :].T
+
+
+def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
+    """Largest destabilising eigenvalue (above), infinite where a free parameter alone already gains; and of how many.
+
+    Parameters
+    ----------
+    form, constraints, m
+        As `_form` returns them.
+    """
+    free = _kernel(constraints)
+    form = free.T @ form @ free
+    # The measure, 1 on controls and switching times and 0 on parameters, is 1 - q'q here, q the rows of the parameters.
+    _, shares, vectors = np.linalg.svd(free[:m], full_matrices=True)
+    weights = 1.0 - np.pad(shares, (0, len(form) - len(shares))) ** 2
+    vectors = vectors.T
+    form = vectors.T @ form @ vectors
+    alone = int((weights < 1e-10).sum())  # variations of parameters without any of the control
+    if alone:
+        own, mixed = form[:alone, :alone], form[:alone, alone:]
+        if np.linalg.eigvalsh(own)[0] <= 0:
+            return float("inf"), len(weights)
+        form = form[alone:, alone:] - mixed.T @ np.linalg.solve(own, mixed)
+    if not form.size or alone == len(weights):
+        return 0.0, len(weights)
+    root = np.sqrt(weights[alone:])
+    return float(1.0 - np.linalg.eigvalsh(form / root / root[:, None])[0]), len(weights)
+
+
+def _form(pieces: Sequence[_Piece]) -> tuple[Matrix, Matrix, int]:
+    """Second variation and linearised end conditions of (parameters, switching times, controls of all pieces).
+
+    In coordinates such that int du' H_uu du + sum D dt^2 is a sum of squares. The last number counts the parameters.
+    """
+    m, curvature = pieces[0].sizes[1], np.array(pieces[0].curvature)
+    columns = m + sum(piece.sizes[2] * piece.steps for piece in pieces)
+    form, constraints, at = np.zeros((columns, columns)), [np.zeros((0, columns))], m
+    parameters = np.eye(m, columns)
+    parameters[m - len(curvature) :] /= np.sqrt(curvature)[:, None]
+    dx = np.zeros((0, columns))
+    for piece in pieces:
+        if piece.first:
+            dx, curved = _begin(piece, dx, parameters)
+            form += curved
+        n, _, k = piece.sizes
+        identity, step = np.eye(n), 1.0 / piece.steps
+        half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
+        inverse = np.linalg.inv(identity - half)
+        through = inverse @ (identity + half)
+        into = step * inverse @ piece.F[:, n:].transpose(2, 0, 1)
+        shape = np.zeros((piece.steps, 0, 0))
+        if k:
+            shape = np.linalg.inv(np.linalg.cholesky(step * piece.H_uu)).transpose(0, 2, 1)
+        path = np.zeros((piece.steps, n + m + k, columns))
+        for j in range(piece.steps):
+            path[j, n : n + m] = parameters
+            path[j, n + m :, at + j * k : at + (j + 1) * k] = shape[j]
+            after = through[j] @ dx + into[j] @ path[j, n:]
+            path[j, :n] = 0.5 * (dx + after)
+            dx = after
+        at += k * piece.steps
+        weighted = step * piece.W.transpose(2, 0, 1) @ path
+        form += path.reshape(-1, columns).T @ weighted.reshape(-1, columns)
+        if piece.last:
+            rows, curved = _finish(piece, dx, parameters)
+            form += curved
+            constraints.append(rows)
+    return 0.5 * (form + form.T), np.vstack(constraints), m - len(curvature)
+
+
+def _curved(piece: _Piece, function: Any, x: Vector, scale: Vector, moves: Matrix) -> tuple[Matrix, Matrix]:
+    """Along `moves`: first derivatives (rows, columns) of function(z, p), second ones of its first row."""
+    z = np.concatenate([x, piece.parameter_values])[:, None]
+    scale = np.concatenate([scale, piece.parameter_scale])
+
+    def split(w: Any) -> Any:
+        return stacked(function(w[: len(x)], piece.parameters(w[len(x) :])), w.shape[1:])
+
+    first = jacobian(split, z, scale)[:, :, 0] @ moves
+    second = hessian(lambda w: split(w)[0], z, scale)[:, :, 0]
+    return first, moves.T @ second @ moves
+
+
+def _begin(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+    """Variation of the phase's initial state, and lam(0) times its second derivative."""
+    arc, problem = piece.arc, piece.arc.problem
+    lam = arc.costate(np.zeros(1))[:, 0] / arc.objective_scale
+    if arc.index == 0:
+        x, scale, moves = np.zeros(0), np.zeros(0), parameters
+
+        def values(z: Any, p: Any) -> Any:
+            return problem.start(p, COMPLEX)
+    else:
+        before = Arc(solution=arc.solution, index=arc.index - 1)
+        x, scale = before.state(np.array([before.duration]))[:, 0], before.state_scale
+        moves = np.vstack([dx, parameters])
+
+        def values(z: Any, p: Any) -> Any:
+            return problem.links[arc.index - 1](before.phase.state_record(*z), p, COMPLEX)
+
+    if not len(moves):
+        return np.zeros((len(lam), parameters.shape[1])), np.zeros((parameters.shape[1],) * 2)
+
+    def weighted(z: Any, p: Any) -> list[Any]:
+        out = values(z, p)
+        return [sum(a * b for a, b in zip(lam, out, strict=True)), *out]
+
+    first, second = _curved(piece, weighted, x, scale, moves)
+    return first[1:] / arc.state_scale[:, None], second
+
+
+def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+    """Linearised end conditions (scaled) and the second derivative of phi + nu.psi at the phase's end."""
+    arc = piece.arc
+    nu, _ = end_multipliers(arc)
+    last = arc.index == len(arc.problem.phases) - 1
+
+    def values(z: Any, p: Any) -> list[Any]:
+        psi = arc.phase.evaluate("end", z, (), p, COMPLEX)
+        total = sum(a * b for a, b in zip(nu, psi, strict=True))
+        total = total + arc.problem.objective(arc.phase.state_record(*z), p, COMPLEX) if last else total
+        return [total / arc.objective_scale, *psi]
+
+    x = arc.state(np.array([arc.duration]))[:, 0]
+    first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
+    size = np.array([arc.problem.scales.of(v.unit) for v in arc.phase.end_conditions])
+    return first[1:] / size[:, None], second

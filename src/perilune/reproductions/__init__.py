@@ -1,0 +1,1 @@
+"""Published results, computed again and set beside what was printed."""

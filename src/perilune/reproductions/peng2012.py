@@ -1,0 +1,369 @@
+"""Peng, Li, Shen, Tang 2012, reproduced: descent from over the pole by Gauss points, a genetic search and Pontryagin.
+
+`PRINTED` holds what the paper prints and is used for comparison only; every number in a column "computed" comes from
+a solution made while the report is. The paper does not print the Moon's gravitational parameter, and its g0 is not the
+one that its results were made with: `CASE` holds what serves.
+
+Source: Q. Peng, H. Li, H. Shen, G. Tang, Genetic Algorithm for finite-thrust trajectory optimization, in Genetic
+Algorithms in Applications, InTech 2012, section 4.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from perilune.direct.collocation import rule
+from perilune.io.export import results, versions
+from perilune.io.files import fresh_directory
+from perilune.methods.fitness import ControlFitness
+from perilune.methods.genetic import Genetic
+from perilune.methods.hybrid import Hybrid
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.models.bodies import Body
+from perilune.models.descent import Ignition, Site, Steering, powered_descent
+from perilune.models.landing import Vehicle
+from perilune.models.rotating import combine, heading_axes, place
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.reproductions.paper import Printed
+from perilune.solve import solve
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """(25)-(27) as decoded; neither mu nor the g0 of the results is printed."""
+
+    body: Body
+    vehicle: Vehicle
+    start: Ignition
+    site: Site
+    steering: Steering
+
+
+CASE = Case(
+    body=Body(name="moon", gravitational_parameter=4902.8e9, radius=1738e3, rotation_rate=2.6617e-6),
+    vehicle=Vehicle(mass=15e3, thrust=45e3, specific_impulse=365.0, standard_gravity=9.80),
+    start=Ignition(
+        altitude=15e3, longitude=0.0, latitude=math.radians(90), heading=math.radians(180), forward_speed=1694.3
+    ),
+    site=Site(altitude=2e3, longitude=math.radians(5), latitude=math.radians(76)),
+    steering=Steering(
+        elevation=(math.radians(-50), math.radians(50)), azimuth=(math.radians(150), math.radians(220))
+    ),
+)  # fmt: skip
+
+PRINTED: Printed = Printed({"flight time": (472.74, "s", "text"), "fuel": (5947.2, "kg", "text")})
+PRINTED_GRAVITY = 9.81  # m/s^2, the appendix
+PRINTED_TIME_LIMIT = 120.0  # s, "less than 2 minutes" on a Pentium 4 with 3.0 GHz
+PRINTED_POINTS = 50  # Legendre-Gauss points
+# The axes of Fig 4 [deg], the only part of a figure that is legible.
+PRINTED_AXES = {"thrust_elevation": (-10.0, 30.0), "thrust_azimuth": (160.0, 190.0)}
+
+POINTS = (4, 5, 6, 7, 8, 9, 10, 12, 15, 20, 30, 40, 50, 60, 80)
+RANDOM_STARTS = 12  # most; some of them take a minute each, and the genetic search is what the paper is about
+# A start that ends this near to the indirect method's flight time [s] has found the optimum.
+FOUND = 1e-5
+AT_FIFTY = Pseudospectral(nodes=PRINTED_POINTS, refine=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convergence:
+    """Gauss points on one segment against the indirect method, largest difference at the points.
+
+    Parameters
+    ----------
+    points
+        N.
+    flight_time
+        Difference [s].
+    position, velocity, angle
+        [m], [m/s], [deg].
+    processor_time
+        Of the solution, from no guess [s].
+    """
+
+    points: int
+    flight_time: float
+    position: float
+    velocity: float
+    angle: float
+    processor_time: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """Solutions from random values: for each seed the flight time [s] (NaN: none) and the processor time [s]."""
+
+    flight_times: tuple[float, ...]
+    processor_times: tuple[float, ...]
+
+    def found(self, flight_time: float) -> int:
+        """How many found the optimum."""
+        return sum(abs(t - flight_time) < FOUND for t in self.flight_times)
+
+    @property
+    def median_time(self) -> float:
+        """Median of the processor time [s]."""
+        return median(self.processor_times)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduction:
+    """Everything that was computed for the report.
+
+    Parameters
+    ----------
+    indirect, fastest
+        Cartesian, by Pontryagin, for least propellant (29) and least time (19).
+    direct, direct_fastest
+        In the paper's coordinates at its 50 points, for the same.
+    direct_cartesian
+        At 50 points in Cartesian coordinates.
+    convergence
+        By number of points.
+    missed
+        Re-integration of `direct`: distance from the site [m] and speed [m/s] at the end.
+    genetic, random
+        From random values, with and without the genetic search.
+    readings
+        Other readings of what the paper leaves open, by name.
+    fitting_gravity
+        Gravitational parameter at which the printed flight time comes out [m^3/s^2].
+    """
+
+    indirect: Solution
+    fastest: Solution
+    direct: Solution
+    direct_fastest: Solution
+    direct_cartesian: Solution
+    convergence: tuple[Convergence, ...]
+    missed: tuple[float, float]
+    genetic: Starts
+    random: Starts
+    readings: dict[str, Solution]
+    fitting_gravity: float
+
+    @property
+    def outcome(self) -> Outcome:
+        """Of the solution that is proved."""
+        return self.indirect.outcome
+
+
+def problem(case: Case = CASE, **settings: Any) -> Problem:
+    """State the paper's descent in Cartesian coordinates; settings as of `powered_descent`."""
+    return powered_descent(case.vehicle, case.start, case.site, case.body, **settings)
+
+
+def problem_of_the_paper(**settings: Any) -> Problem:
+    """State it in the paper's coordinates, with bounded angles."""
+    return problem(coordinates="spherical", steering=CASE.steering, **settings)
+
+
+def reproduce(
+    out_dir: str | Path, force: bool = False, watch: Watch | None = None, level: int = 3, seeds: int = 3
+) -> Reproduction:
+    """Compute everything in the paper and write ``report.md``, its data and its figures.
+
+    Parameters
+    ----------
+    out_dir, force, watch, level
+        As `perilune.reproductions.cho2015.reproduce`.
+    seeds
+        Random starts of the genetic search; without it at most `RANDOM_STARTS` of them are tried.
+
+    Returns
+    -------
+    Reproduction
+        What was computed.
+    """
+    from perilune.reproductions.paper import save_figures
+    from perilune.reproductions.peng2012_report import convergence_csv, figures, markdown
+
+    with fresh_directory(out_dir, force) as work:
+        made = compute(watch or (lambda _: None), level, seeds)
+        save_figures(figures(made), work)
+        (work / "convergence.csv").write_text(convergence_csv(made), encoding="utf-8", newline="")
+        (work / "report.md").write_text(markdown(made, versions()), encoding="utf-8")
+    return made
+
+
+def compute(watch: Watch, level: int = 3, seeds: int = 3) -> Reproduction:
+    """Solve every case of the paper."""
+    watch("the indirect method: flight time, fuel, Figs 2-4")
+    indirect = solve(problem(), level=level, watch=watch)
+    fastest = solve(problem(minimise="flight_time"), level=0, watch=watch)
+    watch("Gauss points: Figs 2-4, Hamiltonian, convergence")
+    direct = AT_FIFTY.run(problem_of_the_paper(), watch=watch)
+    converged = tuple(converge(n, indirect, watch) for n in POINTS)
+    watch("from random values")
+    genetic = starts(from_a_population, seeds, watch)
+    random = starts(from_random_values, min(seeds, RANDOM_STARTS), watch)
+    watch("other readings of what the paper leaves open")
+    readings = {name: solve(problem(case), level=0) for name, case in other_readings().items()}
+    return Reproduction(
+        indirect=indirect,
+        fastest=fastest,
+        direct=direct,
+        direct_fastest=AT_FIFTY.run(problem_of_the_paper(minimise="flight_time"), watch=watch),
+        direct_cartesian=AT_FIFTY.run(problem(), watch=watch),
+        convergence=converged,
+        missed=missed_by_reintegration(direct),
+        genetic=genetic,
+        random=random,
+        readings=readings,
+        fitting_gravity=fitting_gravity(indirect),
+    )
+
+
+def converge(points: int, reference: Solution, watch: Watch) -> Convergence:
+    """Solve at N Gauss points from no guess and compare with the indirect method at these points."""
+    began = time.process_time()
+    # The tolerance that is usual would be the floor before the points are.
+    method = Pseudospectral(nodes=points, refine=0, nlp_tolerance=1e-12)
+    solution = method.run(problem_of_the_paper(), watch=watch)
+    processor_time = time.process_time() - began
+    duration = solution.free["flight_time"]
+    t = 0.5 * (rule("gauss", points).points + 1.0) * duration
+    # Beyond its own end the reference has nothing to say; the difference in time is counted apart.
+    at = np.minimum(t, reference.trajectories[0].duration)
+    state = reference.trajectories[0].state(at)
+    ours = np.array([cartesian(x) for x in solution.trajectories[0].state(t)])
+    mine, other = solution.outputs(0, t), reference.outputs(0, at)
+    angles = [np.abs(mine[name] - other[name]).max() for name in ("thrust_elevation", "thrust_azimuth")]
+    return Convergence(
+        points=points,
+        flight_time=duration - reference.free["flight_time"],
+        position=float(np.linalg.norm(ours[:, :3] - state[:, :3], axis=1).max()),
+        velocity=float(np.linalg.norm(ours[:, 3:6] - state[:, 3:6], axis=1).max()),
+        angle=math.degrees(max(angles)),
+        processor_time=processor_time,
+    )
+
+
+def cartesian(x: Vector) -> Vector:
+    """Cartesian state of a state in the paper's coordinates, at the paper's heading."""
+    r, theta, phi, u, v, w, mass = x
+    up, oy, oz = heading_axes(theta, phi, CASE.start.heading, NUMERIC)
+    return np.array([*combine((r, up)), *combine((u, oy), (v, oz), (w, up)), mass])
+
+
+def missed_by_reintegration(direct: Solution) -> tuple[float, float]:
+    """Fly the angles of a solution in the paper's coordinates by SciPy's DOP853, in Cartesian coordinates.
+
+    The paper's own (17) cannot be flown from its start: tan(phi) is infinite over the pole.
+
+    Returns
+    -------
+    tuple
+        Distance from the site [m] and speed relative to it [m/s] at the end.
+    """
+    from scipy.integrate import solve_ivp
+
+    stated, duration = problem(), direct.free["flight_time"]
+    phase, p = stated.phases[0], stated.parameters(direct.free)
+    law = direct.trajectories[0].control
+
+    def rates(t: float, x: Matrix) -> Any:
+        alpha, beta = law(t)
+        _, longitude, latitude = place(tuple(x[:3]), NUMERIC)
+        up, oy, oz = heading_axes(longitude, latitude, p.start_heading, NUMERIC)
+        level = math.cos(alpha)
+        thrust = combine((math.sin(alpha), up), (level * math.cos(beta), oy), (level * math.sin(beta), oz))
+        return phase.rates(x, thrust, p)
+
+    x0 = np.array(stated.start(p, NUMERIC), dtype=float)
+    flown = solve_ivp(rates, (0.0, duration), x0, method="DOP853", rtol=1e-12, atol=1e-6)
+    if not flown.success:
+        raise PeriluneError("the re-integration did not reach the end", got=flown.message)
+    end = phase.evaluate("end", list(flown.y[:, -1]), (), p)
+    return float(np.linalg.norm(end[:3])), float(np.linalg.norm(end[3:]))
+
+
+def starts(run: Callable[[int], Solution], seeds: int, watch: Watch) -> Starts:
+    """Run every seed; one that ends without an answer counts as NaN."""
+    flight_times, processor_times = [], []
+    for seed in range(seeds):
+        began = time.process_time()
+        try:
+            flight_times.append(run(seed).free["flight_time"])
+        except PeriluneError:
+            flight_times.append(math.nan)
+        processor_times.append(time.process_time() - began)
+        watch(f"seed {seed}: flight time {flight_times[-1]:.6f} s after {processor_times[-1]:.1f} s")
+    return Starts(flight_times=tuple(flight_times), processor_times=tuple(processor_times))
+
+
+def from_a_population(seed: int) -> Solution:
+    """Solve as the paper does: a genetic search from random values within the bounds, then 50 Gauss points."""
+    return Hybrid(Genetic(seed=seed, best=1), AT_FIFTY).run(problem_of_the_paper())
+
+
+def from_random_values(seed: int) -> Solution:
+    """Solve at 50 points from one random individual: what the genetic search begins with, without the search."""
+    stated = problem_of_the_paper()
+    fitness = ControlFitness(stated)
+    share = np.random.default_rng(seed).random(len(fitness.lower))
+    guess = fitness.guess(fitness.lower + share * (fitness.upper - fitness.lower))
+    return AT_FIFTY.run(stated, guess)
+
+
+def other_readings() -> dict[str, Case]:
+    """Cases that differ in one thing that the paper leaves open or prints otherwise."""
+    start, site = CASE.start, CASE.site
+    return {
+        "a Moon that does not turn": replace(CASE, body=replace(CASE.body, rotation_rate=0.0)),
+        "g0 = 9.81 m/s², as the appendix prints": replace(
+            CASE, vehicle=replace(CASE.vehicle, standard_gravity=PRINTED_GRAVITY)
+        ),
+        "start at longitude 5°, site at 0°": replace(
+            CASE, start=replace(start, longitude=site.longitude), site=replace(site, longitude=start.longitude)
+        ),
+    }
+
+
+def fitting_gravity(indirect: Solution) -> float:
+    """Gravitational parameter [m^3/s^2] at which the flight time is the printed one."""
+    from scipy.optimize import brentq
+
+    printed, near = PRINTED["flight time"][0], CASE.body.gravitational_parameter
+
+    def excess(mu: float) -> float:
+        changed = indirect.problem.with_given(body_gravitational_parameter=mu)
+        return solve(changed, guess=indirect, level=0).free["flight_time"] - printed
+
+    # Far below the last printed digit of any published value.
+    return float(brentq(excess, 0.99 * near, 1.01 * near, xtol=1e-7 * near))  # type: ignore[arg-type]
+
+
+def computed_numbers(made: Reproduction) -> dict[str, float]:
+    """Our value of every number in `PRINTED`, from the indirect solution."""
+    found = results(made.indirect)
+    return {"flight time": found["flight_time"]["value"], "fuel": found["propellant"]["value"]}
+
+
+def implied_gravity() -> float:
+    """g0 [m/s^2] with which the printed flight time burns the printed fuel."""
+    vehicle = CASE.vehicle
+    return vehicle.thrust * PRINTED["flight time"][0] / (vehicle.specific_impulse * PRINTED["fuel"][0])
+
+
+def parking_altitude() -> float:
+    """Altitude [m] of the circular orbit whose Hohmann descent has the printed speed at 15 km.
+
+    v^2 = 2 mu r_a/(r_p (r_a + r_p)), solved for r_a.
+    """
+    r, v = CASE.body.radius + CASE.start.altitude, CASE.start.forward_speed
+    excess = v * v * r / CASE.body.gravitational_parameter
+    return r * excess / (2.0 - excess) - CASE.body.radius

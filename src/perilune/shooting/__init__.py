@@ -1,0 +1,1 @@
+"""Arcs, roots and families of the boundary value problem."""

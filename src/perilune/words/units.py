@@ -1,0 +1,160 @@
+"""Units: text to SI once at the boundary, SI to canonical (scaled) units once before the mathematics.
+
+A quantity is a number and a product of powers of whitelisted units, such as ``"4902.7779 km^3/s^2"``. Nothing is
+evaluated: the grammar is a number, then ``unit[^integer]`` joined by ``*`` or ``/``. A general unit library would
+accept arithmetic in the text, which a scenario from a stranger must not have.
+
+`Scales` holds one length, one time and one mass. As physics is dimensionally homogeneous, the same dynamics run
+unchanged in canonical units when states *and* parameters are divided by the scale of their unit; `Problem` tests that.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+from perilune.words.outcome import PeriluneError
+
+Dimension = tuple[int, int, int]  # exponents of length, time, mass
+
+# unit: (factor to SI, exponents of metre, second, kilogram). Angles are dimensionless and kept in radians.
+_UNITS: dict[str, tuple[float, Dimension]] = {
+    "m": (1.0, (1, 0, 0)),
+    "km": (1e3, (1, 0, 0)),
+    "cm": (1e-2, (1, 0, 0)),
+    "mm": (1e-3, (1, 0, 0)),
+    "s": (1.0, (0, 1, 0)),
+    "ms": (1e-3, (0, 1, 0)),
+    "min": (60.0, (0, 1, 0)),
+    "h": (3600.0, (0, 1, 0)),
+    "day": (86400.0, (0, 1, 0)),
+    "kg": (1.0, (0, 0, 1)),
+    "g": (1e-3, (0, 0, 1)),
+    "t": (1e3, (0, 0, 1)),
+    "N": (1.0, (1, -2, 1)),
+    "kN": (1e3, (1, -2, 1)),
+    "MN": (1e6, (1, -2, 1)),
+    "rad": (1.0, (0, 0, 0)),
+    "deg": (math.pi / 180.0, (0, 0, 0)),
+    "1": (1.0, (0, 0, 0)),
+}
+
+_NUMBER = r"[+-]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][+-]?\d{1,3})?"
+_FACTOR = re.compile(r"([A-Za-z]+|1)(?:\^(-?\d))?", re.ASCII)
+_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.{{0,60}}?)\s*", re.DOTALL | re.ASCII)
+_BASE_NAMES = ("m", "s", "kg")
+
+
+@lru_cache(maxsize=256)
+def unit(text: str) -> tuple[float, Dimension]:
+    """Factor to SI and dimension of a unit expression.
+
+    Parameters
+    ----------
+    text
+        For example ``"km^3/s^2"``; ``"1"`` or empty is dimensionless.
+
+    Returns
+    -------
+    factor, dimension
+        ``value * factor`` is in SI; exponents of (metre, second, kilogram).
+
+    Raises
+    ------
+    PeriluneError
+        If a unit is not on the whitelist or the expression is malformed.
+    """
+    if not text or text == "1":
+        return 1.0, (0, 0, 0)
+    factor, exponents = 1.0, [0, 0, 0]
+    parts = re.split(r"([*/])", text.replace("**", "^").replace(" ", ""))
+    for operator, part in zip(["*", *parts[1::2]], parts[::2], strict=True):
+        match = _FACTOR.fullmatch(part)
+        if match is None or match.group(1) not in _UNITS:
+            raise PeriluneError(
+                "this is not a unit perilune knows",
+                got=repr(text[:60]),
+                expected="products and powers of " + ", ".join(u for u in _UNITS if u != "1"),
+                advice='write for example "km", "m/s", "km^3/s^2" or "rad/s"',
+            )
+        power = int(match.group(2) or 1) * (1 if operator == "*" else -1)
+        size, dimension = _UNITS[match.group(1)]
+        factor *= size**power
+        exponents = [e + power * d for e, d in zip(exponents, dimension, strict=True)]
+    return factor, (exponents[0], exponents[1], exponents[2])
+
+
+def dimension_text(dimension: Dimension) -> str:
+    """SI unit of a dimension, such as ``"m^3/s^2"``."""
+    over = [f"{n}^{e}" if e > 1 else n for n, e in zip(_BASE_NAMES, dimension, strict=True) if e > 0]
+    under = [f"{n}^{-e}" if e < -1 else n for n, e in zip(_BASE_NAMES, dimension, strict=True) if e < 0]
+    return "*".join(over or ["1"]) + "".join("/" + u for u in under)
+
+
+def quotient(numerator: str, denominator: str) -> str:
+    """SI unit of a quotient of two units, such as that of a costate."""
+    above, below = unit(numerator)[1], unit(denominator)[1]
+    return dimension_text((above[0] - below[0], above[1] - below[1], above[2] - below[2]))
+
+
+def parse_quantity(text: str, expected_unit: str) -> float:
+    """Value in SI of a quantity such as ``"15 km"``.
+
+    Parameters
+    ----------
+    text
+        Number and unit.
+    expected_unit
+        Any unit of the dimension that is wanted here, for the check and the message.
+
+    Returns
+    -------
+    float
+        The value in SI (radians for angles).
+
+    Raises
+    ------
+    PeriluneError
+        If it is no quantity, is not finite, or has another dimension.
+    """
+    match = _QUANTITY.fullmatch(text)
+    if match is None or not (match.group(2) or expected_unit == "1"):
+        raise PeriluneError(
+            "this is not a quantity: a number and a unit",
+            got=repr(text[:60]),
+            expected=f"for example {_example(expected_unit)!r}",
+            advice="put the number and its unit in one pair of quotes",
+        )
+    factor, dimension = unit(match.group(2))
+    wanted = unit(expected_unit)[1]
+    if dimension != wanted:
+        raise PeriluneError(
+            "the unit has the wrong dimension",
+            got=f"{text!r}, which is in {dimension_text(dimension)}",
+            expected=f"a quantity in {expected_unit}",
+            advice=f"write for example {_example(expected_unit)!r}",
+        )
+    value = float(match.group(1)) * factor
+    if not math.isfinite(value):
+        raise PeriluneError("the value is not finite", got=repr(text[:60]), expected="a finite number")
+    return value
+
+
+def _example(unit_text: str) -> str:
+    return f"100 {unit_text}" if unit_text != "1" else "1.0"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scales:
+    """One length [m], time [s] and mass [kg] that make the numbers of a problem of order one."""
+
+    length: float = 1.0
+    time: float = 1.0
+    mass: float = 1.0
+
+    def of(self, unit_text: str) -> float:
+        """SI size of one canonical unit of the given unit's dimension: ``canonical = SI / scale``."""
+        a, b, c = unit(unit_text)[1]
+        return self.length**a * self.time**b * self.mass**c
