@@ -162,6 +162,16 @@ def test_lanes_are_independent_and_keep_their_places(backend: str) -> None:
     np.testing.assert_array_equal(together.time, durations)
 
 
+def test_the_rate_at_the_end_is_that_of_the_equations(backend: str) -> None:
+    """Forward, backward, not at all, and where the steps gave out."""
+    rhs, starts = landing_rhs(), start(5)
+    durations = DURATION * np.array([1.0, -0.3, 0.0, 0.5, 0.1])
+    for settings in ({}, {"max_steps": 3}, {"fixed_steps": 4}):
+        arcs = engine(rhs, backend, 6).propagate(starts, PARAMETERS, durations, landing_seeds(5), **settings)
+        exact = np.asarray(rhs.map(5)(arcs.z.T, PARAMETERS)).T
+        np.testing.assert_allclose(arcs.rates, exact, rtol=0, atol=1e-14)
+
+
 def test_each_lane_may_have_its_parameters(backend: str) -> None:
     e = engine(pendulum(), backend)
     p = np.array([[0.5], [1.0], [2.0]])

@@ -122,6 +122,37 @@ def test_meditch_back_over_the_switch(backend: str) -> None:
     assert back.mode[0] == 0
 
 
+def test_the_rate_at_the_end_is_that_of_the_mode_reached(backend: str) -> None:
+    """Before and after the switch, and with the switch the last thing that happens."""
+    modes, events = modes_and_switch()
+    e = compile_arcs(modes, columns=6, events=events, backend=backend)
+    met = e.propagate(START, PARAMETERS, FINAL_TIME).event_time[0, 0]
+    durations = np.array([0.5 * SWITCH, met, FINAL_TIME, 0.0])
+    arcs = e.propagate(np.tile(START, (4, 1)), PARAMETERS, durations, np.eye(6))
+    assert list(arcs.mode) == [0, 1, 1, 0]
+    for lane, mode in enumerate(arcs.mode):
+        np.testing.assert_allclose(arcs.rates[lane], rate(modes[mode], arcs.z[lane], PARAMETERS), atol=1e-14)
+
+
+def test_the_rate_at_a_terminal_event_and_after_a_jump(backend: str) -> None:
+    rhs, height = fall()
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    drag = ca.Function("drag", [z, p], [ca.vertcat(z[1], -p - z[1])])
+    end = compile_arcs(drag, events=[Event(function=height, direction=-1, terminal=True)], backend=backend)
+    arcs = end.propagate([1.0, 0.0], [2.0], 9.0)
+    assert arcs.status[0] == ArcStatus.EVENT
+    np.testing.assert_allclose(arcs.rates[0], rate(drag, arcs.z[0], 2.0), atol=1e-14)
+    bounce = ca.Function("bounce", [z, p], [ca.vertcat(z[0], -0.5 * z[1])])
+    jump = compile_arcs(rhs, events=[Event(function=height, direction=-1, jump=bounce)], backend=backend)
+    arcs = jump.propagate([1.0, 0.0], [2.0], 1.0)  # the impact is the end
+    np.testing.assert_allclose(arcs.z[0], [0.0, 1.0], atol=1e-11)
+    np.testing.assert_allclose(arcs.rates[0], [1.0, -2.0], atol=1e-11)
+
+
+def rate(mode: ca.Function, z: np.ndarray, p: np.ndarray | float) -> np.ndarray:
+    return np.asarray(mode(z, p)).ravel()
+
+
 def layered_entry() -> tuple[list[ca.Function], list[Event], np.ndarray]:
     """Vertical fall with drag through three layers: scale heights differ and density jumps in slope."""
     z, p = ca.SX.sym("z", 2), ca.SX.sym("p")

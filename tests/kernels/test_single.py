@@ -23,6 +23,7 @@ def test_one_arc_is_what_the_batch_flies(backend: str) -> None:
         arcs = e.propagate(z0, PARAMETERS, duration, seeds)
         assert fly(z0, PARAMETERS, duration, seeds) == ArcStatus.REACHED
         np.testing.assert_array_equal(fly.z, arcs.z[0])
+        np.testing.assert_array_equal(fly.rate, arcs.rates[0])
         np.testing.assert_array_equal(fly.S, arcs.columns[0])
         assert (fly.time, fly.steps, fly.mode) == (duration, arcs.steps[0], 0)
 
@@ -55,6 +56,7 @@ def test_switches_and_modes_of_one_arc(backend: str) -> None:
         assert [index for index, _ in fly.events] == [0]
         assert fly.events[0][1] == pytest.approx(SWITCH, abs=1e-10)
         assert fly.mode == 1
+        np.testing.assert_allclose(fly.rate, np.asarray(modes[1](fly.z, MEDITCH)).ravel(), atol=1e-14)
     arcs = e.propagate(START, MEDITCH, FINAL_TIME, np.eye(6))
     np.testing.assert_array_equal(fly.S, arcs.columns[0])
     fly(START, MEDITCH, 0.5 * SWITCH, np.eye(6))

@@ -38,6 +38,7 @@ TABLE = (
     "max_steps",
     "fixed_steps",
     "z",
+    "rates",
     "columns",
     "info",
     "log",
@@ -105,6 +106,8 @@ class Arcs:
     ----------
     z
         Shape (lanes, nz).
+    rates
+        z' there, in the mode at the end, (lanes, nz): the end moves by it for each unit of duration.
     columns
         S at the end, (lanes, nz, nc); with nc = 0 where none were asked. At a terminal event S is taken at
         the fixed time of the event; the shift of that time is -(dg/dz S)/(dg/dz f).
@@ -121,6 +124,7 @@ class Arcs:
     """
 
     z: Matrix
+    rates: Matrix
     columns: Batch
     time: Vector
     status: NDArray[np.int64]

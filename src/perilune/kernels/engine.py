@@ -178,7 +178,7 @@ class NativeEngine:
         at_hand = nodes is None and (with_columns, LANES) in self._calls
         width = 1 if lanes == 1 and not at_hand else LANES
         order = np.argsort(np.abs(asked.duration), kind="stable") if lanes > LANES else np.arange(lanes)
-        z, info = np.empty_like(asked.z0), np.empty((lanes, 5))
+        z, rates, info = np.empty_like(asked.z0), np.empty_like(asked.z0), np.empty((lanes, 5))
         seeds = asked.seeds if asked.seeds is not None else np.empty((lanes, self.system.nz, 0))
         columns = np.zeros_like(seeds)
         log = np.full((lanes, MAX_EVENTS, 2), np.nan) if self.system.events else np.empty((lanes, 0, 2))
@@ -193,6 +193,7 @@ class NativeEngine:
             "atol": asked.atol,
             "mode": mode,
             "z": z,
+            "rates": rates,
             "columns": columns,
             "info": info,
             "log": log,
@@ -206,7 +207,7 @@ class NativeEngine:
         }
         table = _table(held, numbers)
         self._run(self._call(with_columns, width), -(-lanes // width), table, threads)
-        return _arcs(z, columns, info, log), nodes
+        return _arcs(z, rates, columns, info, log), nodes
 
     def _call(self, columns: bool, width: int) -> Callable[..., None]:
         which = (columns, width)
@@ -246,11 +247,12 @@ def _table(held: dict[str, Any], numbers: dict[str, int]) -> NDArray[np.int64]:
     return np.array(entries, dtype=np.int64)
 
 
-def _arcs(z: Matrix, columns: Any, info: Matrix, log: Any) -> Arcs:
+def _arcs(z: Matrix, rates: Matrix, columns: Any, info: Matrix, log: Any) -> Arcs:
     status = info[:, 1].astype(np.int64)
     met = log[:, :, 0]
     return Arcs(
         z=z,
+        rates=rates,
         columns=columns,
         time=info[:, 0],
         status=status,

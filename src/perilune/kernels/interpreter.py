@@ -86,7 +86,7 @@ class InterpretedEngine:
                 )
                 arcs = Flight(equations, asked).fly()
                 met = np.count_nonzero(arcs.event_index[0] >= 0)
-                held["z"][:], held["columns"][:] = arcs.z[0], arcs.columns[0]
+                held["z"][:], held["rates"][:], held["columns"][:] = arcs.z[0], arcs.rates[0], arcs.columns[0]
                 held["info"][:] = arcs.time[0], arcs.status[0], arcs.steps[0], arcs.mode[0], met
                 held["log"][:, 0], held["log"][:, 1] = arcs.event_index[0], arcs.event_time[0]
 
@@ -173,6 +173,7 @@ class Flight:
         columns[:, system.offsets] = self.y[self.nz :].T
         return Arcs(
             z=self.y[: self.nz].T.copy(),
+            rates=self.slope[: self.nz].T.copy(),
             columns=columns.reshape(lanes, self.nz, system.nc),
             time=self.time,
             status=self.status,

@@ -53,7 +53,7 @@ def _copy_in(d: Driver, source: str, base: str, target: str, count: int, lane: s
 
 
 def write_out(d: Driver, ended: str) -> None:
-    """Write state, columns and report of the lanes that have ended."""
+    """Write state, rates, columns and report of the lanes that have ended: the first slopes are those of the state."""
     w, t = d.w, d.table
     for number, name in enumerate(INFO):
         w.store(w.load(getattr(d, name)), d.element, number)
@@ -63,6 +63,7 @@ def write_out(d: Driver, ended: str) -> None:
         with w.when(w.let(f"fcmp ogt double {flag}, 0.0")):
             lane = w.load(d.lane, k, "i64")
             _copy_out(d, d.state, t["z"], w.let(f"mul i64 {lane}, {d.nz}"), d.nz, k)
+            _copy_out(d, d.slopes, t["rates"], w.let(f"mul i64 {lane}, {d.nz}"), d.nz, k)
             base = w.let(f"mul i64 {lane}, {d.nz * d.system.nc}")
             with w.loop(0, d.n - d.nz) as c:
                 value = w.load(d.state, element(d, w.let(f"add i64 {c}, {d.nz}"), k), "double")

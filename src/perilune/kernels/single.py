@@ -34,7 +34,9 @@ class SingleArc:
     Attributes
     ----------
     z
-        State at the end of the last arc, (nz,). Overwritten by the next call, as is `S`.
+        State at the end of the last arc, (nz,). Overwritten by the next call, as are `rate` and `S`.
+    rate
+        z' there, in the mode at the end, (nz,).
     S
         Columns there, (nz, nc); nc = 0 for an object without columns.
     """
@@ -42,6 +44,7 @@ class SingleArc:
     def __init__(self, system: Any, columns: bool, bind: Binder, *, rtol: float, atol: float, max_steps: int) -> None:
         nz, nc = system.nz, system.nc if columns else 0
         self.z: Vector = np.full(nz, np.nan)
+        self.rate: Vector = np.full(nz, np.nan)
         self.S: Matrix = np.zeros((nz, nc))  # entries that are zero for every arc are never written
         self._z0, self._p, self._seeds = np.zeros(nz), np.zeros(system.np), np.zeros((nz, nc))
         self._shapes = (nz,), (system.np,), (nz, nc)
@@ -62,6 +65,7 @@ class SingleArc:
             "max_steps": np.array(max_steps),
             "fixed_steps": np.array(0),
             "z": self.z,
+            "rates": self.rate,
             "columns": self.S,
             "info": self._info,
             "log": self._log,
