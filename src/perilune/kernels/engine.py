@@ -36,6 +36,7 @@ def compile_arcs(
     *,
     columns: int | NDArray[np.bool_] = 0,
     events: Sequence[Event] = (),
+    solved: Sequence[Any] = (),
     cache: bool = True,
     backend: str | None = None,
 ) -> Engine:
@@ -50,6 +51,9 @@ def compile_arcs(
         nc), which lets those that stay zero be left out.
     events
         Zero crossings to meet.
+    solved
+        For each mode None or an SX function (z, p) -> w of numbers that the mode takes behind its parameters, (z,
+        [p; w]) -> z'. Derivatives are taken at fixed w, so the mode has to close with a Newton step from w.
     cache
         Whether to keep the machine code on disk.
     backend
@@ -64,7 +68,7 @@ def compile_arcs(
     seeds = (
         np.ones((modes[0].size1_in(0), columns), dtype=bool) if isinstance(columns, int) else np.array(columns, bool)
     )
-    system = ArcSystem(modes=modes, events=tuple(events), seeds=seeds)
+    system = ArcSystem(modes=modes, solved=tuple(solved) or (None,) * len(modes), events=tuple(events), seeds=seeds)
     if backend not in (None, "native", "interpreter"):
         raise PeriluneError("no such backend", got=repr(backend), expected="native, interpreter or None")
     if backend == "native" or (backend is None and native.available()):

@@ -9,12 +9,16 @@ saltation matrix
 Source: Hiskens & Pai, *Trajectory sensitivity analysis of hybrid systems*, IEEE Trans. CAS-I 47 (2000), eqs
 (24)-(30). Entries of S that are zero for every arc, by the sparsity of df/dz and of the seeds, are left out
 of Y.
+
+A mode may need numbers w(z, p) that an iteration finds (a control with no closed form). The iteration is not
+differentiated: the mode closes with a Newton step from w, whose partial derivative by z is then the total one
+(Griewank & Walther, *Evaluating Derivatives*, 2nd ed., SIAM 2008, section 15.3), and w is put in afterwards.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,7 +37,9 @@ class ArcSystem:
     Parameters
     ----------
     modes
-        SX functions (z, p) -> z', one for each mode.
+        SX functions (z, p) -> z', one for each mode; (z, [p; w]) -> z' where w is solved for.
+    solved
+        For each mode None or an SX function (z, p) -> w, k numbers. Derivatives of the mode are taken at fixed w.
     events
         Events, in the order of their indices.
     seeds
@@ -41,13 +47,22 @@ class ArcSystem:
     """
 
     modes: tuple[Any, ...]
+    solved: tuple[Any | None, ...]
     events: tuple[Event, ...]
     seeds: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        """Check that the modes and the events speak of the same z and p."""
-        for function in (*self.modes, *(e.function for e in self.events)):
-            sizes = (function.size1_in(0), function.size1_in(1))
+        """Check that modes, what they solve for and events speak of the same z and p."""
+        if len(self.solved) != len(self.modes):
+            raise PeriluneError(
+                "each mode says what it solves for", got=f"{len(self.solved)} entries", expected=str(len(self.modes))
+            )
+        taken = [(mode, self._unknowns(i)) for i, mode in enumerate(self.modes)]
+        taken += [
+            (function, 0) for function in (*self.solved, *(e.function for e in self.events)) if function is not None
+        ]
+        for function, unknowns in taken:
+            sizes = (function.size1_in(0), function.size1_in(1) - unknowns)
             if sizes != (self.nz, self.np):
                 raise PeriluneError(
                     f"{function.name()!r} takes another z or p than the first right-hand side",
@@ -71,7 +86,7 @@ class ArcSystem:
     @cached_property
     def np(self) -> int:
         """Number of parameters."""
-        return self.modes[0].size1_in(1)
+        return self.modes[0].size1_in(1) - self._unknowns(0)
 
     @cached_property
     def nc(self) -> int:
@@ -80,18 +95,18 @@ class ArcSystem:
 
     def without_columns(self) -> ArcSystem:
         """Return the same arcs without S."""
-        return ArcSystem(modes=self.modes, events=self.events, seeds=np.zeros((self.nz, 0), dtype=bool))
+        return replace(self, seeds=np.zeros((self.nz, 0), dtype=bool))
 
     @cached_property
     def key(self) -> str:
         """Digest of the expressions: equal for equal traced systems."""
         digest = hashlib.sha256()
-        for function in self.modes:
-            digest.update(function.serialize().encode())
+        for function in (*self.modes, *self.solved):
+            digest.update(_text(function))
         for event in self.events:
             digest.update(repr((event.direction, event.terminal, sorted(event.switches.items()))).encode())
             for function in (event.function, event.jump):
-                digest.update(function.serialize().encode() if function is not None else b"none")
+                digest.update(_text(function))
         digest.update(repr(self.seeds.shape).encode() + self.seeds.tobytes())
         return digest.hexdigest()
 
@@ -141,12 +156,15 @@ class ArcSystem:
         import casadi as ca
 
         y, z, columns, p = self._symbols()
-        rate = ca.densify(self.modes[mode](z, p))
-        if self.size == self.nz:
-            return [ca.Function(f"field{mode}", [y, p], [rate])]
-        forms = ca.mtimes(ca.jacobian(rate, z), columns), ca.jtimes(rate, z, columns)
+        w = ca.SX.sym("w", self._unknowns(mode))
+        rate = ca.densify(self.modes[mode](z, ca.vertcat(p, w)))
+        forms = [rate]
+        if self.size > self.nz:
+            products = ca.mtimes(ca.jacobian(rate, z), columns), ca.jtimes(rate, z, columns)
+            forms = [ca.vertcat(rate, ca.project(product, self.pattern).nz[:]) for product in products]
+        found = self._found(mode, z, p)
         return [
-            ca.Function(f"field{mode}", [y, p], [ca.vertcat(rate, ca.project(form, self.pattern).nz[:])])
+            ca.Function(f"field{mode}", [y, p], ca.Function("at_fixed", [y, p, w], [form]).call([y, p, found]))
             for form in forms
         ]
 
@@ -177,11 +195,24 @@ class ArcSystem:
         z, p = ca.SX.sym("z", self.nz), ca.SX.sym("p", self.np)
         after = event.jump(z, p) if event.jump is not None else z
         slope = ca.jacobian(after, z)
-        old = self.modes[before](z, p)
-        new = self.modes[event.switches.get(before, before)](after, p)
+        old, new = (
+            self.modes[mode](at, ca.vertcat(p, self._found(mode, at, p)))
+            for mode, at in ((before, z), (event.switches.get(before, before), after))
+        )
         gradient = ca.jacobian(event.function(z, p), z)
         matrix = slope + ca.mtimes(new - ca.mtimes(slope, old), gradient) / ca.mtimes(gradient, old)
         return z, p, matrix, after
+
+    def _unknowns(self, mode: int) -> int:
+        solved = self.solved[mode]
+        return solved.size1_out(0) if solved is not None else 0
+
+    def _found(self, mode: int, z: Any, p: Any) -> Any:
+        """Return w of a mode, (k, 1)."""
+        import casadi as ca
+
+        solved = self.solved[mode]
+        return ca.densify(solved(z, p)) if solved is not None else ca.SX(0, 1)
 
     def _symbols(self) -> tuple[Any, Any, Any, Any]:
         import casadi as ca
@@ -194,6 +225,10 @@ class ArcSystem:
     def field_program(self, mode: int) -> Program:
         """Return the cheaper form of the field."""
         return min((trace(form) for form in self.field(mode)), key=lambda program: program.cost)
+
+
+def _text(function: Any) -> bytes:
+    return function.serialize().encode() if function is not None else b"none"
 
 
 def _jacobian(function: Any) -> Any:
