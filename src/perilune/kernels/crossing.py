@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 #: How near to the zero, as a fraction of the duration, an event fires.
 TOLERANCE = 1e-13
 _AFTER = 1e-150  # stands for "just beyond zero": the sign of g after its own event; products of it stay finite
-_WHOLE = 1.0 - 1e-9  # a refused step becomes shorter, if only by this
+_BISECTIONS = 20  # after them Newton has two steps to the last digit
+_WHOLE = 1.0 - 1e-15  # a refused step becomes shorter, if only by this
 
 
 def allocate(d: Driver) -> None:
@@ -99,7 +100,7 @@ def _examine(
     )
     w.store(arrives, d.fired, number, w.mask)
     w.store(crosses, d.crossed, number, w.mask)
-    nearer = w.smaller(w.mul(away, w.const(1.0001)), w.load(ahead))
+    nearer = w.smaller(away, w.load(ahead))
     w.store(w.select(heads, nearer, w.load(ahead)), ahead)
     inside = w.but_not(crosses, arrives)
     with w.when(w.any(inside)):
@@ -136,12 +137,17 @@ def _aim(w, mask: str, ends: tuple[str, str, str, str], theta: str, *, derivativ
     low, high = w.buffer(1), w.buffer(1)
     w.store(w.const(0.0), low)
     w.store(w.const(1.0), high)
-    with w.loop(0, 40):
+    with w.loop(0, _BISECTIONS):
         middle = w.mul(w.const(0.5), w.add(w.load(low), w.load(high)))
         before = w.compare("ogt", w.mul(at(middle), w.intrinsic("copysign", w.const(1.0), start)), w.const(0.0))
         w.store(w.select(before, middle, w.load(low)), low)
         w.store(w.select(before, w.load(high), middle), high)
     found = w.load(high)
+    if not derivative:
+        for _ in range(2):
+            nearer = w.sub(found, w.div(cubic(found), slope(found)))
+            within = w.both(w.compare("ogt", nearer, w.load(low)), w.compare("olt", nearer, w.load(high)))
+            found = w.select(within, nearer, found)
     if derivative:
         through = w.compare("olt", w.mul(cubic(found), g0), w.const(0.0))
         inner = w.both(w.compare("ogt", found, w.const(1e-9)), w.compare("olt", found, w.const(_WHOLE)))

@@ -117,14 +117,17 @@ class Driver:
         self.w.run(f"call void @{name}({', '.join(f'ptr {x}' for x in (*inputs, held, result))})")
 
     def field(self, state: str, result: str) -> None:
-        """Y' of each lane in its mode."""
+        """Y' of each lane in its mode; where all lanes share it, as mostly they do, nothing is blended."""
         if len(self.system.modes) == 1:
             self.call("field0", state, result)
             return
         w, mode = self.w, self.w.load(self.mode)
         for number in range(len(self.system.modes)):
             here = w.compare("oeq", mode, w.const(float(number)))
-            with w.when(w.any(here)):
+            elsewhere = w.any(self._not(here))
+            with w.when(w.let(f"xor i1 {elsewhere}, true")):
+                self.call(f"field{number}", state, result)
+            with w.when(w.let(f"and i1 {w.any(here)}, {elsewhere}")):
                 self.call(f"field{number}", state, self.spare)
                 self.blend(here, self.spare, result, self.n)
 

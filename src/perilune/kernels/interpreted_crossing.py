@@ -72,7 +72,7 @@ class Crossings:
         same_side = g0 * g1 > 0
         self.fired[number] = (crosses & (near | (step <= resolution))) | (heads & same_side & near)
         self.crossed[number] = crosses
-        ahead[heads] = np.fmin(1.0001 * away, ahead)[heads]
+        ahead[heads] = np.fmin(away, ahead)[heads]
         inside = crosses & ~self.fired[number]
         dips = watched & ~crosses & same_side & (g0 * rate0 < 0) & (g1 * rate1 > 0)
         for mask, derivative in ((inside, False), (dips, True)):
@@ -122,7 +122,7 @@ def _aim(mask: Mask, ends: tuple[Vector, ...], theta: Vector, derivative: bool) 
 
     at, start = (slope, rate0) if derivative else (cubic, g0)
     low, high = np.zeros_like(theta), np.ones_like(theta)
-    for _ in range(40):
+    for _ in range(52):
         middle = 0.5 * (low + high)
         before = at(middle) * np.copysign(1.0, start) > 0
         low, high = np.where(before, middle, low), np.where(before, high, middle)
