@@ -11,7 +11,7 @@ import pytest
 from cho import cho_landing
 from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.indirect import Indirect
-from perilune.problem.problem import Bounded, Free, Given, Problem, Variable
+from perilune.problem.problem import Free, Given, Problem, Variable
 from perilune.problem.solution import Curve, Solution, hermite_nodes
 from perilune.shooting.continuation import Member, follow
 from perilune.shooting.function import Shooting
@@ -135,27 +135,6 @@ def test_continuation_halves_steps_and_reports() -> None:
     assert found[0] is not None and found[0].root.y[0] == pytest.approx(math.sqrt(0.5))
     assert found[1] is not None and found[1].root.y[0] == pytest.approx(0.1)
     assert found[2] is None
-
-
-def test_unsupported_controls_are_named() -> None:
-    """A scalar without a closed-form law, and a direction that enters nonlinearly."""
-    base = tangent_steering()
-    phase = base.phases[0]
-    steered = replace(
-        base,
-        phases=(
-            replace(
-                phase,
-                controls=(Bounded(name="angle"),),
-                dynamics=lambda x, u, p, m: (x.vy, p.a * m.cos(u.angle), p.a * m.sin(u.angle)),
-            ),
-        ),
-    )
-    with pytest.raises(PeriluneError, match="no closed-form control law for angle"):
-        solve(steered, level=0)
-    squared = replace(phase, dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx * u.cx, p.a * u.cy))
-    with pytest.raises(PeriluneError, match="linear"):
-        solve(replace(base, phases=(squared,)), level=0)
 
 
 def impossible_steering() -> Problem:

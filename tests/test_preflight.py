@@ -23,7 +23,8 @@ from perilune.models.preflight import (
     preflight,
     refuse_impossible,
 )
-from perilune.problem.problem import Direction, Given, Phase, Problem, Variable
+from perilune.problem.controls import Direction
+from perilune.problem.problem import Given, Phase, Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.words.outcome import InfeasibleError
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from perilune.problem.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+from perilune.problem.controls import Bounded, Direction
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.words.outcome import PeriluneError
 
 

@@ -11,7 +11,8 @@ import pytest
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.bodies import MOON
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.problem import Bounded, Free, Variable
+from perilune.problem.controls import Bounded
+from perilune.problem.problem import Free, Variable
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from problems.ascents import tangent_steering

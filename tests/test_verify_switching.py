@@ -11,7 +11,8 @@ import pytest
 
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.precision import Corridor
-from perilune.problem.problem import Bounded, Given, Phase, Problem, Variable
+from perilune.problem.controls import Bounded
+from perilune.problem.problem import Given, Phase, Problem, Variable
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.verification import Check, Verification
 from perilune.proof.extremal import TOUCHING_MESH

@@ -14,8 +14,8 @@ _EXPORTS = {
     "Problem": "perilune.problem.problem",
     "Phase": "perilune.problem.problem",
     "Variable": "perilune.problem.problem",
-    "Direction": "perilune.problem.problem",
-    "Bounded": "perilune.problem.problem",
+    "Direction": "perilune.problem.controls",
+    "Bounded": "perilune.problem.controls",
     "Given": "perilune.problem.problem",
     "Free": "perilune.problem.problem",
     "Scales": "perilune.words.units",
@@ -72,7 +72,8 @@ if TYPE_CHECKING:
     from perilune.methods.indirect import Indirect
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
-    from perilune.problem.problem import Bounded, Direction, Free, Given, Phase, Problem, Variable
+    from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.problem import Free, Given, Phase, Problem, Variable
     from perilune.problem.solution import Solution
     from perilune.problem.verification import Check, Verification
     from perilune.solve import solve, verify

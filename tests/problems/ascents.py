@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from perilune.problem.problem import Direction, Free, Given, Phase, Problem, Variable
+from perilune.problem.controls import Direction
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.words.units import Scales
 from problems.answered import Answered
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem.problem import Bounded, Free, Given, Phase, Problem, Variable
+from perilune.problem.controls import Bounded
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.words.units import Scales
 from problems.answered import Answered
 

@@ -7,7 +7,8 @@ from functools import partial
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem.problem import Bounded, Free, Given, Phase, Problem, Variable
+from perilune.problem.controls import Bounded
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from problems.answered import Answered
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from cho import cho_landing
-from perilune.problem.problem import Bounded, Free, Given, Phase, Problem, Variable
+from perilune.problem.controls import Bounded
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from problems.answered import Answered
 from test_descent import peng
 

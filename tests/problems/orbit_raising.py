@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from perilune.problem.problem import Direction, Given, Phase, Problem, Variable
+from perilune.problem.controls import Direction
+from perilune.problem.problem import Given, Phase, Problem, Variable
 from problems.answered import Answered
 
 

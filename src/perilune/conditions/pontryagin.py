@@ -14,8 +14,8 @@ and for each free parameter q, which may move the initial state, the ends, the l
 For the retro burn this last line is Cho et al. (19), "lambda_u(0) + lambda_m(0) M/c exp(...) = 0", and H_f = 0. A free
 parameter in the dynamics becomes a constant state, whose costate collects the integral of dH/dq.
 
-A bounded control that enters H linearly sits at a bound: at the upper one where its switching function S = dH/du is
-negative. Each combination of bounds is a *mode* with smooth dynamics of its own; zeros of S are events between modes.
+The minimising control is smooth in each *mode*, a combination of regimes of the scalar controls (at a bound, or between
+bounds: `perilune.conditions.control_law`); zeros of switching functions are events between modes.
 
 Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all in canonical units.
 """
@@ -29,7 +29,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.control_law import minimising_control, switched_scalars
+from perilune.conditions.control_law import minimising_control
+from perilune.kernels import Event
+from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
@@ -53,12 +55,15 @@ class PhaseExtremal:
     Parameters
     ----------
     modes
-        (z, p) -> z' for each combination of bounds: bit i of the mode is set where switched control i is at its upper
-        bound. One function where no control switches. p is `extremal_parameters`.
+        (z, p) -> z' for each mode. p is `extremal_parameters`.
     reports
         (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
-    switching
-        (z, p) -> S of each switched control.
+    regimes
+        For each mode the regime of each scalar control.
+    events
+        What leads from mode to mode.
+    mode
+        (z, p) -> number of the mode in which H is least.
     state_count
         Number of x's own components; z has 2 (state_count + constants) components.
     constants
@@ -67,16 +72,11 @@ class PhaseExtremal:
 
     modes: tuple[ca.Function, ...]
     reports: tuple[ca.Function, ...]
-    switching: ca.Function
+    regimes: tuple[tuple[Regime, ...], ...]
+    events: tuple[Event, ...]
+    mode: ca.Function
     state_count: int
     constants: tuple[int, ...]
-
-    def mode(self, z: Vector, p: Vector) -> int:
-        """The mode at a point, from the signs of the switching functions."""
-        if len(self.modes) == 1:
-            return 0
-        signs = np.array(self.switching(z, p)).ravel() < 0
-        return int(np.sum(signs * 2 ** np.arange(len(signs))))
 
     @property
     def half(self) -> int:
@@ -126,23 +126,56 @@ class Conditions:
 
 
 def extremal_parameters(problem: Problem) -> Vector:
-    """The numbers p of the canonical equations: the given parameters, then (lower, upper) of each bounded control."""
-    limits = [
-        limit / problem.scales.of(control.unit)
-        for phase in problem.phases
-        for control in switched_scalars(phase)
-        for limit in (control.lower, control.upper)
-    ]
+    """The numbers p of the canonical equations: the given parameters, then the limits that are numbers of their own."""
+    limits = [limit / problem.scales.of(control.unit) for control, limit in _plain_limits(problem)]
     return np.concatenate([canonical_given(problem), limits])
 
 
+def _plain_limits(problem: Problem) -> list[tuple[Bounded, float]]:
+    """Every finite limit of a scalar control that is a number and not a parameter's name."""
+    return [
+        (control, limit)
+        for phase in problem.phases
+        for _, control in scalars(phase.controls)
+        for limit in (control.lower, control.upper)
+        if not isinstance(limit, str) and np.isfinite(limit)
+    ]
+
+
+def _limit_symbols(problem: Problem, p: Parameters) -> tuple[ca.SX, list[dict[str, tuple[ca.SX, ca.SX]]]]:
+    """Symbols of the plain limits, and for each phase (lower, upper) of each scalar by name."""
+    symbols, found = list[ca.SX](), []
+    for phase in problem.phases:
+        pairs = {}
+        for _, control in scalars(phase.controls):
+            pair = []
+            for limit in (control.lower, control.upper):
+                if isinstance(limit, str):
+                    pair.append(ca.SX(getattr(p.record, limit)))
+                elif np.isfinite(limit):
+                    symbols.append(ca.SX.sym(f"{phase.name}_{control.name}"))
+                    pair.append(symbols[-1])
+                else:
+                    pair.append(ca.SX(limit))
+            pairs[control.name] = (pair[0], pair[1])
+        found.append(pairs)
+    return ca.vertcat(ca.SX(0, 1), *symbols), found
+
+
 def _phase_extremal(
-    phase: Phase, p: Parameters, bounds: dict[str, ca.SX], numbers: ca.SX, free_names: tuple[str, ...]
+    phase: Phase,
+    p: Parameters,
+    limits: dict[str, tuple[ca.SX, ca.SX]],
+    numbers: ca.SX,
+    free_names: tuple[str, ...],
 ) -> PhaseExtremal:
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
     f = trace_rates(phase, x, u, p.record)
-    constants = tuple(i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(f, p.free[i]))
+    acting = ca.vertcat(f, *(limit for pair in limits.values() for limit in pair))
+    constants = tuple(
+        i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(acting, p.free[i])
+    )
     if phase.duration in free_names and ca.depends_on(f, p.free[free_names.index(phase.duration)]):
         raise PeriluneError(
             f"the dynamics of {phase.name} depend on the phase's own duration",
@@ -151,32 +184,50 @@ def _phase_extremal(
     q = ca.vertcat(ca.SX(0, 1), *[p.free[i] for i in constants])
     lam = ca.SX.sym("lam", n + len(constants))
     hamiltonian = ca.dot(lam[:n], f)
-    law, switching = minimising_control(phase, hamiltonian, u, bounds)
+    law = minimising_control(phase, hamiltonian, u, limits)
     # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
     gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
     # The constant states are symbols of p.free; as entries of z they need symbols of their own.
     z = ca.vertcat(x, q, lam)
     symbol = ca.SX.sym("z", z.numel())
     modes, reports = [], []
-    for mode in range(2 ** len(switching)):
-        held = [bounds[name][(mode >> i) & 1] for i, name in enumerate(switching)]
-        at = [phase.control_names.index(name) for name in switching]
-        control = ca.substitute(law, ca.vertcat(ca.SX(0, 1), *[u[i] for i in at]), ca.vertcat(ca.SX(0, 1), *held))
-        rate = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient)
+    for control in law.control:
+        # A limit that is a free parameter moves the control with it.
+        pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, limits, q))
+        rate = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
         rate, value = (ca.substitute(e, u, control) for e in (rate, hamiltonian))
         expressions = [ca.substitute(e, z, symbol) for e in (rate, control, ca.jtimes(control, z, rate), value)]
         rate, control, control_rate, value = ca.cse(expressions)
         modes.append(ca.Function("rhs", [symbol, numbers], [rate], ["z", "p"], ["rate"]))
         outputs = [control, control_rate, value]
         reports.append(ca.Function("report", [symbol, numbers], outputs, ["z", "p"], ["u", "u_rate", "H"]))
-    S = ca.substitute(ca.vertcat(ca.SX(0, 1), *switching.values()), z, symbol)
+
+    def function(name: str, expression: ca.SX) -> ca.Function:
+        return ca.Function(name, [symbol, numbers], [ca.cse(ca.substitute(expression, z, symbol))], ["z", "p"], [name])
+
+    events = [
+        Event(function=function("S", way.function), direction=way.direction, switches=way.switches)
+        for way in law.transitions
+    ]
     return PhaseExtremal(
         modes=tuple(modes),
         reports=tuple(reports),
-        switching=ca.Function("switching", [symbol, numbers], [S], ["z", "p"], ["S"]),
+        regimes=law.regimes,
+        events=tuple(events),
+        mode=function("mode", law.mode),
         state_count=n,
         constants=constants,
     )
+
+
+def _through_limits(
+    hamiltonian: ca.SX, u: ca.SX, control: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], q: ca.SX
+) -> ca.SX:
+    """dH/dq through a control that sits at a limit which depends on the free parameters q."""
+    if not ca.depends_on(ca.vertcat(ca.SX(0, 1), *(limit for pair in limits.values() for limit in pair)), q):
+        return ca.SX.zeros(q.numel(), 1)
+    # On a bound dH/du is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
+    return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
 
 
 def derive(problem: Problem) -> Conditions:
@@ -220,11 +271,12 @@ class _Structure:
 def _derive(structure: _Structure) -> Conditions:
     problem = structure.problem
     p = trace_parameters(problem)
-    limits = [ca.SX.sym(f"{phase.name}_{c.name}", 2) for phase in problem.phases for c in switched_scalars(phase)]
-    numbers, taken, phases = ca.vertcat(p.given, *limits), iter(limits), []
-    for phase in problem.phases:
-        bounds = {c.name: next(taken) for c in switched_scalars(phase)}
-        phases.append(_phase_extremal(phase, p, bounds, numbers, problem.free_names))
+    symbols, limits = _limit_symbols(problem, p)
+    numbers = ca.vertcat(p.given, symbols)
+    phases = [
+        _phase_extremal(phase, p, pairs, numbers, problem.free_names)
+        for phase, pairs in zip(problem.phases, limits, strict=True)
+    ]
     lam0 = [ca.SX.sym(f"lam0_{k}", e.half) for k, e in enumerate(phases)]
     nu = [ca.SX.sym(f"nu_{k}", len(phase.end_conditions)) for k, phase in enumerate(problem.phases)]
     y = ca.vertcat(*lam0, p.free, *nu)
@@ -322,10 +374,10 @@ def _needed(
 
 
 def _hamiltonian(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
-    """H on the minimising control: the least of the modes', since each mode's control is admissible."""
-    value = extremal.reports[0](z, numbers)[2]
-    for report in extremal.reports[1:]:
-        value = ca.fmin(value, report(z, numbers)[2])
+    """H on the minimising control, that of the mode in which it is least."""
+    value, mode = extremal.reports[0](z, numbers)[2], extremal.mode(z, numbers)
+    for k, report in enumerate(extremal.reports[1:], 1):
+        value = ca.if_else(mode == k, report(z, numbers)[2], value)
     return value
 
 

@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 
 from perilune.direct.nlp import Answer, Program
-from perilune.problem.problem import Bounded, Phase, Problem, Variable
+from perilune.problem.controls import scalars
+from perilune.problem.problem import Phase, Problem, Variable
 from perilune.problem.symbolic import (
     SYMBOLIC,
     canonical_given,
@@ -38,11 +39,12 @@ def check_consistent(problem: Problem) -> None:
         Naming the bound and what breaks it, in SI.
     """
     for phase in problem.phases:
-        for control in phase.controls:
-            if isinstance(control, Bounded) and not control.lower <= control.upper:
+        for _, control in scalars(phase.controls):
+            lower, upper = control.limits(problem.parameters({}))
+            if not lower <= upper:
                 raise InfeasibleError(
                     f"bounds of control {control.name} are empty",
-                    got=f"[{control.lower:g}, {control.upper:g}] {control.unit}",
+                    got=f"[{lower:g}, {upper:g}] {control.unit}",
                     expected="lower <= upper",
                 )
     longest = {f.name: f.upper for f in problem.free} | {name: g.value for name, g in problem.given.items()}

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from perilune.direct.nlp import control_scales
-from perilune.direct.segments import Sampler, admissible
-from perilune.problem.problem import Bounded, Phase, Problem
+from perilune.direct.segments import Sampler
+from perilune.problem.controls import control_scales, placed
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Solution, Trajectory
 from perilune.problem.symbolic import canonical_free, state_scales, trace_parameters, trace_rates
 from perilune.words.maths import NUMERIC
@@ -113,7 +113,7 @@ def _line(problem: Problem, phase: Phase, start: Vector, end: Vector, free: dict
 
 def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vector, free: dict[str, float]) -> Matrix:
     """Controls (points, nu) in SI whose rates come nearest to the slope (states in canonical units)."""
-    x_scale, u_scale = state_scales(problem, phase), control_scales(problem, phase)
+    x_scale, u_scale = state_scales(problem, phase), control_scales(phase.controls, problem.scales)
     middle, reach = _control_middle(problem, phase)
     if not len(middle):
         return np.empty((len(states), 0))
@@ -128,14 +128,10 @@ def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vect
             continue
         step = np.linalg.lstsq(slopes, wanted, rcond=1e-10)[0]
         found.append(middle + np.clip(step, -reach, reach))
-    controls = np.array(found) * u_scale
-    at = 0
-    for control in phase.controls:
-        here = slice(at, at + len(control.names))
-        if not isinstance(control, Bounded):
-            controls[np.linalg.norm(controls[:, here], axis=1) < 1e-9, at] = 1.0
-        at += len(control.names)
-    return admissible(phase, controls)
+    controls = (np.array(found) * u_scale).T
+    for here, control in placed(phase.controls):
+        controls[here] = control.rough(controls[here], problem.parameters({}))
+    return controls.T
 
 
 def _linear_in_control(problem: Problem, phase: Phase) -> ca.Function:
@@ -147,19 +143,7 @@ def _linear_in_control(problem: Problem, phase: Phase) -> ca.Function:
 
 def _control_middle(problem: Problem, phase: Phase) -> tuple[Vector, Vector]:
     """Middle of each control's range and how far it may go from there, in canonical units."""
-    middle: list[float] = []
-    reach: list[float] = []
-    for control in phase.controls:
-        if isinstance(control, Bounded):
-            scale = problem.scales.of(control.unit)
-            lower, upper = control.lower / scale, control.upper / scale
-            if np.isfinite(upper - lower):
-                middle.append(0.5 * (lower + upper))
-                reach.append(0.4 * (upper - lower))
-            else:
-                middle.append(float(np.clip(0.0, lower, upper)))
-                reach.append(np.inf)
-        else:
-            middle += [0.0] * len(control.names)
-            reach += [np.inf] * len(control.names)
-    return np.array(middle), np.array(reach)
+    p, scale = problem.parameters({}), control_scales(phase.controls, problem.scales)
+    both = [control.middle(p) for control in phase.controls for _ in control.names]
+    middle, reach = np.array(both).reshape(-1, 2).T / scale
+    return middle, reach

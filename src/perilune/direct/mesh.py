@@ -25,8 +25,9 @@ from typing import Any
 import numpy as np
 
 from perilune.direct.collocation import Mesh
-from perilune.direct.segments import Segment, admissible
-from perilune.problem.problem import Bounded, Phase, Problem, Variable
+from perilune.direct.segments import Segment
+from perilune.problem.controls import admissible, scalars
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.symbolic import state_scales
 from perilune.words.types import Matrix, Vector
 
@@ -52,7 +53,7 @@ def segment_error(phase: Phase, segment: Segment, p: Any, tolerance: float) -> V
     NaN where the simulation could not be flown to the end.
     """
     at = np.union1d(segment.state.points, np.linspace(-1.0, 1.0, 3 * len(segment.state.points)))
-    x, u = segment.state(at), admissible(phase, segment.control(at))
+    x, u = segment.state(at), admissible(phase.controls, segment.control(at).T, p).T
     lower, upper = (np.array([getattr(s, side) for s in phase.states]) for side in ("lower", "upper"))
     outside = np.maximum(0.0, np.maximum(lower - x, x - upper)).max(axis=0)
     path = [np.maximum(0.0, -np.asarray(value)).max() for value in phase.evaluate("path", list(x.T), list(u.T), p)]
@@ -63,7 +64,7 @@ def _simulated(phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vec
     from scipy.integrate import solve_ivp
 
     def flow(t: float, x: Vector) -> Vector:
-        u = admissible(phase, segment.control(segment.tau(np.array([t]))))[0]
+        u = admissible(phase.controls, segment.control(segment.tau(np.array([t]))).T, p)[:, 0]
         return np.array(phase.rates(list(x), list(u), p), dtype=float)
 
     flown = solve_ivp(
@@ -110,7 +111,7 @@ def error_text(problem: Problem, errors: Sequence[Matrix]) -> str:
     )  # fmt: skip
 
 
-def switches(phase: Phase, flown: Sequence[Segment]) -> list[float]:
+def switches(phase: Phase, flown: Sequence[Segment], p: Any) -> list[float]:
     """Fractions of the phase, between neighbouring collocation points, where a control jumps or a bound is met or left.
 
     A bound of a control or a state is met or left where two points on it have two points off it as neighbours: there a
@@ -120,33 +121,32 @@ def switches(phase: Phase, flown: Sequence[Segment]) -> list[float]:
     fraction = (time - flown[0].begin) / (flown[-1].end - flown[0].begin)
     control = np.concatenate([s.control.values for s in flown])
     state = np.concatenate([s.state(s.control.points) for s in flown])
-    found, at = _met(state, phase.states, STATE_AT_BOUND), 0
-    for bounded in phase.controls:
-        if isinstance(bounded, Bounded) and _bounded(bounded):
-            values = control[:, [at]]
-            jump = np.abs(np.diff(values[:, 0])) > SWITCH * (bounded.upper - bounded.lower)
-            found |= _met(values, [bounded], AT_BOUND) | set(np.nonzero(jump)[0].tolist())
-        at += len(bounded.names)
+    found = _met(state, [(s.lower, s.upper) for s in phase.states], STATE_AT_BOUND)
+    for at, bounded in scalars(phase.controls):
+        if bounded.bounded:
+            share = bounded.share(control[:, [at]], p)
+            jump = np.abs(np.diff(share[:, 0])) > SWITCH
+            found |= _met(share, [(0.0, 1.0)], AT_BOUND) | set(np.nonzero(jump)[0].tolist())
     return [float(0.5 * (fraction[i] + fraction[i + 1])) for i in sorted(found)]
 
 
-def _met(values: Matrix, bounded: Sequence[Bounded | Variable], within: float) -> set[int]:
+def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -> set[int]:
     """Indices i such that points i - 1, i lie at a bound and i + 1, i + 2 do not, or the other way round."""
     found: set[int] = set()
-    for value, b in zip(values.T, bounded, strict=True):
-        reach = within * (b.upper - b.lower if math.isfinite(b.upper - b.lower) else float(np.ptp(value)))
-        side = np.where(value > b.upper - reach, 1, np.where(value < b.lower + reach, -1, 0))
+    for value, (lower, upper) in zip(values.T, limits, strict=True):
+        reach = within * (upper - lower if math.isfinite(upper - lower) else float(np.ptp(value)))
+        side = np.where(value > upper - reach, 1, np.where(value < lower + reach, -1, 0))
         met = (side[1:-2] != side[2:-1]) & (side[:-3] == side[1:-2]) & (side[2:-1] == side[3:])
         found |= set((np.nonzero(met)[0] + 1).tolist())
     return found
 
 
-def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float) -> Mesh:
-    """A mesh for the next solve; `relative` (segments, states) are the errors of the last one."""
+def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float, p: Any) -> Mesh:
+    """A mesh for the next solve; `relative` (segments, states) are the errors of the last one, p all parameters."""
     begin, total = flown[0].begin, flown[-1].end - flown[0].begin
     joints = [0.0] + [(s.end - begin) / total for s in flown[:-1]] + [1.0]
     movable = {j for j, reach in zip(joints[1:-1], mesh.free, strict=True) if reach > 0}
-    at_switches = switches(phase, flown)
+    at_switches = switches(phase, flown, p)
     new_joints, new_degrees = [0.0], []
     for a, b, segment, error in zip(joints[:-1], joints[1:], flown, relative.max(axis=1), strict=True):
         degree = len(segment.control.points)
@@ -165,12 +165,12 @@ def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix
         degrees=tuple(new_degrees),
         joints=tuple(new_joints),
         free=_reaches(new_joints, movable),
-        pinned=_pins(phase, flown, new_joints, movable),
+        pinned=_pins(phase, flown, new_joints, movable, p),
     )
 
 
 def _pins(
-    phase: Phase, flown: Sequence[Segment], joints: Sequence[float], movable: set[float]
+    phase: Phase, flown: Sequence[Segment], joints: Sequence[float], movable: set[float], p: Any
 ) -> tuple[tuple[int, ...], ...]:
     """Bound at which each segment next to a free joint holds each bounded control: that of its middle."""
     begin, total = flown[0].begin, flown[-1].end - flown[0].begin
@@ -181,20 +181,13 @@ def _pins(
         # Points beside a switch hold values in between.
         inner = np.sort(np.abs(fraction - 0.5 * (a + b)))[: max(1, int(((a < fraction) & (fraction < b)).sum()) - 2)]
         near = np.abs(fraction - 0.5 * (a + b)) <= inner[-1]
-        row, at = [], 0
-        for control in phase.controls:
-            pin = 0
-            if (a in movable or b in movable) and isinstance(control, Bounded) and _bounded(control):
-                part = (values[near, at] - control.lower) / (control.upper - control.lower)
-                pin = -1 if (part < AT_BOUND).all() else 1 if (part > 1 - AT_BOUND).all() else 0
-            row += [pin] * len(control.names)
-            at += len(control.names)
+        row = [0] * len(phase.control_names)
+        for at, control in scalars(phase.controls):
+            if (a in movable or b in movable) and control.bounded:
+                part = control.share(values[near, at], p)
+                row[at] = -1 if (part < AT_BOUND).all() else 1 if (part > 1 - AT_BOUND).all() else 0
         pins.append(tuple(row))
     return tuple(pins)
-
-
-def _bounded(control: Bounded) -> bool:
-    return math.isfinite(control.upper - control.lower)
 
 
 def _enriched(a: float, b: float, segment: Segment, error: float, tolerance: float) -> tuple[list[float], list[int]]:

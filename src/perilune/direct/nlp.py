@@ -22,7 +22,8 @@ import casadi as ca
 import numpy as np
 
 from perilune.direct.collocation import Mesh, Rule, Scheme, rule
-from perilune.problem.problem import Bounded, Direction, Phase, Problem
+from perilune.problem.controls import directions
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
     canonical_given,
@@ -234,26 +235,21 @@ class Program:
 
 
 def _layout(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
-    directions, at = [], 0
-    for control in phase.controls:
-        if isinstance(control, Direction):
-            directions.append((at, at + len(control.names)))
-        at += len(control.names)
     return Layout(
-        scheme, mesh.degrees, len(phase.states), at, tuple(directions), len(phase.path_conditions),
+        scheme, mesh.degrees, len(phase.states), len(phase.control_names), directions(phase.controls),
+        len(phase.path_conditions),
         len(phase.end_conditions),
     )  # fmt: skip
 
 
 def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> Matrix:
     """Lower (sign -1) or upper bounds (nodes, nu); a direction's only keep the search near the sphere."""
-    both: list[tuple[float, float]] = []
+    p, both = problem.parameters({}), list[tuple[float, float]]()
     for control in phase.controls:
-        if isinstance(control, Bounded):
-            scale = problem.scales.of(control.unit)
-            both.append((control.lower / scale, control.upper / scale))
-        else:
-            both += [(-1.5, 1.5)] * len(control.names)
+        limits = control.limits(p) if control.scalar else (-1.5, 1.5)
+        both += [(limits[0] / problem.scales.of(control.unit), limits[1] / problem.scales.of(control.unit))] * len(
+            control.names
+        )
     plain = [bounds[int(sign > 0)] for bounds in both]
     rows = []
     for k, degree in enumerate(mesh.degrees):
@@ -261,14 +257,6 @@ def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> 
         row = [bounds[int(pin > 0)] if pin else own for bounds, own, pin in zip(both, plain, pins, strict=True)]
         rows += [row] * degree
     return np.array(rows).reshape(mesh.nodes, len(both))
-
-
-def control_scales(problem: Problem, phase: Phase) -> Vector:
-    """SI size of the canonical unit of each control component."""
-    scales: list[float] = []
-    for control in phase.controls:
-        scales += [problem.scales.of(control.unit) if isinstance(control, Bounded) else 1.0] * len(control.names)
-    return np.array(scales)
 
 
 def _pack(values: PhaseValues) -> Vector:

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from perilune.direct.collocation import Polynomial, Rule
-from perilune.direct.nlp import Answer, PhaseValues, Program, control_scales
-from perilune.problem.problem import Direction, Phase, Problem
+from perilune.direct.nlp import Answer, PhaseValues, Program
+from perilune.problem.controls import admissible, admissible_rates, control_scales
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Trajectory, hermite_nodes
 from perilune.problem.symbolic import state_scales
 from perilune.words.types import Matrix, Vector
@@ -50,19 +52,6 @@ class Segment:
         return self.begin + 0.5 * (np.asarray(tau) + 1.0) * (self.end - self.begin)
 
 
-def admissible(phase: Phase, u: Matrix) -> Matrix:
-    """Controls (n, nu) with directions normalised and bounds held, which interpolation may leave a little."""
-    u, at = np.array(u, dtype=float), 0
-    for control in phase.controls:
-        here = slice(at, at + len(control.names))
-        if isinstance(control, Direction):
-            u[:, here] /= np.linalg.norm(u[:, here], axis=1, keepdims=True)
-        else:
-            u[:, here] = np.clip(u[:, here], control.lower, control.upper)
-        at += len(control.names)
-    return u
-
-
 def _costate(r: Rule, rows: dict[str, Vector], states: int, segment: int, node: int) -> Polynomial:
     """Canonical costate of one segment, whose points start at `node`, from the multipliers of its rows."""
     Lambda = rows["defect"].reshape(-1, states)[node : node + r.degree]
@@ -80,7 +69,7 @@ def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
     p = problem.parameters(answer.free_si(problem))
     objective_scale = problem.scales.of(problem.objective_unit)
     for k, (phase, layout, values) in enumerate(zip(problem.phases, program.layouts, answer.phases, strict=True)):
-        x_scale, u_scale = state_scales(problem, phase), control_scales(problem, phase)
+        x_scale, u_scale = state_scales(problem, phase), control_scales(phase.controls, problem.scales)
         rows = {kind: answer.rows[k, kind] for kind in ("defect", "quadrature")}
         times, node, segments = values.joints * getattr(p, phase.duration), 0, []
         for i, (r, first) in enumerate(zip(layout.rules, layout.starts, strict=False)):
@@ -120,7 +109,7 @@ def sampler(flown: Sequence[Segment]) -> Sampler:
 
 def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues, ...]:
     """First values of a program's unknowns from one sampler for each phase."""
-    problem, found = program.problem, []
+    problem, p, found = program.problem, program.problem.parameters({}), []
     for phase, mesh, layout, sample in zip(problem.phases, program.meshes, program.layouts, samplers, strict=True):
         joints = np.array(mesh.joints)
         ends = list(zip(joints[:-1], joints[1:], layout.rules, strict=True))
@@ -133,7 +122,7 @@ def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues,
             PhaseValues(
                 joints=joints,
                 state=state,
-                control=admissible(phase, control) / control_scales(problem, phase),
+                control=admissible(phase.controls, control.T, p).T / control_scales(phase.controls, problem.scales),
             )
         )
     return tuple(found)
@@ -149,9 +138,9 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
     x_scale = state_scales(problem, phase)
     lam_scale = problem.scales.of(problem.objective_unit) / x_scale
     fine = max(tolerance, FINEST) * np.concatenate(
-        [x_scale, np.full(n, 10.0) * lam_scale, control_scales(problem, phase)]
+        [x_scale, np.full(n, 10.0) * lam_scale, control_scales(phase.controls, problem.scales)]
     )
-    pieces = [_nodes(phase, segment, fine) for segment in flown]
+    pieces = [_nodes(phase, segment, fine, problem.parameters({})) for segment in flown]
     time = np.concatenate([t for t, _, _ in pieces])
     values, rates = (np.concatenate([piece[i] for piece in pieces]) for i in (1, 2))
     keep = np.ones(len(time), dtype=bool)
@@ -167,7 +156,7 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
 
 
-def _nodes(phase: Phase, segment: Segment, fine: Vector) -> tuple[Vector, Matrix, Matrix]:
+def _nodes(phase: Phase, segment: Segment, fine: Vector, p: Any) -> tuple[Vector, Matrix, Matrix]:
     """Times, values and rates of state, costate and control along one segment."""
     slope = 2.0 / (segment.end - segment.begin)
     parts = (segment.state, segment.costate, segment.control)
@@ -176,24 +165,8 @@ def _nodes(phase: Phase, segment: Segment, fine: Vector) -> tuple[Vector, Matrix
         tau = segment.tau(segment.begin + t)
         values = [part(tau) for part in parts]
         rates = [part.derivative(tau) * slope for part in parts]
-        values[2], rates[2] = _admissible_with_rates(phase, values[2], rates[2])
+        values[2], rates[2] = (a.T for a in admissible_rates(phase.controls, values[2].T, rates[2].T, p))
         return np.hstack(values), np.hstack(rates)
 
     t = hermite_nodes(evaluate, segment.end - segment.begin, fine)
     return segment.begin + t, *evaluate(t)
-
-
-def _admissible_with_rates(phase: Phase, u: Matrix, rates: Matrix) -> tuple[Matrix, Matrix]:
-    """`admissible` and the chain rule through it."""
-    good, rates, at = admissible(phase, u), rates.copy(), 0
-    for control in phase.controls:
-        here = slice(at, at + len(control.names))
-        if isinstance(control, Direction):
-            along = (good[:, here] * rates[:, here]).sum(axis=1, keepdims=True)
-            rates[:, here] = (rates[:, here] - good[:, here] * along) / np.linalg.norm(
-                u[:, here], axis=1, keepdims=True
-            )
-        else:
-            rates[:, here] = np.where(good[:, here] == u[:, here], rates[:, here], 0.0)
-        at += len(control.names)
-    return good, rates

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Direction, Phase
+from perilune.problem.controls import normalised
+from perilune.problem.problem import Phase
 from perilune.problem.solution import Solution, Trajectory
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
@@ -37,14 +38,7 @@ class Column:
 
 def flown_control(phase: Phase, trajectory: Trajectory, t: Vector) -> Matrix:
     """Control at times t, cubic Hermite then normalised, shape (n, components)."""
-    control = np.array(trajectory.control(t), dtype=float)
-    first = 0
-    for component in phase.controls:
-        part = slice(first, first + len(component.names))
-        if isinstance(component, Direction):
-            control[:, part] /= np.linalg.norm(control[:, part], axis=1, keepdims=True)
-        first = part.stop
-    return control
+    return normalised(phase.controls, trajectory.control(t).T).T
 
 
 def hamiltonian(solution: Solution, k: int, t: Vector, control: Matrix | None = None) -> Vector:
@@ -100,7 +94,7 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
     table = [Column(name="time", unit="s", values=t)]
     table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
     table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state.T, strict=True)]
-    units = [getattr(c, "unit", "1") for c in phase.controls for _ in c.names]
+    units = [c.unit for c in phase.controls for _ in c.names]
     table += [_column(n, u, y, t) for n, u, y in zip(phase.control_names, units, control.T, strict=True)]
     if trajectory.costate is not None:
         per = solution.problem.objective_unit

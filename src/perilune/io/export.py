@@ -21,7 +21,8 @@ from perilune import __version__ as perilune_version
 from perilune.io.columns import columns, costate_unit
 from perilune.io.files import finite, fresh_directory, json_text
 from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of, read_solution
-from perilune.problem.problem import Direction, Phase
+from perilune.problem.controls import Bounded, Direction
+from perilune.problem.problem import Phase
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.words.maths import NUMERIC
 
@@ -30,8 +31,7 @@ __all__ = ["read_solution", "results", "solution_document", "write_solution"]
 INTERPOLATION = {
     "state": "cubic Hermite",
     "costate": "cubic Hermite",
-    "control of kind direction": "cubic Hermite, then normalised",
-    "control of kind bounded": "cubic Hermite",
+    **{f"control of kind {control.kind}": control.rule for control in (Direction, Bounded)},
 }
 
 _FIELDS = {
@@ -214,12 +214,7 @@ def _phase_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -
         "duration": {"value": trajectory.duration, "unit": "s"},
         "states": [{"name": s.name, "unit": s.unit, "description": s.description} for s in phase.states],
         "costate_units": [costate_unit(objective_unit, s.unit) for s in phase.states],
-        "controls": [
-            {"components": list(c.names), "kind": "direction", "unit": "1"}
-            if isinstance(c, Direction)
-            else {"components": list(c.names), "kind": "bounded", "unit": c.unit}
-            for c in phase.controls
-        ],
+        "controls": [{"components": list(c.names), "kind": c.kind, "unit": c.unit} for c in phase.controls],
         "interpolation": INTERPOLATION,
         "state": _curve_document(trajectory.state),
         "control": _curve_document(trajectory.control),

@@ -16,7 +16,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from perilune.problem.problem import Direction, Phase, Problem
+from perilune.problem.controls import directions
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
 from perilune.words.outcome import Outcome, PeriluneError
 
@@ -167,11 +168,8 @@ def _trajectories(document: Mapping[str, Any], problem: Problem, free: Mapping[s
 
 def _check_directions(phase: Phase, control: Curve, where: str) -> None:
     """Refuse a control that points nowhere; whether it points where it should is for the proof to find."""
-    first = 0
-    for component in phase.controls:
-        part = slice(first, first + len(component.names))
-        first = part.stop
-        if isinstance(component, Direction) and np.linalg.norm(control.values[:, part], axis=1).min() < 0.5:
+    for first, last in directions(phase.controls):
+        if np.linalg.norm(control.values[:, first:last], axis=1).min() < 0.5:
             _refuse(where, "a direction of length 0", "directions of length 1")
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from perilune.conditions.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
 from perilune.kernels import DenseArc
-from perilune.problem.problem import Bounded, Direction, Phase, Problem
+from perilune.problem.controls import control_scales, scalars
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
 from perilune.shooting.propagate import flight
@@ -113,18 +114,12 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     time = problem.scales.time
     x_scale = state_scales(problem, phase)
-    u_scale = np.concatenate([np.ones(0), *[_control_scale(problem, c) for c in phase.controls]])
+    u_scale = control_scales(phase.controls, problem.scales)
     scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
     values, rates = values * scale, rates * scale / time
     cut = np.split(np.arange(2 * n + width), [n, 2 * n])
     state, costate, control = (Curve(time=nodes * time, values=values[:, at], rates=rates[:, at]) for at in cut)
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
-
-
-def _control_scale(problem: Problem, control: object) -> Vector:
-    if isinstance(control, Direction):
-        return np.ones(len(control.names))
-    return np.array([problem.scales.of(control.unit)])  # type: ignore[attr-defined]
 
 
 def unknowns_from(problem: Problem, guess: Solution) -> Vector:
@@ -168,23 +163,22 @@ def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segme
     return np.concatenate(joints)
 
 
-def beyond_shooting(rough: Solution) -> tuple[str, str] | None:
+def beyond_shooting(rough: Solution, conditions: Conditions) -> tuple[str, str] | None:
     """What a direct solution does that no extremal of the indirect method can, and what to try; None if nothing.
 
     A throttle that stays well between its bounds on a tenth of a phase is no polynomial's overshoot at a switch but a
     singular arc. A state at its bound has a multiplier that Pontryagin's conditions without bounds do not know.
     """
-    for phase, flown in zip(rough.problem.phases, rough.trajectories, strict=True):
+    for phase, flown, extremal in zip(rough.problem.phases, rough.trajectories, conditions.phases, strict=True):
         t = np.linspace(0.0, 1.0, 401)[20:] * flown.duration
-        control, at = flown.control(t), 0
-        for bounded in phase.controls:
-            if isinstance(bounded, Bounded) and np.isfinite(bounded.upper - bounded.lower):
-                part = (control[:, at] - bounded.lower) / (bounded.upper - bounded.lower)
+        control = flown.control(t)
+        for number, (at, bounded) in enumerate(scalars(phase.controls)):
+            if bounded.bounded and not any(regimes[number] == "interior" for regimes in extremal.regimes):
+                part = bounded.share(control[:, at], rough.parameters)
                 share = float(np.mean((part > 0.2) & (part < 0.8)))
                 if share > 0.1:
                     what = f"in the direct solution {bounded.name} of {phase.name} stays between its bounds"
                     return f"{what} for {share * flown.duration:.3g} s: a singular arc", "Pseudospectral()"
-            at += len(bounded.names)
         for state, values, scale in zip(
             phase.states, flown.state(t).T, state_scales(rough.problem, phase), strict=True
         ):

@@ -29,12 +29,13 @@ import numpy as np
 
 from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.assemble import free_values, multipliers, trajectories
-from perilune.problem.problem import Bounded, Phase, Problem
+from perilune.problem.controls import control_scales
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.symbolic import canonical_given, free_scales, state_scales
 from perilune.shooting.propagate import engine, equations
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.outcome import Outcome
 from perilune.words.types import Batch, Matrix, Vector
 
 STEPS = 40  # of one phase under given controls: far more accurate than what a population resolves
@@ -81,7 +82,7 @@ class ControlFitness:
         boxes = [(lower, upper)]
         for phase in problem.phases:
             for control in phase.controls:
-                low, high = _control_box(problem, control)
+                low, high = (v / problem.scales.of(control.unit) for v in control.box(problem.parameters({})))
                 boxes.append((np.full(nodes * len(control.names), low), np.full(nodes * len(control.names), high)))
         self.lower, self.upper = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
 
@@ -101,7 +102,7 @@ class ControlFitness:
         for phase, _, duration, states, controls in self._flights(genes[None, :]):
             time = np.linspace(0.0, 1.0, STEPS + 1) * duration[0] * problem.scales.time
             x = states[:, :, 0] * state_scales(problem, phase)
-            u = controls[::2, :, 0] * _control_scales(problem, phase)
+            u = controls[::2, :, 0] * control_scales(phase.controls, problem.scales)
             curves = (Curve(time=time, values=v, rates=np.gradient(v, time, axis=0)) for v in (x, u))
             found.append(Trajectory(phase=phase.name, state=next(curves), control=next(curves)))
         free = genes[: len(problem.free)] * free_scales(problem.free, problem)
@@ -143,10 +144,8 @@ class ControlFitness:
             width = len(control.names)
             at_knots = genes[:, at : at + width * self.nodes].reshape(len(genes), self.nodes, width)
             at += width * self.nodes
-            part = np.einsum("tk,nkw->twn", hats, at_knots)
-            if not isinstance(control, Bounded):
-                part = part / np.linalg.norm(part, axis=1, keepdims=True)
-            parts.append(part)
+            part = np.einsum("tk,nkw->wtn", hats, at_knots)
+            parts.append(control.normalised(part).transpose(1, 0, 2))
         return np.concatenate([np.zeros((len(places), 0, len(genes))), *parts], axis=1), at
 
     def _miss(self, phase: Phase, p: Any, states: Batch, controls: Batch) -> Vector:
@@ -236,8 +235,7 @@ class CostateFitness:
         size, before, ends = len(y), np.zeros((0, len(y))), []
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
             z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size))[:2])
-            signs = np.array(self._over(extremal.switching, size)(z0, self._numbers(size))) < 0
-            mode = (signs * 2 ** np.arange(len(signs))[:, None]).sum(axis=0).astype(int)
+            mode = np.array(self._over(extremal.mode, size)(z0, self._numbers(size))).ravel().astype(int)
             settings = {"rtol": TOLERANCE, "atol": TOLERANCE, "max_steps": MOST_STEPS, "mode": mode}
             whole = equations(extremal, (), ())
             arcs = engine(whole, 0).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
@@ -282,25 +280,3 @@ def _stacked(values: Any, size: int) -> Matrix:
     if not len(values):
         return np.zeros((0, size))
     return np.array([np.broadcast_to(np.asarray(v, dtype=float), size) for v in values])
-
-
-def _control_box(problem: Problem, control: Any) -> tuple[float, float]:
-    """Canonical bounds of each component; directions are normalised afterwards."""
-    if not isinstance(control, Bounded):
-        return -1.0, 1.0
-    if not np.isfinite(control.upper - control.lower):
-        raise PeriluneError(
-            f"a population is drawn from within bounds, and control {control.name} has none",
-            got=f"[{control.lower}, {control.upper}]",
-            expected="finite bounds",
-            advice="bound it, or use Pseudospectral() alone",
-        )
-    scale = problem.scales.of(control.unit)
-    return control.lower / scale, control.upper / scale
-
-
-def _control_scales(problem: Problem, phase: Phase) -> Vector:
-    scales: list[float] = []
-    for control in phase.controls:
-        scales += [problem.scales.of(control.unit) if isinstance(control, Bounded) else 1.0] * len(control.names)
-    return np.array(scales)

@@ -135,7 +135,7 @@ class _Run:
             if worst <= s.tolerance or round_number == s.refine:
                 break
             meshes = tuple(
-                refined(phase, mesh, flown, r, s.tolerance)
+                refined(phase, mesh, flown, r, s.tolerance, p)
                 for phase, mesh, flown, r in zip(problem.phases, program.meshes, segments, relative, strict=True)
             )
             samplers = [sampler(flown) for flown in segments]

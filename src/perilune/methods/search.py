@@ -391,7 +391,7 @@ class Search:
             name, unit = self.conditions.residuals[k]
             got = f"nearest approach leaves {name} = {values[k]:.4g} {unit}"
         advice = "perilune check for what physics says; then more starts (Indirect(starts=100)) or a nearby guess"
-        if self.rough is not None and (beyond := beyond_shooting(self.rough)) is not None:
+        if self.rough is not None and (beyond := beyond_shooting(self.rough, self.conditions)) is not None:
             got, advice = beyond
         return NotConvergedError(
             "no extremal was found",

@@ -19,7 +19,8 @@ from perilune.models.bodies import MOON, Body
 from perilune.models.descent_frames import CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
 from perilune.models.landing import Vehicle
 from perilune.models.rotating import dot, local_axes
-from perilune.problem.problem import Bounded, Control, Direction, Free, Given, Phase, Problem
+from perilune.problem.controls import Bounded, Control, Direction
+from perilune.problem.problem import Free, Given, Phase, Problem
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.types import Physics

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from perilune.models.bodies import MOON, Body
-from perilune.problem.problem import Direction, Free, Given, Phase, Problem, Variable
+from perilune.problem.controls import Direction
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.words.maths import NUMERIC

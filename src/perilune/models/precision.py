@@ -26,7 +26,8 @@ from perilune.models.descent import Site, body_and_vehicle, section, throttle_co
 from perilune.models.descent_frames import MASS, mass_rate, thrust, variables
 from perilune.models.landing import Vehicle
 from perilune.models.rotating import combine, free_acceleration
-from perilune.problem.problem import Direction, Free, Given, Phase, Problem
+from perilune.problem.controls import Direction
+from perilune.problem.problem import Free, Given, Phase, Problem
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.units import Scales

@@ -27,6 +27,7 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
+from perilune.problem.controls import Control, scalars
 from perilune.problem.verification import Check
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -69,35 +70,6 @@ class Variable:
                 got=f"[{self.lower}, {self.upper}]",
                 expected="lower < upper",
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Direction:
-    """A control that is a unit vector of two or three components, free on the circle or sphere."""
-
-    names: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.names) not in (2, 3):
-            raise PeriluneError("a direction has two or three components", got=str(len(self.names)))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bounded:
-    """A scalar control between bounds in SI (infinite bounds allowed), such as a throttle or an angle."""
-
-    name: str
-    unit: str = "1"
-    lower: float = -math.inf
-    upper: float = math.inf
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The one component."""
-        return (self.name,)
-
-
-Control = Direction | Bounded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,7 +291,8 @@ def _check_structure(problem: Problem) -> None:
             raise PeriluneError(
                 f"bounds of {f.name} are empty", got=f"[{f.lower}, {f.upper}]", expected="lower <= upper"
             )
-    for name in problem.duration_names:
+    limits = [limit for phase in problem.phases for _, c in scalars(phase.controls) for limit in (c.lower, c.upper)]
+    for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
 
@@ -328,24 +301,19 @@ def _sample(problem: Problem, scales: Scales) -> tuple[SimpleNamespace, list[tup
     """Parameters and one (x, u) for each phase, the same physical point written in the given canonical units."""
     fractions = iter((0.618034 * (k + 1)) % 1.0 for k in range(10_000))
     si = problem.scales
-    p = SimpleNamespace()
-    for name, g in problem.given.items():
-        setattr(p, name, g.value / scales.of(g.unit))
-    for f in problem.free:
-        inside = f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.typical
-        setattr(p, f.name, inside / scales.of(f.unit))
+    inside = {
+        f.name: f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.typical
+        for f in problem.free
+    }
+    known = problem.parameters(inside)
+    p = SimpleNamespace(**{name: v / scales.of(problem.unit_of(name)) for name, v in vars(known).items()})
     points = []
     for phase in problem.phases:
         x = [(0.7 + 0.5 * next(fractions)) * si.of(s.unit) / scales.of(s.unit) for s in phase.states]
         u: list[float] = []
         for control in phase.controls:
-            if isinstance(control, Direction):
-                raw = [0.3 + next(fractions) for _ in control.names]
-                u += [r / math.hypot(*raw) for r in raw]
-            else:
-                lower = max(control.lower, -si.of(control.unit))
-                upper = min(control.upper, si.of(control.unit))
-                u.append((lower + 0.4 * (upper - lower)) / scales.of(control.unit))
+            value = control.example(fractions, known, si.of(control.unit))
+            u += [v / scales.of(control.unit) for v in value]
         points.append((x, u))
     return p, points
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from perilune.problem.problem import Direction
+from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.numerics import Arc, Flight, fly, initial_state, smooth_pieces
@@ -129,19 +129,18 @@ def _bound(name: str, what: str, values: Vector, lower: float, upper: float, uni
 
 def _controls(arc: Arc) -> Iterator[Check]:
     t = arc.times(_DENSE)
-    u, at = arc.trajectory.control(t).T, 0
-    for control in arc.phase.controls:
-        part = u[at : at + len(control.names)]
-        if isinstance(control, Direction):
+    u = arc.trajectory.control(t).T
+    for here, control in placed(arc.phase.controls):
+        part, name = u[here], "_".join(control.names)
+        if not control.scalar:
             yield Check(
-                name=f"{arc.prefix}direction_{'_'.join(control.names)}", level=1, unit="1", limit=1e-9,
-                value=float(np.abs(np.sqrt((part * part).sum(axis=0)) - 1).max()),
+                name=f"{arc.prefix}direction_{name}", level=1, unit="1", limit=1e-9,
+                value=float(control.broken(part, arc.p).max()),
                 meaning="how far the interpolated direction is from length 1 before it is normalised",
             )  # fmt: skip
-        elif np.isfinite(control.lower) or np.isfinite(control.upper):
-            name, scale = f"{arc.prefix}bounds_{control.name}", float(arc.control_scale[at])
-            yield _bound(name, control.name, part, control.lower, control.upper, control.unit, scale)
-        at += len(control.names)
+        elif np.isfinite(limits := control.limits(arc.p)).any():
+            scale = float(arc.control_scale[here.start])
+            yield _bound(f"{arc.prefix}bounds_{name}", name, part, *limits, control.unit, scale)
 
 
 def _paths(arc: Arc, flight: Flight) -> Iterator[Check]:

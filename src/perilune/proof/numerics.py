@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Direction, Phase, Problem
+from perilune.problem.controls import control_scales, directions, normalised
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
@@ -100,18 +101,6 @@ def hessian(function: Callable[[Any], Any], z: Matrix, scale: Vector) -> Any:
     return 0.5 * (out + out.transpose(1, 0, 2))
 
 
-def normalised(phase: Phase, u: Any) -> Any:
-    """Control components (k, ...) with each `Direction` of length 1."""
-    out, at = np.array(u), 0
-    for control in phase.controls:
-        width = len(control.names)
-        if isinstance(control, Direction):
-            part = out[at : at + width]
-            out[at : at + width] = part / np.sqrt((part * part).sum(axis=0))
-        at += width
-    return out
-
-
 def smooth_pieces(curve: Curve) -> list[Curve]:
     """The parts of a table between the times that stand in it twice, with the values of either side."""
     cut = np.nonzero(np.diff(curve.time) == 0)[0] + 1
@@ -131,11 +120,7 @@ def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float
     twist = slope + slope_right - 2 * (right - left)
     pieces = np.stack([left, slope, bend, twist], axis=2).tolist()
     nodes, widths = curve.time.tolist(), h.ravel().tolist()
-    interior, groups, at = nodes[1:-1], [], 0
-    for control in phase.controls:
-        if isinstance(control, Direction):
-            groups.append((at, at + len(control.names)))
-        at += len(control.names)
+    interior, groups = nodes[1:-1], directions(phase.controls)
 
     def control_at(t: float) -> list[float]:
         i = bisect_right(interior, t)
@@ -199,8 +184,7 @@ class Arc:
     @cached_property
     def control_scale(self) -> Vector:
         """Canonical units of the control components [SI]."""
-        of = self.problem.scales.of
-        return np.array([1.0 if isinstance(c, Direction) else of(c.unit) for c in self.phase.controls for _ in c.names])
+        return control_scales(self.phase.controls, self.problem.scales)
 
     @property
     def objective_scale(self) -> float:
@@ -236,7 +220,7 @@ class Arc:
 
     def control(self, t: Vector) -> Matrix:
         """Exported control, directions normalised."""
-        return normalised(self.phase, self.trajectory.control(t).T)
+        return normalised(self.phase.controls, self.trajectory.control(t).T)
 
     def costate(self, t: Vector) -> Matrix:
         """Exported costates [J per state]; NaN where the method gave none."""

@@ -35,12 +35,12 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Bounded
+from perilune.problem.controls import Bounded, normalised, placed, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.extremal import at_bound, end_multipliers
-from perilune.proof.numerics import COMPLEX, Arc, hessian, jacobian, normalised, stacked
-from perilune.proof.switching import control_rates, crossings, on_bounds, placed, strictness, tangents
+from perilune.proof.numerics import COMPLEX, Arc, hessian, jacobian, stacked
+from perilune.proof.switching import control_rates, crossings, on_bounds, strictness, tangents
 from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
@@ -97,9 +97,9 @@ def _positive(forms: tuple[Matrix, Matrix, int] | None, fixed: Sequence[int], *,
 
 def _tangled(arc: Arc) -> bool:
     """Whether anything but a single scalar jumps at a break, or its switching function does not cross zero there."""
-    scalars = [at for at, control in placed(arc) if isinstance(control, Bounded)]
+    places = [at for at, _ in scalars(arc.phase.controls)]
     jumps = arc.jumps != 0
-    alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, scalars, axis=0).any()
+    alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, places, axis=0).any()
     return not alone or bool((crossings(arc)[jumps.any(axis=0)] <= 0).any())
 
 
@@ -176,7 +176,7 @@ class _Piece:
         u = self.u.reshape(len(self.u), *middle, self.steps) + 0 * z[0]
         for column in range(self.basis.shape[1]):
             u = u + self.basis[:, column].reshape(len(self.u), *middle, self.steps) * z[n + m + column]
-        u = normalised(self.arc.phase, u) if len(self.u) else u
+        u = normalised(self.arc.phase.controls, u) if len(self.u) else u
         left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
         return (right - left) * self.arc.rates(z[:n], u, p)
 
@@ -193,17 +193,16 @@ def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
     basis, varying, partly, row = tangents(arc, u) if len(u) else np.zeros((0, 0, u.shape[1])), [], False, 0
     f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
     effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)
-    for at, control in placed(arc):
+    for here, control in placed(arc.phase.controls):
+        rows = range(row, row + control.freedom)
+        row = rows.stop
         if isinstance(control, Bounded):
-            lower, upper = on_bounds(arc, at, control, u)
+            lower, upper = on_bounds(arc, here.start, control, u)
             always = bool(lower.all() or upper.all())
             partly |= not always and bool((lower | upper).any())
-            varying += [] if always else [row]
-            row += 1
+            varying += [] if always else rows
         else:
-            rows = range(row, row + len(control.names) - 1)
             varying += [i for i in rows if effect[i]]
-            row = rows.stop
     return basis[:, varying], partly
 
 

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Bounded, Direction
+from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars
 from perilune.problem.verification import Check
-from perilune.proof.numerics import ON_BOUND, STEP, Arc, jacobian, just_before, normalised
+from perilune.proof.numerics import ON_BOUND, STEP, Arc, jacobian, just_before
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.
@@ -40,17 +40,18 @@ def minimality(arc: Arc) -> Iterator[Check]:
     t = arc.times(257)
     gradient, u = control_gradient(arc, t), arc.control(t)
     row = 0
-    for at, control in placed(arc):
+    for here, control in placed(arc.phase.controls):
+        rows, name = slice(row, row + control.freedom), "_".join(control.names)
+        row = rows.stop
         if isinstance(control, Direction):
-            value = np.abs(gradient[row : row + len(control.names) - 1])
-            name, row = "stationary_direction_" + "_".join(control.names), row + len(control.names) - 1
+            value, name = np.abs(gradient[rows]), f"stationary_direction_{name}"
             meaning = "largest derivative of the Hamiltonian as the direction turns (scaled)"
         else:
-            slope, (lower, upper) = gradient[row], on_bounds(arc, at, control, u)
+            slope, (lower, upper) = gradient[rows][0], on_bounds(arc, here.start, control, u)
             value = np.where(lower, -slope, np.where(upper, slope, np.abs(slope)))
-            name, row = f"switching_{control.name}", row + 1
+            name = f"switching_{control.name}"
             meaning = (
-                f"largest derivative of the Hamiltonian in {control.name} of the wrong sign: it must be 0 between "
+                f"largest derivative of the Hamiltonian in {control.names[0]} of the wrong sign: it must be 0 between "
                 "the bounds, not negative at the lower, not positive at the upper (scaled)"
             )
         yield Check(
@@ -60,25 +61,16 @@ def minimality(arc: Arc) -> Iterator[Check]:
     yield from _zeros(arc)
 
 
-def placed(arc: Arc) -> Iterator[tuple[int, Any]]:
-    """Each control with the place of its first component."""
-    at = 0
-    for control in arc.phase.controls:
-        yield at, control
-        at += len(control.names)
-
-
 def on_bounds(arc: Arc, at: int, control: Bounded, u: Matrix) -> tuple[Vector, Vector]:
     """Where a scalar lies on its lower, and on its upper bound."""
-    near = ON_BOUND * arc.control_scale[at]
-    return u[at] <= control.lower + near, u[at] >= control.upper - near
+    return control.on_bounds(u[at], ON_BOUND * arc.control_scale[at], arc.p)
 
 
 def _zeros(arc: Arc) -> Iterator[Check]:
     """The switching function of each control at the times it jumps, on both sides."""
-    for at, control in placed(arc):
+    for at, control in scalars(arc.phase.controls):
         times = arc.breaks[arc.jumps[at] != 0]
-        if isinstance(control, Bounded) and len(times):
+        if len(times):
             row = _row(arc, control)
             S = control_gradient(arc, np.concatenate([just_before(times), times]))[row]
             yield Check(
@@ -91,8 +83,7 @@ def _zeros(arc: Arc) -> Iterator[Check]:
 
 def strictness(arc: Arc) -> Iterator[Check]:
     """Checks of level 3: each scalar on a bound is there strictly, and leaves it by a jump at a finite slope of S."""
-    scalars = [(at, control) for at, control in placed(arc) if isinstance(control, Bounded)]
-    if not scalars:
+    if not any(control.scalar for control in arc.phase.controls):
         return
     t = np.linspace(0.0, arc.duration, 1025)
     u, gradient = arc.control(t), control_gradient(arc, t)
@@ -100,7 +91,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
     joints = [0.0] * (arc.index > 0) + [arc.duration] * (arc.index < len(arc.problem.phases) - 1)
     zeros = np.array([*arc.breaks, *joints])
     apart = np.abs(t[:, None] - zeros).min(axis=1) if len(zeros) else np.full(len(t), arc.duration)
-    for at, control in scalars:
+    for at, control in scalars(arc.phase.controls):
         held = np.logical_or(*on_bounds(arc, at, control, u)) & (apart > 1e-6 * arc.duration)
         if not held.any():
             continue
@@ -135,35 +126,15 @@ def crossings(arc: Arc) -> Vector:
 def _row(arc: Arc, control: Bounded) -> int:
     """Place of a scalar in `tangents`."""
     before = arc.phase.controls[: arc.phase.controls.index(control)]
-    return sum(len(c.names) - isinstance(c, Direction) for c in before)
-
-
-def _samples(control: Any, u: Matrix, scale: float) -> list[Matrix]:
-    """Admissible values of one control, all over its set and close to the exported: (components, N)."""
-    close = (-1e-1, -1e-2, -1e-3, -1e-4, 1e-4, 1e-3, 1e-2, 1e-1)
-    ones = np.ones((1, u.shape[1]))
-    if not isinstance(control, Direction):
-        lower, upper = max(control.lower, -10 * scale), min(control.upper, 10 * scale)
-        near = [np.clip(u + scale * c, control.lower, control.upper) for c in close]
-        return [u, *near, *(v * ones for v in np.linspace(lower, upper, 21))]
-    if len(u) == 2:
-        turns = [*close, *(2 * np.pi * (k + 0.5) / 90 for k in range(90))]
-        return [
-            u,
-            *(np.array([u[0] * np.cos(a) - u[1] * np.sin(a), u[1] * np.cos(a) + u[0] * np.sin(a)]) for a in turns),
-        ]
-    index = np.arange(200) + 0.5  # a Fibonacci lattice covers the sphere evenly
-    z, longitude = 1 - index / 100, np.pi * (1 + 5**0.5) * index
-    lattice = np.array([np.sqrt(1 - z * z) * np.cos(longitude), np.sqrt(1 - z * z) * np.sin(longitude), z])
-    near = [u + c * axis[:, None] for c in close for axis in np.eye(3)]
-    return [u, *(v / np.sqrt((v * v).sum(axis=0)) for v in near), *(v[:, None] * ones for v in lattice.T)]
+    return sum(c.freedom for c in before)
 
 
 def _minimum(arc: Arc) -> Check:
     t = arc.times(65)
     x, u, lam = arc.state(t), arc.control(t), arc.costate(t)
     parts = [
-        _samples(control, u[at : at + len(control.names)], float(arc.control_scale[at])) for at, control in placed(arc)
+        control.samples(u[here], float(arc.control_scale[here.start]), arc.p)
+        for here, control in placed(arc.phase.controls)
     ]
     tried = np.stack([np.concatenate(choice) for choice in product(*parts)], axis=1)  # (components, samples, times)
     samples = tried.shape[1]
@@ -182,24 +153,12 @@ def _minimum(arc: Arc) -> Check:
 
 def tangents(arc: Arc, u: Matrix) -> Any:
     """Where the control can move, shape (components, k, N): a sphere's tangents, a scalar's axis."""
-    columns, at = [], 0
-    for control in arc.phase.controls:
-        width = len(control.names)
-        part = u[at : at + width]
-        if not isinstance(control, Direction):
-            found = [np.full((1, u.shape[1]), arc.control_scale[at])]
-        elif width == 2:
-            found = [np.array([-part[1], part[0]])]
-        else:
-            axis = np.eye(3)[:, np.argmin(np.abs(part), axis=0)]
-            first = np.cross(part, axis, axis=0)
-            first = first / np.sqrt((first * first).sum(axis=0))
-            found = [first, np.cross(part, first, axis=0)]
-        for vectors in found:
+    columns = []
+    for here, control in placed(arc.phase.controls):
+        for vectors in control.tangents(u[here], float(arc.control_scale[here.start])):
             column = np.zeros(u.shape)
-            column[at : at + width] = vectors
+            column[here] = vectors
             columns.append(column)
-        at += width
     return np.stack(columns, axis=1)
 
 
@@ -207,7 +166,7 @@ def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
     """Derivatives of the dynamics as the control moves along `tangents`, (n, k, N), in SI."""
     moved = u[:, None, :] + 1j * STEP * moves
     x_many = np.broadcast_to(x[:, None, :], (len(x), *moved.shape[1:]))
-    return arc.rates(x_many, normalised(arc.phase, moved)).imag / STEP
+    return arc.rates(x_many, normalised(arc.phase.controls, moved)).imag / STEP
 
 
 def control_gradient(arc: Arc, t: Vector) -> Matrix:

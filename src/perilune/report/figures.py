@@ -21,7 +21,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from perilune.io.columns import Column, columns, flown_control, hamiltonian, hamiltonian_terms, required_hamiltonian
-from perilune.problem.problem import Direction
+from perilune.problem.controls import directions
 from perilune.problem.solution import Solution
 
 COLUMN_WIDTH = 3.4  # inches
@@ -191,7 +191,7 @@ def optimality(solution: Solution) -> Figure:
     t = np.linspace(0.0, solution.trajectories[0].duration, 603)[1:-1]
     phase = solution.problem.phases[0]
     per = f"{solution.problem.objective_unit}/s"
-    planar = len(phase.controls) == 1 and isinstance(phase.controls[0], Direction) and len(phase.control_names) == 2
+    planar = directions(phase.controls) == ((0, 2),) and len(phase.controls) == 1
     figure, axes = new_figure(height=3.6 if planar else 2.2, rows=2 if planar else 1)
     axes = np.atleast_1d(axes)
     H, required = hamiltonian(solution, 0, t), required_hamiltonian(solution, 0)

@@ -21,9 +21,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions.pontryagin import Conditions, PhaseExtremal
 from perilune.kernels.mapped import compile_single
-from perilune.shooting.propagate import Equations, engine, equations, flight
+from perilune.shooting.propagate import Equations, engine, equations, flight, mode_at
 from perilune.shooting.rootfind import Root, Watch, damped_newton
 from perilune.words.types import Matrix, Vector
 
@@ -173,7 +173,7 @@ class Shooting:
 
     def _arc(self, step: _Step, j: int, z: Vector, dz: Matrix, T: float, dT: Vector, p: Vector) -> Any:
         """End of an arc and its derivative by all unknowns, or None."""
-        numbers, mode = p[step.flown.numbers], step.mode(z, p)
+        numbers, mode = p[step.flown.numbers], mode_at(step.extremal, z, p)
         fly, block = step.arcs[j], step.blocks[j]
         self.arcs += 1
         if fly(z[step.flown.kept], numbers, T, dz[block], mode) not in _FLOWN:
@@ -193,7 +193,7 @@ class _Step:
 
     start: Callable[..., Sequence[Matrix]]
     flown: Equations
-    mode: Callable[[Vector, Vector], int]
+    extremal: PhaseExtremal
     rates: tuple[Callable[..., Sequence[Matrix]], ...]
     arcs: tuple[Any, ...]
     blocks: tuple[Any, ...]
@@ -220,7 +220,7 @@ def _steps(conditions: Conditions, segments: int, thread: int) -> tuple[_Step, .
             _Step(
                 start=_lean(start, thread),
                 flown=flown,
-                mode=extremal.mode,
+                extremal=extremal,
                 rates=tuple(_lean(mode, thread) for mode in flown.modes),
                 arcs=tuple(arcs),
                 blocks=tuple(blocks),

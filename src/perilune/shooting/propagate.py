@@ -6,7 +6,7 @@ their rates depend on is left out before anything is compiled.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -42,20 +42,22 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     kept = list(range(size))
     if wanted:
         fixed = dict.fromkeys(silent, 0.0)
-        parts = [prune(mode, [*wanted, extremal.switching], fixed=fixed) for mode in extremal.modes]
+        switching = [event.function for event in extremal.events]
+        parts = [prune(mode, [*wanted, *switching], fixed=fixed) for mode in extremal.modes]
         # What a mode holds constant may still be an unknown: it stays in z, for its columns.
         kept = sorted({i for part in parts for i in (*part.kept, *part.constant)} - set(silent))
     z, p = ca.SX.sym("z", len(kept)), ca.SX.sym("p", numbers)
     whole = ca.SX.zeros(size, 1)
     whole[kept] = z
     rates = [ca.simplify(mode(whole, p)[kept]) for mode in extremal.modes]
-    switching = extremal.switching(whole, p)
-    known = [i for i in range(numbers) if ca.depends_on(ca.vertcat(*rates, switching), p[i])]
+    crossings = [ca.simplify(event.function(whole, p)) for event in extremal.events]
+    known = [i for i in range(numbers) if ca.depends_on(ca.vertcat(*rates, *crossings), p[i])]
     modes = tuple(ca.Function("rhs", [z, p[known]], [ca.cse(rate)]) for rate in rates)
-    crossings = [ca.Function("S", [z, p[known]], [switching[i]]) for i in range(switching.numel())]
-    return Equations(
-        kept=np.array(kept), numbers=np.array(known, dtype=int), modes=modes, switches=tuple(_switches(crossings))
+    switches = tuple(
+        replace(event, function=ca.Function("S", [z, p[known]], [S]))
+        for event, S in zip(extremal.events, crossings, strict=True)
     )
+    return Equations(kept=np.array(kept), numbers=np.array(known, dtype=int), modes=modes, switches=switches)
 
 
 @lru_cache(maxsize=256)
@@ -67,14 +69,9 @@ def engine(flown: Equations, columns: int) -> Engine:
 def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
     """All of z along one arc, as a function of time; settings as for the engine's `dense`."""
     whole = equations(extremal, (), ())
-    return engine(whole, 0).dense(z0, p[whole.numbers], duration, mode=extremal.mode(z0, p), **settings)
+    return engine(whole, 0).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
 
 
-def _switches(crossings: list[ca.Function]) -> list[Event]:
-    """Two events for each switched control: S rises through zero, off the upper bound; S falls, onto it."""
-    events = []
-    for i, function in enumerate(crossings):
-        upper = [mode for mode in range(2 ** len(crossings)) if mode >> i & 1]
-        events.append(Event(function=function, direction=1, switches={m: m & ~(1 << i) for m in upper}))
-        events.append(Event(function=function, direction=-1, switches={m & ~(1 << i): m for m in upper}))
-    return events
+def mode_at(extremal: PhaseExtremal, z: Vector, p: Vector) -> int:
+    """The mode in which H is least at a point."""
+    return int(extremal.mode(z, p)) if len(extremal.modes) > 1 else 0

@@ -1,0 +1,274 @@
+"""Controls: what each kind is, in one place for everyone who computes with it.
+
+A control has components, a unit, limits and a set of admissible values. A `Direction` lives on the circle or sphere, a
+`Bounded` scalar on an interval. Arrays of controls have their components first, (components, ...), and may be complex,
+as the proof differentiates by complex steps.
+
+What the minimum of H is on each set stands here too, as *regimes*: a direction is free on its sphere; a scalar sits at
+its lower or at its upper bound, or between them. `perilune.conditions.control_law` makes formulas of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.units import Scales
+
+Regime = Literal["lower", "interior", "upper", "direction"]
+# A limit: a number in SI, or the name of the parameter that holds it.
+Limit = float | str
+
+# Distances of the samples beside a value, in canonical units or radians.
+_CLOSE = (-1e-1, -1e-2, -1e-3, -1e-4, 1e-4, 1e-3, 1e-2, 1e-1)
+
+
+def limit_value(limit: Limit, p: Any) -> Any:
+    """Value of a limit: the number itself, or the parameter of that name in the record p."""
+    return getattr(p, limit) if isinstance(limit, str) else limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Direction:
+    """A control that is a unit vector of two or three components, free on the circle or sphere."""
+
+    names: tuple[str, ...]
+
+    kind: ClassVar[str] = "direction"
+    rule: ClassVar[str] = "cubic Hermite, then normalised"
+    unit: ClassVar[str] = "1"
+    bounded: ClassVar[bool] = False
+    scalar: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        if len(self.names) not in (2, 3):
+            raise PeriluneError("a direction has two or three components", got=str(len(self.names)))
+
+    @property
+    def freedom(self) -> int:
+        """In how many independent ways it can move."""
+        return len(self.names) - 1
+
+    def limits(self, p: Any) -> tuple[float, float]:
+        """Limits of the components [1]: of no direction do they hold anything back."""
+        return -math.inf, math.inf
+
+    def box(self, p: Any) -> tuple[float, float]:
+        """Range of the components [1] for a search, which normalises afterwards."""
+        return -1.0, 1.0
+
+    def normalised(self, u: Any) -> Any:
+        """The value with length 1, (components, ...); NaN where there is no direction at all."""
+        with np.errstate(all="ignore"):
+            return u / np.sqrt((u * u).sum(axis=0))
+
+    def admissible(self, u: Any, p: Any) -> Any:
+        """The nearest admissible value."""
+        return self.normalised(u)
+
+    def admissible_rates(self, u: Any, good: Any, rates: Any) -> Any:
+        """Rates of `admissible(u)`, which is `good`, from those of u."""
+        return (rates - good * (good * rates).sum(axis=0)) / np.sqrt((u * u).sum(axis=0))
+
+    def broken(self, u: Any, p: Any) -> Vector:
+        """By how much a value leaves the set [1], (...)."""
+        return np.abs(np.sqrt((u * u).sum(axis=0)) - 1)
+
+    def tangents(self, u: Any, scale: float) -> list[Any]:
+        """Vectors (components, N) along which the value can move: a basis of the sphere's tangents."""
+        if len(u) == 2:
+            return [np.array([-u[1], u[0]])]
+        axis = np.eye(3)[:, np.argmin(np.abs(u), axis=0)]
+        first = np.cross(u, axis, axis=0)
+        first = first / np.sqrt((first * first).sum(axis=0))
+        return [first, np.cross(u, first, axis=0)]
+
+    def samples(self, u: Matrix, scale: float, p: Any) -> list[Matrix]:
+        """Admissible values all over the set and close to u (components, N), which is the first."""
+        if len(u) == 2:
+            turns = [*_CLOSE, *(2 * np.pi * (k + 0.5) / 90 for k in range(90))]
+            turned = [(np.cos(a), np.sin(a)) for a in turns]
+            return [u, *(np.array([u[0] * c - u[1] * s, u[1] * c + u[0] * s]) for c, s in turned)]
+        index = np.arange(200) + 0.5  # a Fibonacci lattice covers the sphere evenly
+        z, longitude = 1 - index / 100, np.pi * (1 + 5**0.5) * index
+        lattice = np.array([np.sqrt(1 - z * z) * np.cos(longitude), np.sqrt(1 - z * z) * np.sin(longitude), z])
+        near = [self.normalised(u + c * axis[:, None]) for c in _CLOSE for axis in np.eye(3)]
+        return [u, *near, *(v[:, None] * np.ones((1, u.shape[1])) for v in lattice.T)]
+
+    def example(self, fractions: Iterator[float], p: Any, scale: float) -> list[float]:
+        """Some admissible value in SI, from numbers between 0 and 1."""
+        raw = [0.3 + next(fractions) for _ in self.names]
+        return [r / math.hypot(*raw) for r in raw]
+
+    def rough(self, u: Matrix, p: Any) -> Matrix:
+        """An admissible value near u (components, N), for a first guess; where u says nothing, the first axis."""
+        u = np.array(u)
+        u[0, np.linalg.norm(u, axis=0) < 1e-9] = 1.0
+        return self.normalised(u)
+
+    def middle(self, p: Any) -> tuple[float, float]:
+        """Middle of each component's range [1], and how far a first guess may go from there."""
+        return 0.0, math.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounded:
+    """A scalar control between bounds, such as a throttle or an angle.
+
+    `lower` and `upper` are numbers in SI, infinite ones allowed, or names of parameters that hold them, so that they
+    may be swept or chosen.
+    """
+
+    name: str
+    unit: str = "1"
+    lower: Limit = -math.inf
+    upper: Limit = math.inf
+
+    kind: ClassVar[str] = "bounded"
+    rule: ClassVar[str] = "cubic Hermite"
+    scalar: ClassVar[bool] = True
+    freedom: ClassVar[int] = 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The one component."""
+        return (self.name,)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether both bounds are finite; one that a parameter holds is."""
+        return all(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
+
+    def limits(self, p: Any) -> tuple[Any, Any]:
+        """Bounds in SI, or in the units of the record p."""
+        return limit_value(self.lower, p), limit_value(self.upper, p)
+
+    def box(self, p: Any) -> tuple[float, float]:
+        """Range [SI] for a search.
+
+        Raises
+        ------
+        PeriluneError
+            If a bound is infinite: there is nothing to draw from.
+        """
+        lower, upper = self.limits(p)
+        if not math.isfinite(upper - lower):
+            raise PeriluneError(
+                f"a population is drawn from within bounds, and control {self.name} has none",
+                got=f"[{lower}, {upper}]",
+                expected="finite bounds",
+                advice="bound it, or use Pseudospectral() alone",
+            )
+        return lower, upper
+
+    def normalised(self, u: Any) -> Any:
+        """The value itself."""
+        return u
+
+    def admissible(self, u: Any, p: Any) -> Any:
+        """The nearest value within the bounds."""
+        return np.clip(u, *self.limits(p))
+
+    def admissible_rates(self, u: Any, good: Any, rates: Any) -> Any:
+        """Rates of `admissible(u)`, which is `good`, from those of u."""
+        return np.where(good == u, rates, 0.0)
+
+    def broken(self, u: Any, p: Any) -> Vector:
+        """By how much a value leaves its bounds [SI], negative inside; NaN where the value is."""
+        lower, upper = self.limits(p)
+        return np.maximum(lower - u[0], u[0] - upper) + 0.0 * u[0]
+
+    def tangents(self, u: Any, scale: float) -> list[Any]:
+        """The axis along which the value can move, (1, N), one canonical unit long."""
+        return [np.full((1, u.shape[1]), scale)]
+
+    def samples(self, u: Matrix, scale: float, p: Any) -> list[Matrix]:
+        """Admissible values all over the range and close to u (1, N), which is the first."""
+        lower, upper = self.limits(p)
+        near = [np.clip(u + scale * c, lower, upper) for c in _CLOSE]
+        wide = np.linspace(max(lower, -10 * scale), min(upper, 10 * scale), 21)
+        return [u, *near, *(v * np.ones((1, u.shape[1])) for v in wide)]
+
+    def example(self, fractions: Iterator[float], p: Any, scale: float) -> list[float]:
+        """Some value within the bounds, in SI; bounds beyond one canonical unit `scale` do not count."""
+        limits = self.limits(p)
+        lower, upper = max(limits[0], -scale), min(limits[1], scale)
+        return [lower + 0.4 * (upper - lower)]
+
+    def rough(self, u: Matrix, p: Any) -> Matrix:
+        """An admissible value near u, for a first guess."""
+        return self.admissible(u, p)
+
+    def middle(self, p: Any) -> tuple[float, float]:
+        """Middle of the range [SI], and how far a first guess may go from there."""
+        lower, upper = self.limits(p)
+        if math.isfinite(upper - lower):
+            return 0.5 * (lower + upper), 0.4 * (upper - lower)
+        return float(np.clip(0.0, lower, upper)), math.inf
+
+    def share(self, u: Any, p: Any) -> Any:
+        """Place within finite bounds, from 0 at the lower to 1 at the upper."""
+        lower, upper = self.limits(p)
+        return (u - lower) / (upper - lower)
+
+    def on_bounds(self, u: Any, near: float, p: Any) -> tuple[Any, Any]:
+        """Where a value lies on its lower, and on its upper bound, within `near` [SI]."""
+        lower, upper = self.limits(p)
+        return u <= lower + near, u >= upper - near
+
+
+Control = Direction | Bounded
+
+
+def placed(controls: Sequence[Control]) -> Iterator[tuple[slice, Control]]:
+    """Each control with the slice of its components."""
+    at = 0
+    for control in controls:
+        yield slice(at, at + len(control.names)), control
+        at += len(control.names)
+
+
+def scalars(controls: Sequence[Control]) -> Iterator[tuple[int, Bounded]]:
+    """Each scalar with the place of its component."""
+    for here, control in placed(controls):
+        if isinstance(control, Bounded):
+            yield here.start, control
+
+
+def _each(controls: Sequence[Control], u: Any, change: Callable[[Control, slice, Any], Any]) -> Any:
+    out = np.array(u)
+    for here, control in placed(controls):
+        out[here] = change(control, here, out[here])
+    return out
+
+
+def normalised(controls: Sequence[Control], u: Any) -> Any:
+    """Controls (components, ...) with every direction of length 1."""
+    return _each(controls, u, lambda control, _, part: control.normalised(part))
+
+
+def admissible(controls: Sequence[Control], u: Any, p: Any) -> Any:
+    """Controls (components, ...) with directions normalised and bounds held, which interpolation may leave a little."""
+    return _each(controls, u, lambda control, _, part: control.admissible(part, p))
+
+
+def admissible_rates(controls: Sequence[Control], u: Any, rates: Any, p: Any) -> tuple[Any, Any]:
+    """`admissible` and the chain rule through it."""
+    good = admissible(controls, u, p)
+    return good, _each(controls, rates, lambda control, here, part: control.admissible_rates(u[here], good[here], part))
+
+
+def control_scales(controls: Sequence[Control], scales: Scales) -> Vector:
+    """SI size of the canonical unit of each component."""
+    return np.array([scales.of(control.unit) for control in controls for _ in control.names])
+
+
+def directions(controls: Sequence[Control]) -> tuple[tuple[int, int], ...]:
+    """First and last place of the components of each direction."""
+    return tuple((here.start, here.stop) for here, control in placed(controls) if not control.scalar)

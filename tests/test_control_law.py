@@ -1,0 +1,144 @@
+"""Controls between their bounds and at them: closed forms of the literature, by the indirect method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.conditions.pontryagin import derive
+from perilune.words.outcome import PeriluneError
+from test_indirect import tangent_steering
+
+
+def given(**values: tuple[float, str]) -> dict[str, pl.Given]:
+    return {name: pl.Given(value=value, unit=unit) for name, (value, unit) in values.items()}
+
+
+def variables(**units: str) -> tuple[pl.Variable, ...]:
+    return tuple(pl.Variable(name=name, unit=unit) for name, unit in units.items())
+
+
+def slide(bound: float | str) -> pl.Problem:
+    """From rest to rest over 1 m in 1 s with the least int u^2/2, |u| <= bound."""
+    phase = pl.Phase(
+        name="slide",
+        states=variables(x="m", v="m/s", c="m^2/s^3"),
+        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-5.0 if isinstance(bound, str) else -bound, upper=bound),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.way, x.v),
+        end_conditions=variables(arrive="m", rest="m/s"),
+    )
+    return pl.Problem(
+        name="slide",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given=given(T=(1.0, "s"), way=(1.0, "m"), strength=(5.0, "m/s^2")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s^3",
+    )
+
+
+@pytest.mark.parametrize("bound", [5.0, "strength"])
+def test_a_quadratic_cost_between_bounds(bound: float | str) -> None:
+    """Saturated until t_1 = (1 - sqrt(0.6))/2, then linear, then saturated: J = 25 (t_1 + (1/2 - t_1)/3)."""
+    first = 0.5 * (1 - math.sqrt(0.6))
+    solution = pl.solve(slide(bound), level=2)
+    assert solution.outcome is pl.Outcome.PROVED
+    assert solution.objective == pytest.approx(25 * (first + (0.5 - first) / 3), abs=1e-10)
+    time = solution.trajectories[0].control.time
+    switches = time[1:][np.diff(time) == 0]
+    assert switches == pytest.approx([first, 1 - first], abs=1e-10)
+    assert derive(solution.problem).phases[0].regimes == (("lower",), ("interior",), ("upper",))
+    direct = pl.solve(slide(bound), pl.Pseudospectral(), level=0)
+    assert direct.objective == pytest.approx(solution.objective, abs=1e-6)
+
+
+def test_wide_bounds_are_never_met() -> None:
+    """|u| = 6 at most: J = 6."""
+    solution = pl.solve(slide(7.0))
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
+    assert solution.objective == pytest.approx(6.0, abs=1e-11)
+
+
+def test_a_bound_that_is_a_parameter_can_be_varied() -> None:
+    weaker = [pl.solve(slide("strength").with_given(strength=s), level=0).objective for s in (5.0, 5.5)]
+    first = 0.5 * (1 - math.sqrt(0.6))
+    assert weaker[0] == pytest.approx(25 * (first + (0.5 - first) / 3), abs=1e-10)
+    assert weaker[1] < weaker[0]
+    with pytest.raises(PeriluneError, match="no parameter of this name"):
+        slide("strenght")
+
+
+def test_an_angle_and_a_direction_steer_alike() -> None:
+    """Linear tangent steering by an angle, whose minimum of H has no closed form for the program."""
+    base = tangent_steering()
+    turned = replace(
+        base.phases[0],
+        controls=(pl.Bounded(name="angle", unit="rad"),),
+        dynamics=lambda x, u, p, m: (x.vy, p.a * m.cos(u.angle), p.a * m.sin(u.angle)),
+    )
+    solution = pl.solve(replace(base, phases=(turned,)))
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
+    # The truth of the project's table, computed independently.
+    assert solution.objective == pytest.approx(0.554570878334603, abs=1e-12)
+
+
+def curve(push: bool) -> pl.Problem:
+    """From (0, 0) with velocity (0, 1) to rest in (1, 1) after 1 s with the least int |a|^2/2.
+
+    The acceleration a is a direction times its size; with a brake of its own along y that costs alike.
+    """
+
+    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
+        y = u.size * u.dy + (u.brake if push else 0.0 * u.size)
+        cost = 0.5 * u.size * u.size + (0.5 * u.brake * u.brake if push else 0.0 * u.size * u.size)
+        return (x.vx, x.vy, u.size * u.dx, y, cost)
+
+    brake = (pl.Bounded(name="brake", unit="m/s^2"),) if push else ()
+    phase = pl.Phase(
+        name="curve",
+        states=variables(x="m", y="m", vx="m/s", vy="m/s", c="m^2/s^3"),
+        controls=(pl.Direction(names=("dx", "dy")), pl.Bounded(name="size", unit="m/s^2", lower=0.0), *brake),
+        dynamics=dynamics,
+        duration="T",
+        end=lambda x, p, m: (x.x - p.way, x.y - p.way, x.vx, x.vy),
+        end_conditions=variables(east="m", north="m", rest_x="m/s", rest_y="m/s"),
+    )
+    return pl.Problem(
+        name="curve",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0, p.speed, 0.0),
+        given=given(T=(1.0, "s"), way=(1.0, "m"), speed=(1.0, "m/s")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s^3",
+    )
+
+
+@pytest.mark.parametrize(("push", "share"), [(False, 1.0), (True, 0.5)])
+def test_a_quadratic_size_beside_a_direction(push: bool, share: float) -> None:
+    """J = 6 d^2 - 6 d e + 2 e^2 for each axis, d the way beyond the coast, e the change of speed; half with a brake."""
+    east, north = 6.0, 2 * 1.0  # d = 1, e = 0; d = 0, e = -1
+    solution = pl.solve(curve(push), level=2)
+    assert solution.outcome is pl.Outcome.PROVED
+    assert solution.objective == pytest.approx(east + share * north, abs=1e-10)
+
+
+def test_what_has_no_minimum_is_named() -> None:
+    """A direction that enters nonlinearly, a scalar that enters linearly and has no bounds."""
+    base = tangent_steering()
+    squared = replace(base.phases[0], dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx * u.cx, p.a * u.cy))
+    with pytest.raises(PeriluneError, match="no control law for cx, cy"):
+        pl.solve(replace(base, phases=(squared,)), level=0)
+    pushed = replace(
+        base.phases[0],
+        controls=(*base.phases[0].controls, pl.Bounded(name="push", unit="m/s^2")),
+        dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx + u.push, p.a * u.cy),
+    )
+    with pytest.raises(PeriluneError, match="no control law for push"):
+        pl.solve(replace(base, phases=(pushed,)), level=0)
