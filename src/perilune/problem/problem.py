@@ -358,7 +358,7 @@ def _values(problem: Problem, scales: Scales) -> list[tuple[str, str, float]]:
 def _check_homogeneous(problem: Problem) -> None:
     """Evaluate the physics in SI and in other units; a result that does not scale hides a dimensional constant."""
     # Incommensurate with each other, so that no power product of them is 1 by accident.
-    scales = Scales(length=7.3, time=0.19, mass=23.0)
+    scales = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7)
     for (what, unit_text, si), (_, _, other) in zip(_values(problem, Scales()), _values(problem, scales), strict=True):
         scaled = other * scales.of(unit_text)
         if math.isfinite(si) and not math.isclose(

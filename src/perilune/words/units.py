@@ -1,10 +1,11 @@
 """Units: text to SI once at the boundary, SI to canonical (scaled) units once before the mathematics.
 
-A quantity is a number and a product of powers of whitelisted units, such as ``"4902.7779 km^3/s^2"``. Nothing is
-evaluated: the grammar is a number, then ``unit[^integer]`` joined by ``*`` or ``/``. A general unit library would
-accept arithmetic in the text, which a scenario from a stranger must not have.
+A quantity is a number and a product of powers of whitelisted units, such as ``"4902.7779 km^3/s^2"`` or
+``"1.74e-4 kg^0.5/m"``. Nothing is evaluated: the grammar is a number, then ``unit[^power]`` joined by ``*`` or ``/``, the
+power whole or half. A general unit library would accept arithmetic in the text, which a scenario from a stranger must
+not have. ``g`` is the gram; an acceleration in multiples of standard gravity is in ``g0``.
 
-`Scales` holds one length, one time and one mass. As physics is dimensionally homogeneous, the same dynamics run
+`Scales` holds one length, time, mass and temperature. As physics is dimensionally homogeneous, the same dynamics run
 unchanged in canonical units when states *and* parameters are divided by the scale of their unit; `Problem` tests that.
 """
 
@@ -17,10 +18,13 @@ from functools import lru_cache
 
 from perilune.words.outcome import PeriluneError
 
-Dimension = tuple[int, int, int]  # exponents of length, time, mass
+Dimension = tuple[float, float, float, float]  # exponents of length, time, mass, temperature; halves are exact
 
-# unit: (factor to SI, exponents of metre, second, kilogram). Angles are dimensionless and kept in radians.
-_UNITS: dict[str, tuple[float, Dimension]] = {
+STANDARD_GRAVITY = 9.80665  # m/s^2, exact: 3rd CGPM (1901)
+_FOOT, _POUND = 0.3048, 0.45359237  # m, kg, exact: international yard and pound agreement (1959)
+
+# unit: (factor to SI, exponents of metre, second, kilogram, kelvin). Angles are dimensionless and kept in radians.
+_UNITS: dict[str, tuple[float, tuple[int, ...]]] = {
     "m": (1.0, (1, 0, 0)),
     "km": (1e3, (1, 0, 0)),
     "cm": (1e-2, (1, 0, 0)),
@@ -36,15 +40,29 @@ _UNITS: dict[str, tuple[float, Dimension]] = {
     "N": (1.0, (1, -2, 1)),
     "kN": (1e3, (1, -2, 1)),
     "MN": (1e6, (1, -2, 1)),
+    "lbf": (_POUND * STANDARD_GRAVITY, (1, -2, 1)),
+    "lb": (_POUND, (0, 0, 1)),
+    "ft": (_FOOT, (1, 0, 0)),
+    "g0": (STANDARD_GRAVITY, (1, -2, 0)),
+    "Pa": (1.0, (-1, -2, 1)),
+    "kPa": (1e3, (-1, -2, 1)),
+    "J": (1.0, (2, -2, 1)),
+    "kJ": (1e3, (2, -2, 1)),
+    "MJ": (1e6, (2, -2, 1)),
+    "W": (1.0, (2, -3, 1)),
+    "kW": (1e3, (2, -3, 1)),
+    "MW": (1e6, (2, -3, 1)),
+    "K": (1.0, (0, 0, 0, 1)),
+    "%": (1e-2, (0, 0, 0)),
     "rad": (1.0, (0, 0, 0)),
     "deg": (math.pi / 180.0, (0, 0, 0)),
     "1": (1.0, (0, 0, 0)),
 }
 
 _NUMBER = r"[+-]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][+-]?\d{1,3})?"
-_FACTOR = re.compile(r"([A-Za-z]+|1)(?:\^(-?\d))?", re.ASCII)
+_FACTOR = re.compile(r"([A-Za-z]+0?|1|%)(?:\^(-?\d(?:\.[05])?))?", re.ASCII)
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.{{0,60}}?)\s*", re.DOTALL | re.ASCII)
-_BASE_NAMES = ("m", "s", "kg")
+_BASE_NAMES = ("m", "s", "kg", "K")
 
 
 @lru_cache(maxsize=256)
@@ -59,7 +77,7 @@ def unit(text: str) -> tuple[float, Dimension]:
     Returns
     -------
     factor, dimension
-        ``value * factor`` is in SI; exponents of (metre, second, kilogram).
+        ``value * factor`` is in SI; exponents of (metre, second, kilogram, kelvin).
 
     Raises
     ------
@@ -67,8 +85,8 @@ def unit(text: str) -> tuple[float, Dimension]:
         If a unit is not on the whitelist or the expression is malformed.
     """
     if not text or text == "1":
-        return 1.0, (0, 0, 0)
-    factor, exponents = 1.0, [0, 0, 0]
+        return 1.0, (0, 0, 0, 0)
+    factor, exponents = 1.0, [0.0, 0.0, 0.0, 0.0]
     parts = re.split(r"([*/])", text.replace("**", "^").replace(" ", ""))
     for operator, part in zip(["*", *parts[1::2]], parts[::2], strict=True):
         match = _FACTOR.fullmatch(part)
@@ -79,24 +97,25 @@ def unit(text: str) -> tuple[float, Dimension]:
                 expected="products and powers of " + ", ".join(u for u in _UNITS if u != "1"),
                 advice='write for example "km", "m/s", "km^3/s^2" or "rad/s"',
             )
-        power = int(match.group(2) or 1) * (1 if operator == "*" else -1)
+        power = float(match.group(2) or 1) * (1 if operator == "*" else -1)
         size, dimension = _UNITS[match.group(1)]
         factor *= size**power
-        exponents = [e + power * d for e, d in zip(exponents, dimension, strict=True)]
-    return factor, (exponents[0], exponents[1], exponents[2])
+        exponents = [e + power * d for e, d in zip(exponents, (*dimension, 0), strict=False)]
+    return factor, (exponents[0], exponents[1], exponents[2], exponents[3])
 
 
 def dimension_text(dimension: Dimension) -> str:
     """SI unit of a dimension, such as ``"m^3/s^2"``."""
-    over = [f"{n}^{e}" if e > 1 else n for n, e in zip(_BASE_NAMES, dimension, strict=True) if e > 0]
-    under = [f"{n}^{-e}" if e < -1 else n for n, e in zip(_BASE_NAMES, dimension, strict=True) if e < 0]
+    powers = [(n if abs(e) == 1 else f"{n}^{abs(e):g}", e) for n, e in zip(_BASE_NAMES, dimension, strict=True)]
+    over, under = [text for text, e in powers if e > 0], [text for text, e in powers if e < 0]
     return "*".join(over or ["1"]) + "".join("/" + u for u in under)
 
 
 def quotient(numerator: str, denominator: str) -> str:
     """SI unit of a quotient of two units, such as that of a costate."""
     above, below = unit(numerator)[1], unit(denominator)[1]
-    return dimension_text((above[0] - below[0], above[1] - below[1], above[2] - below[2]))
+    a, b, c, d = (x - y for x, y in zip(above, below, strict=True))
+    return dimension_text((a, b, c, d))
 
 
 def parse_quantity(text: str, expected_unit: str) -> float:
@@ -148,13 +167,14 @@ def _example(unit_text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """One length [m], time [s] and mass [kg] that make the numbers of a problem of order one."""
+    """One length [m], time [s], mass [kg] and temperature [K] that make the numbers of a problem of order one."""
 
     length: float = 1.0
     time: float = 1.0
     mass: float = 1.0
+    temperature: float = 1.0
 
     def of(self, unit_text: str) -> float:
         """SI size of one canonical unit of the given unit's dimension: ``canonical = SI / scale``."""
-        a, b, c = unit(unit_text)[1]
-        return self.length**a * self.time**b * self.mass**c
+        a, b, c, d = unit(unit_text)[1]
+        return self.length**a * self.time**b * self.mass**c * self.temperature**d
