@@ -1,9 +1,9 @@
 """Units: text to SI once at the boundary, SI to canonical (scaled) units once before the mathematics.
 
 A quantity is a number and a product of powers of whitelisted units, such as ``"4902.7779 km^3/s^2"`` or
-``"1.74e-4 kg^0.5/m"``. Nothing is evaluated: the grammar is a number, then ``unit[^power]`` joined by ``*`` or ``/``, the
-power whole or half. A general unit library would accept arithmetic in the text, which a scenario from a stranger must
-not have. ``g`` is the gram; an acceleration in multiples of standard gravity is in ``g0``.
+``"1.74e-4 kg^0.5/m"``. Nothing is evaluated: the grammar is a number, then ``unit[^power]`` joined by ``*`` or ``/``,
+the power whole or half. A general unit library would accept arithmetic in the text, which a scenario from a stranger
+must not have. ``g`` is the gram; an acceleration in multiples of standard gravity is in ``g0``.
 
 `Scales` holds one length, time, mass and temperature. As physics is dimensionally homogeneous, the same dynamics run
 unchanged in canonical units when states *and* parameters are divided by the scale of their unit; `Problem` tests that.
