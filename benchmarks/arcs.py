@@ -24,10 +24,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "kernels"))
 
 from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start  # pyright: ignore[reportMissingImports]
 
-from perilune.kernels import compile_arcs, native, tableau
-from perilune.kernels.ir import Writer
-from perilune.kernels.program import hoist
-from perilune.kernels.prune import prune
+from perilune.kernels import compile_arcs
+from perilune.kernels.algebra.program import hoist
+from perilune.kernels.algebra.prune import prune
+from perilune.kernels.code import native
+from perilune.kernels.code.ir import Writer
+from perilune.kernels.flight import tableau
 
 
 def best(action: Callable[[], Any], repeats: int = 5) -> tuple[float, float, Any]:
@@ -79,7 +81,7 @@ def heyoka_batch(lanes: int, starts: np.ndarray, seeds: np.ndarray) -> Callable[
     """Return (batch size) -> arcs per core second of heyoka with the same columns, and its final states."""
     import heyoka as hy
 
-    from perilune.kernels.program import trace
+    from perilune.kernels.algebra.program import trace
 
     names = hy.make_vars(*[f"z{i}" for i in range(10)])
     values: list[Any] = []

@@ -10,7 +10,7 @@ import pytest
 
 from command_line import read_json
 from perilune.cli import main, run
-from perilune.kernels import cache
+from perilune.kernels.code import cache
 
 
 def test_doctor_shows_and_clears_the_machine_code(

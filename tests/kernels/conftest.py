@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from perilune.kernels import native
+from perilune.kernels.code import native
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from lander import PARAMETERS, RADIUS, SPEED, landing_rhs
 
-from perilune.kernels.prune import prune
+from perilune.kernels.algebra.prune import prune
 
 #: A solution from r0 = 15 km above the surface at perilune speed; found by continuation in `reference`.
 NOMINAL = np.array([1 + 15.0e3 / RADIUS, 1691.9e0 / SPEED, 0.0, 1.0])

@@ -78,7 +78,7 @@ def test_dispersed_landings_agree_with_heyoka(backend: str) -> None:
 
 def through_heyoka(rhs: ca.Function, names: Any, heyoka: Any) -> list[Any]:
     """Evaluate the traced program on heyoka's expressions."""
-    from perilune.kernels.program import trace
+    from perilune.kernels.algebra.program import trace
 
     program, values = trace(rhs), []
     operations = {

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from perilune.kernels import cache, compile_arcs, native
+from perilune.kernels import compile_arcs
+from perilune.kernels.code import cache, native
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="llvmlite is not installed")
 

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from perilune.kernels import compile_arcs, engine
+from perilune.kernels import compile_arcs
+from perilune.kernels.flight import engine
 
 
 def decay() -> ca.Function:

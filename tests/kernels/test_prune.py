@@ -8,7 +8,7 @@ import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, start
 
 from perilune.kernels import compile_arcs
-from perilune.kernels.prune import prune
+from perilune.kernels.algebra.prune import prune
 from perilune.words.outcome import PeriluneError
 
 

@@ -12,7 +12,7 @@ from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
 from meditch import FINAL_TIME, PARAMETERS as MEDITCH, START, SWITCH, modes_and_switch
 
 from perilune.kernels import ArcStatus, compile_arcs
-from perilune.kernels.mapped import compile_single
+from perilune.kernels.code.mapped import compile_single
 from perilune.words.outcome import PeriluneError
 
 

@@ -68,7 +68,7 @@ Verbose = Annotated[bool, typer.Option("--verbose", help="Show every iteration o
 
 def _keep_no_code(chosen: bool) -> None:
     if chosen:
-        os.environ["PERILUNE_CACHE"] = "off"  # read by perilune.kernels.cache
+        os.environ["PERILUNE_CACHE"] = "off"  # read by perilune.kernels.code.cache
 
 
 NoCache = Annotated[

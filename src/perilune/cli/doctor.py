@@ -13,7 +13,7 @@ def diagnosis(clear_cache: bool) -> Answer:
     from importlib.util import find_spec
 
     from perilune.io.export import versions
-    from perilune.kernels import cache
+    from perilune.kernels.code import cache
 
     removed = cache.clear() if clear_cache else None
     kept, compiles = cache.report(), find_spec("llvmlite") is not None

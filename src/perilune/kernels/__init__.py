@@ -1,7 +1,8 @@
 """Arcs as machine code: traced equations in, compiled flights out. Knows no rockets.
 
-`compile_arcs` makes an engine from a right-hand side; `prune` drops what decouples; `batch` solves boundary
-value problems by the thousand; `cache.report` says what is kept on disk.
+`algebra` makes programs of expressions, `code` makes machine code of programs, `flight` flies arcs with it; each knows
+those before it. `compile_arcs` makes an engine from a right-hand side, `compile_map` and `compile_single` evaluate a
+function, `prune` drops what decouples; `batch` solves boundary value problems by the thousand.
 """
 
 from __future__ import annotations
@@ -9,19 +10,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from perilune.kernels.arcs import Arcs, ArcStatus, Engine, Event
-    from perilune.kernels.dense import DenseArc
-    from perilune.kernels.engine import compile_arcs
+    from perilune.kernels.algebra.prune import prune
+    from perilune.kernels.algebra.system import Event
+    from perilune.kernels.code.mapped import compile_map, compile_single
+    from perilune.kernels.flight.arcs import Arcs, ArcStatus, Engine
+    from perilune.kernels.flight.dense import DenseArc
+    from perilune.kernels.flight.engine import compile_arcs
+    from perilune.kernels.flight.single import SingleArc
 
 _HOME = {
-    "Arcs": "arcs",
-    "ArcStatus": "arcs",
-    "Engine": "arcs",
-    "Event": "arcs",
-    "DenseArc": "dense",
-    "compile_arcs": "engine",
+    "prune": "algebra.prune",
+    "Event": "algebra.system",
+    "compile_map": "code.mapped",
+    "compile_single": "code.mapped",
+    "Arcs": "flight.arcs",
+    "ArcStatus": "flight.arcs",
+    "Engine": "flight.arcs",
+    "DenseArc": "flight.dense",
+    "compile_arcs": "flight.engine",
+    "SingleArc": "flight.single",
 }
-__all__ = ["ArcStatus", "Arcs", "DenseArc", "Engine", "Event", "compile_arcs"]
+__all__ = [
+    "ArcStatus", "Arcs", "DenseArc", "Engine", "Event", "SingleArc", "compile_arcs", "compile_map", "compile_single",
+    "prune",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

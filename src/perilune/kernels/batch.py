@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.kernels.engine import compile_arcs
-from perilune.kernels.mapped import compile_map
+from perilune.kernels.code.mapped import compile_map
+from perilune.kernels.flight.engine import compile_arcs
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 

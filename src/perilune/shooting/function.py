@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions, PhaseExtremal
-from perilune.kernels.mapped import compile_single
+from perilune.kernels import compile_single
 from perilune.shooting.propagate import Equations, engine, equations, flight, mode_at
 from perilune.shooting.rootfind import Root, Watch, damped_newton
 from perilune.words.types import Matrix, Vector

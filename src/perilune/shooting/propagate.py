@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import PhaseExtremal
-from perilune.kernels import DenseArc, Engine, Event, compile_arcs
-from perilune.kernels.prune import prune
+from perilune.kernels import DenseArc, Engine, Event, compile_arcs, prune
 from perilune.words.types import Vector
 
 

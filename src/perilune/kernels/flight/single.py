@@ -1,4 +1,4 @@
-"""One arc or one evaluation at a time, without ceremony: what a shooting iteration calls thousands of times.
+"""One arc at a time, without ceremony: what a shooting iteration calls thousands of times.
 
 Arrays are allocated once and the machine code is bound to their addresses, so that a call copies its
 arguments in, runs, and leaves its results in the same arrays. What it returned before is thereby overwritten:
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.kernels.arcs import INFO, MAX_EVENTS
+from perilune.kernels.flight.arcs import INFO, MAX_EVENTS
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -140,45 +140,3 @@ class SingleArc:
         """Events that it met, in order: index and time."""
         met = min(int(self._info[_EVENTS]), len(self._log))
         return [(int(index), float(time)) for index, time in self._log[:met]]
-
-
-class SingleMap:
-    """Evaluates a traced function at one point into arrays of its own. Use `mapped.compile_single`.
-
-    Attributes
-    ----------
-    outputs
-        The outputs of the function, each (rows, columns). Overwritten by the next call.
-    """
-
-    def __init__(
-        self, inputs: list[int], shapes: list[tuple[int, int]], bind: Callable[[list[Any]], Callable[[], Any]]
-    ) -> None:
-        cuts = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
-        result = np.full(int(cuts[-1]), np.nan)
-        self._inputs = [np.zeros(size) for size in inputs]
-        self._shapes = [(size,) for size in inputs]
-        self.outputs: tuple[Matrix, ...] = tuple(
-            result[first:last].reshape(shape) for first, last, shape in zip(cuts, cuts[1:], shapes, strict=False)
-        )
-        self._held: list[Any] = [result, *self._inputs]  # the machine code knows only their addresses
-        self._evaluate = bind(self._held)
-
-    def __call__(self, *arguments: Vector) -> tuple[Matrix, ...]:
-        """Evaluate; arguments (n,) each, empty ones included; returns `outputs`.
-
-        Raises
-        ------
-        PeriluneError
-            On arguments of the wrong number or shape.
-        """
-        if [a.shape for a in arguments] != self._shapes:
-            raise PeriluneError(
-                "a compiled function takes vectors of fixed lengths",
-                got=str([np.shape(a) for a in arguments]),
-                expected=str(self._shapes),
-            )
-        for held, given in zip(self._inputs, arguments, strict=True):
-            held[:] = given
-        self._evaluate()
-        return self.outputs

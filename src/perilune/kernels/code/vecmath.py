@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from perilune.kernels.ir import Writer
+from perilune.kernels.code.ir import Writer
 
 #: Called in the C library, lane by lane; value: number of arguments.
 LIBRARY = {"pow": 2, "asinh": 1, "acosh": 1, "atanh": 1, "log1p": 1, "expm1": 1, "hypot": 2}

@@ -10,14 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from perilune.kernels.dense import DenseArc
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
+
+
+class Curve(Protocol):
+    """A flown arc: its nodes, and a function of time."""
+
+    t: Vector
+    z: Matrix
+
+    def __call__(self, t: ArrayLike) -> Matrix:
+        """Return z at times."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +60,7 @@ class Pruned:
         parameters = np.broadcast_to(parameters, (*constants.shape[:-1], parameters.shape[-1]))
         return whole[..., list(self.kept)], np.concatenate([parameters, constants], axis=-1)
 
-    def restore(self, arc: DenseArc, start: ArrayLike, p: ArrayLike) -> Matrix:
+    def restore(self, arc: Curve, start: ArrayLike, p: ArrayLike) -> Matrix:
         """Return whole z at the nodes of a flown arc, (nodes, nz), the dropped by quadrature along it.
 
         Parameters

@@ -1,4 +1,7 @@
-"""The equations of an arc with its variational columns, as programs.
+"""The equations of an arc with its variational columns, as programs; the events on its way.
+
+An event is a zero of g(z, p), at which the arc ends, or goes on in another mode of the dynamics (thrust off, next
+layer of the atmosphere) and from another state if the event has a jump.
 
 With Y = (z, S) stacked, the field of mode m is (f_m(z, p), df_m/dz S), by CasADi's differentiation of the
 traced right-hand side. At an event g = 0 that switches mode i to j and maps z to J(z) the columns jump by the
@@ -18,16 +21,56 @@ differentiated: the mode closes with a Newton step from w, whose partial derivat
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.kernels.arcs import Event
-from perilune.kernels.program import Program, trace
+from perilune.kernels.algebra.program import Program, trace
 from perilune.words.outcome import PeriluneError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """A zero crossing to be met.
+
+    Parameters
+    ----------
+    function
+        SX ``casadi.Function`` (z, p) -> g, a scalar, smooth near its zero.
+    direction
+        -1: g falls through zero as the flight proceeds, +1: rises, 0: either.
+    terminal
+        Whether the arc ends there.
+    switches
+        Mode before -> mode after. An event that switches is watched in the modes it names, others in every
+        mode.
+    jump
+        SX ``casadi.Function`` (z, p) -> z after the event; None for a continuous state.
+    """
+
+    function: Any
+    direction: int = 0
+    terminal: bool = False
+    switches: Mapping[int, int] = field(default_factory=dict)
+    jump: Any = None
+
+    def __post_init__(self) -> None:
+        """Check the direction and that something happens only once."""
+        if self.direction not in (-1, 0, 1):
+            raise PeriluneError("the direction of an event", got=str(self.direction), expected="-1, 0 or 1")
+        if self.terminal and (self.switches or self.jump is not None):
+            raise PeriluneError(
+                "an event cannot end the arc and change its dynamics as well",
+                advice="drop terminal=True, or the switches and the jump",
+            )
+
+    def watched(self, mode: int) -> bool:
+        """Whether it is looked for in a mode."""
+        return mode in self.switches if self.switches else True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,8 +15,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from perilune.kernels import tableau
-from perilune.kernels.arcs import Arcs
+from perilune.kernels.flight import tableau
+from perilune.kernels.flight.arcs import Arcs
 from perilune.words.types import Batch, Matrix, Vector
 
 Rates = Callable[[Matrix, Vector], Matrix]

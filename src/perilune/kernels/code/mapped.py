@@ -15,15 +15,57 @@ from typing import Any
 
 import numpy as np
 
-from perilune.kernels import cache as disk, native
-from perilune.kernels.emit import kernel, library
-from perilune.kernels.ir import Writer
-from perilune.kernels.program import trace
-from perilune.kernels.single import SingleMap
-from perilune.words.types import Matrix
+from perilune.kernels.algebra.program import trace
+from perilune.kernels.code import cache as disk, native
+from perilune.kernels.code.emit import kernel, library
+from perilune.kernels.code.ir import Writer
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 
 _WIDTH = 4
 _LANES_PER_THREAD = 512
+
+
+class SingleMap:
+    """Evaluates a traced function at one point into arrays of its own. Use `compile_single`.
+
+    Attributes
+    ----------
+    outputs
+        The outputs of the function, each (rows, columns). Overwritten by the next call.
+    """
+
+    def __init__(
+        self, inputs: list[int], shapes: list[tuple[int, int]], bind: Callable[[list[Any]], Callable[[], Any]]
+    ) -> None:
+        cuts = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
+        result = np.full(int(cuts[-1]), np.nan)
+        self._inputs = [np.zeros(size) for size in inputs]
+        self._shapes = [(size,) for size in inputs]
+        self.outputs: tuple[Matrix, ...] = tuple(
+            result[first:last].reshape(shape) for first, last, shape in zip(cuts, cuts[1:], shapes, strict=False)
+        )
+        self._held: list[Any] = [result, *self._inputs]  # the machine code knows only their addresses
+        self._evaluate = bind(self._held)
+
+    def __call__(self, *arguments: Vector) -> tuple[Matrix, ...]:
+        """Evaluate; arguments (n,) each, empty ones included; returns `outputs`.
+
+        Raises
+        ------
+        PeriluneError
+            On arguments of the wrong number or shape.
+        """
+        if [a.shape for a in arguments] != self._shapes:
+            raise PeriluneError(
+                "a compiled function takes vectors of fixed lengths",
+                got=str([np.shape(a) for a in arguments]),
+                expected=str(self._shapes),
+            )
+        for held, given in zip(self._inputs, arguments, strict=True):
+            held[:] = given
+        self._evaluate()
+        return self.outputs
 
 
 def compile_map(function: Any, *, cache: bool = True, backend: str | None = None) -> Callable[..., Matrix]:
@@ -75,7 +117,7 @@ def compile_single(function: Any, *, cache: bool = True, backend: str | None = N
     -------
     evaluate
         (a (na,), b (nb,), ...) -> the outputs, each dense and (rows, columns), in arrays that the next call
-        overwrites: copy what has to outlive it. One object for each thread. See `kernels.single`.
+        overwrites: copy what has to outlive it. One object for each thread.
     """
     import casadi as ca
 

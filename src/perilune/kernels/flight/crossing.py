@@ -16,11 +16,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from perilune.kernels.arcs import MAX_EVENTS, ArcStatus, Event
-from perilune.kernels.lanes import element
+from perilune.kernels.algebra.system import Event
+from perilune.kernels.flight.arcs import MAX_EVENTS, ArcStatus
+from perilune.kernels.flight.lanes import element
 
 if TYPE_CHECKING:
-    from perilune.kernels.driver import Driver
+    from perilune.kernels.flight.driver import Driver
 
 #: How near to the zero, as a fraction of the duration, an event fires.
 TOLERANCE = 1e-13

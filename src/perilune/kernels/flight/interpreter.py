@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.kernels import tableau
-from perilune.kernels.arcs import MAX_EVENTS, MAX_STEPS, Arcs, ArcStatus, Request, request
-from perilune.kernels.dense import DenseArc, dense_arc
-from perilune.kernels.interpreted_crossing import Crossings
-from perilune.kernels.single import SingleArc
-from perilune.kernels.system import ArcSystem
+from perilune.kernels.algebra.system import ArcSystem
+from perilune.kernels.flight import tableau
+from perilune.kernels.flight.arcs import MAX_EVENTS, MAX_STEPS, Arcs, ArcStatus, Request, request
+from perilune.kernels.flight.dense import DenseArc, dense_arc
+from perilune.kernels.flight.interpreted_crossing import Crossings
+from perilune.kernels.flight.single import SingleArc
 from perilune.words.types import Matrix, Vector
 
 _SAFETY, _SHRINK, _GROW, _RESOLVED, _FIRST, _LEAST = 0.9, 0.2, 10.0, 1e-14, 3.0, 0.01**0.125  # as in `driver`

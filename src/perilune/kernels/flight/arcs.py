@@ -1,14 +1,11 @@
-"""The records of arc propagation: what is asked (`Event`), what comes back, how it ended.
+"""The records of arc propagation: what is asked, what comes back, how it ended.
 
-An arc is the flight of z' = f(z, p) over a duration; an event is a zero of g(z, p) met on the way, at which
-the arc ends, or goes on in another mode of the dynamics (thrust off, next layer of the atmosphere) and from
-another state if the event has a jump.
+An arc is the flight of z' = f(z, p) over a duration, over the events on its way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Protocol
 
@@ -56,46 +53,6 @@ class ArcStatus(IntEnum):
     STEP_LIMIT = 2  # out of steps (or of room for events)
     NON_FINITE = 3  # a NaN or an infinity that no smaller step avoids
     STALLED = 4  # the step fell below what the duration resolves
-
-
-@dataclass(frozen=True, kw_only=True)
-class Event:
-    """A zero crossing to be met.
-
-    Parameters
-    ----------
-    function
-        SX ``casadi.Function`` (z, p) -> g, a scalar, smooth near its zero.
-    direction
-        -1: g falls through zero as the flight proceeds, +1: rises, 0: either.
-    terminal
-        Whether the arc ends there.
-    switches
-        Mode before -> mode after. An event that switches is watched in the modes it names, others in every
-        mode.
-    jump
-        SX ``casadi.Function`` (z, p) -> z after the event; None for a continuous state.
-    """
-
-    function: Any
-    direction: int = 0
-    terminal: bool = False
-    switches: Mapping[int, int] = field(default_factory=dict)
-    jump: Any = None
-
-    def __post_init__(self) -> None:
-        """Check the direction and that something happens only once."""
-        if self.direction not in (-1, 0, 1):
-            raise PeriluneError("the direction of an event", got=str(self.direction), expected="-1, 0 or 1")
-        if self.terminal and (self.switches or self.jump is not None):
-            raise PeriluneError(
-                "an event cannot end the arc and change its dynamics as well",
-                advice="drop terminal=True, or the switches and the jump",
-            )
-
-    def watched(self, mode: int) -> bool:
-        """Whether it is looked for in a mode."""
-        return mode in self.switches if self.switches else True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,15 +110,15 @@ class Engine(Protocol):
         columns: ArrayLike | None = None,
         **settings: Any,
     ) -> Arcs:
-        """Fly a batch of arcs; see `kernels.engine.NativeEngine.propagate`."""
+        """Fly a batch of arcs; see `kernels.flight.engine.NativeEngine.propagate`."""
         ...
 
     def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> Any:
-        """Fly one arc and return it as a function of time; see `kernels.dense.DenseArc`."""
+        """Fly one arc and return it as a function of time; see `kernels.flight.dense.DenseArc`."""
         ...
 
     def single(self, columns: bool = False, *, rtol: float = ..., atol: float = ..., max_steps: int = ...) -> Any:
-        """Return what flies one arc at a time without allocating; see `kernels.single.SingleArc`."""
+        """Return what flies one arc at a time without allocating; see `kernels.flight.single.SingleArc`."""
         ...
 
 

@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from perilune.kernels import crossing, lanes, tableau
-from perilune.kernels.arcs import TABLE, ArcStatus
-from perilune.kernels.emit import kernel, library
-from perilune.kernels.ir import Writer
-from perilune.kernels.program import Program, hoist, trace
-from perilune.kernels.system import ArcSystem
+from perilune.kernels.algebra.program import Program, hoist, trace
+from perilune.kernels.algebra.system import ArcSystem
+from perilune.kernels.code.emit import kernel, library
+from perilune.kernels.code.ir import Writer
+from perilune.kernels.flight import crossing, lanes, tableau
+from perilune.kernels.flight.arcs import TABLE, ArcStatus
 
 # Stages 1 and 2 are not needed after stage 4, nor stage 3 for the end of the step: the last three take their
 # memory. All that a step of four lanes touches should stay within a first cache of 32 KiB.

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from perilune.kernels import vecmath
-from perilune.kernels.ir import Writer
-from perilune.kernels.program import Program
+from perilune.kernels.algebra.program import Program
+from perilune.kernels.code import vecmath
+from perilune.kernels.code.ir import Writer
 
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTRINSICS = {"sqrt", "fabs", "copysign", "floor", "ceil"}

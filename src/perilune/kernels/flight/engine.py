@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from perilune.kernels import cache as disk, native
-from perilune.kernels.arcs import MAX_EVENTS, MAX_STEPS, TABLE, Arcs, Engine, Event, Request, request
-from perilune.kernels.dense import DenseArc, dense_arc
-from perilune.kernels.single import SingleArc
-from perilune.kernels.system import ArcSystem
+from perilune.kernels.algebra.system import ArcSystem, Event
+from perilune.kernels.code import cache as disk, native
+from perilune.kernels.flight.arcs import MAX_EVENTS, MAX_STEPS, TABLE, Arcs, Engine, Request, request
+from perilune.kernels.flight.dense import DenseArc, dense_arc
+from perilune.kernels.flight.single import SingleArc
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -73,7 +73,7 @@ def compile_arcs(
         raise PeriluneError("no such backend", got=repr(backend), expected="native, interpreter or None")
     if backend == "native" or (backend is None and native.available()):
         return NativeEngine(system, cache=cache)
-    from perilune.kernels.interpreter import InterpretedEngine
+    from perilune.kernels.flight.interpreter import InterpretedEngine
 
     if backend is None and not _told:
         _told.append("told")
@@ -100,7 +100,7 @@ class NativeEngine:
             system = self.system if columns else self._bare
 
             def build() -> bytes:
-                from perilune.kernels.driver import Driver
+                from perilune.kernels.flight.driver import Driver
 
                 return native.compile_ir(Driver(system, width).module())
 
@@ -162,7 +162,7 @@ class NativeEngine:
     def single(
         self, columns: bool = False, *, rtol: float = 1e-12, atol: float = 1e-12, max_steps: int = MAX_STEPS
     ) -> SingleArc:
-        """Return what flies one arc at a time without allocating; see `kernels.single`.
+        """Return what flies one arc at a time without allocating; see `kernels.flight.single`.
 
         Make it once and keep it; one for each thread. The settings are those of `propagate` and are fixed.
         """

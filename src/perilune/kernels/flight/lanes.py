@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from perilune.kernels.arcs import INFO
+from perilune.kernels.flight.arcs import INFO
 
 if TYPE_CHECKING:
-    from perilune.kernels.driver import Driver
+    from perilune.kernels.flight.driver import Driver
 
 
 def gather(d: Driver, group: str) -> None:

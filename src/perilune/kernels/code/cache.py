@@ -56,7 +56,7 @@ def directory() -> Path | None:
 def source_digest() -> str:
     """Return the digest of the code that generates code, so that no older version's object is taken."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

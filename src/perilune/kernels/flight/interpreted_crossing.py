@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.kernels.arcs import MAX_EVENTS, ArcStatus, Event
-from perilune.kernels.crossing import _AFTER, _WHOLE, TOLERANCE
+from perilune.kernels.algebra.system import Event
+from perilune.kernels.flight.arcs import MAX_EVENTS, ArcStatus
+from perilune.kernels.flight.crossing import _AFTER, _WHOLE, TOLERANCE
 from perilune.words.types import Vector
 
 if TYPE_CHECKING:
-    from perilune.kernels.interpreter import Flight, Trial
+    from perilune.kernels.flight.interpreter import Flight, Trial
 
 Mask = NDArray[np.bool_]
 

@@ -1,0 +1,1 @@
+"""Expressions before there is code: arcs as programs, without what decouples."""

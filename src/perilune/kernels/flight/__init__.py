@@ -1,0 +1,1 @@
+"""Arcs flown: steps, events, lanes, and the engine that callers hold."""
