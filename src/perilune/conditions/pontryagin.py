@@ -36,6 +36,7 @@ from perilune.problem.problem import Phase, Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
     Parameters,
+    Unnumbered,
     canonical_given,
     column,
     elements,
@@ -240,36 +241,12 @@ def derive(problem: Problem) -> Conditions:
     PeriluneError
         If a control's minimum of H is not known in closed form.
     """
-    return _derive(_Structure(problem))
-
-
-class _Structure:
-    """A problem, hashed by everything but its numbers."""
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        units = tuple((name, g.unit) for name, g in problem.given.items())
-        free = tuple((f.name, f.unit) for f in problem.free)
-        self.key = (
-            problem.phases,
-            problem.start,
-            problem.links,
-            problem.objective,
-            problem.objective_unit,
-            units,
-            free,
-        )
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Structure) and self.key == other.key
+    return _derive(Unnumbered(problem))
 
 
 @lru_cache(maxsize=64)
-def _derive(structure: _Structure) -> Conditions:
-    problem = structure.problem
+def _derive(unnumbered: Unnumbered) -> Conditions:
+    problem = unnumbered.problem
     p = trace_parameters(problem)
     symbols, limits = _limit_symbols(problem, p)
     numbers = ca.vertcat(p.given, symbols)

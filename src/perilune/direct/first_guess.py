@@ -8,6 +8,7 @@ direction).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,7 @@ from perilune.direct.segments import Sampler
 from perilune.problem.controls import control_scales, placed
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Solution, Trajectory
-from perilune.problem.symbolic import canonical_free, state_scales, trace_parameters, trace_rates
+from perilune.problem.symbolic import Unnumbered, canonical_free, state_scales, trace_parameters, trace_rates
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -117,7 +118,7 @@ def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vect
     middle, reach = _control_middle(problem, phase)
     if not len(middle):
         return np.empty((len(states), 0))
-    model = _linear_in_control(problem, phase)
+    model = _linear_in_control(Unnumbered(problem), problem.phases.index(phase))
     given = [g.value / problem.scales.of(g.unit) for g in problem.given.values()]
     found = []
     for x in states:
@@ -134,8 +135,9 @@ def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vect
     return controls.T
 
 
-def _linear_in_control(problem: Problem, phase: Phase) -> ca.Function:
-    p = trace_parameters(problem)
+@lru_cache(maxsize=32)
+def _linear_in_control(unnumbered: Unnumbered, index: int) -> ca.Function:
+    p, phase = trace_parameters(unnumbered.problem), unnumbered.problem.phases[index]
     x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
     rates = trace_rates(phase, x, u, p.record)
     return ca.Function("linear", [x, u, p.free, p.given], [rates, ca.jacobian(rates, u)])

@@ -26,6 +26,7 @@ from perilune.problem.controls import directions
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
+    Unnumbered,
     canonical_given,
     column,
     elements,
@@ -167,7 +168,7 @@ class Program:
         KeyboardInterrupt
             If the user stopped it.
         """
-        solver = _solver(_traced(self.problem), self.layouts, iterations, tolerance, nearest)
+        solver = _solver(Unnumbered(self.problem), self.layouts, iterations, tolerance, nearest)
         lower, upper = self._bounds()
         first = np.concatenate([free, *(_pack(g) for g in guesses)])
         low_rows, high_rows, is_end = self._row_bounds()
@@ -263,12 +264,11 @@ def _pack(values: PhaseValues) -> Vector:
     return np.concatenate([values.joints[1:-1], values.state.ravel(), values.control.ravel()])
 
 
-def _traced(problem: Problem) -> tuple[tuple[str, ...], ...]:
-    """Every function of the problem traced in canonical units, as text: the other half of the key."""
+def _traced(problem: Problem) -> tuple[list[tuple[ca.Function, ...]], ca.Function]:
+    """Start, rates, path, end and duration of each phase in canonical units, and the objective."""
     p = trace_parameters(problem)
-    texts: list[tuple[str, ...]] = []
+    phases: list[tuple[ca.Function, ...]] = []
     arguments = [p.free, p.given]
-    names = problem.free_names
     x = ca.SX.sym("x", 0)
     for k, phase in enumerate(problem.phases):
         start = problem.start(p.record, SYMBOLIC) if k == 0 else problem.links[k - 1](
@@ -278,35 +278,29 @@ def _traced(problem: Problem) -> tuple[tuple[str, ...], ...]:
         u = ca.SX.sym("u", len(phase.control_names))
         duration = ca.SX(getattr(p.record, phase.duration))
         path = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
-        functions = (
+        phases.append((
             ca.Function("start", [before, *arguments], [column(start)]),
             ca.Function("rates", [x, u, *arguments], [trace_rates(phase, x, u, p.record)]),
             ca.Function("path", [x, u, *arguments], [path]),
             ca.Function("end", [x, *arguments], [trace_at_end(phase, x, p.record)]),
             ca.Function("duration", arguments, [duration]),
-        )
-        texts.append(tuple(f.serialize() for f in functions))
+        ))  # fmt: skip
     last = problem.phases[-1].state_record(*elements(x))
     objective = ca.Function("objective", [x, *arguments], [ca.SX(problem.objective(last, p.record, SYMBOLIC))])
-    return (*texts, (objective.serialize(), str(len(names))))
+    return phases, objective
 
 
 @lru_cache(maxsize=32)
 def _solver(
-    traced: tuple[tuple[str, ...], ...],
-    layouts: tuple[Layout, ...],
-    iterations: int,
-    tolerance: float,
-    nearest: bool,
+    unnumbered: Unnumbered, layouts: tuple[Layout, ...], iterations: int, tolerance: float, nearest: bool
 ) -> ca.Function:
     """The compiled program: its cache is what makes the second solve of the same physics cheap."""
-    objective = ca.Function.deserialize(traced[-1][0])
+    phases, objective = _traced(unnumbered.problem)
     free = ca.MX.sym("free", objective.numel_in(1))
     given = ca.MX.sym("given", objective.numel_in(2))
     unknowns, rows, ends = [free], [], []
     before = ca.MX(0, 1)
-    for texts, layout in zip(traced[:-1], layouts, strict=True):
-        functions = [ca.Function.deserialize(text) for text in texts]
+    for functions, layout in zip(phases, layouts, strict=True):
         own, conditions, before = _phase(functions, layout, before, free, given)
         unknowns += own
         rows += conditions
@@ -335,7 +329,7 @@ def _solver(
 
 
 def _phase(
-    functions: list[ca.Function], layout: Layout, before: ca.MX, free: ca.MX, given: ca.MX
+    functions: tuple[ca.Function, ...], layout: Layout, before: ca.MX, free: ca.MX, given: ca.MX
 ) -> tuple[list[ca.MX], list[ca.MX], ca.MX]:
     """Unknowns, rows (in the order of `Layout.rows`) and end state of one phase."""
     start, rates, path, end, duration = functions

@@ -27,7 +27,7 @@ from perilune.methods.assemble import (
 )
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
-from perilune.problem.symbolic import canonical_free, free_scales, state_scales
+from perilune.problem.symbolic import Unnumbered, canonical_free, free_scales, state_scales
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import Found, HeldFamily, scan
 from perilune.shooting.function import Shooting
@@ -148,7 +148,8 @@ class Search:
     def _known(self, guess: Solution) -> Vector:
         """Unknowns of a guess: its own where it is of this method and form, else read off its curves."""
         own = guess.unknowns is not None and guess.method == self.settings.name
-        if own and guess.problem.scales == self.problem.scales and derive(guess.problem) is self.conditions:
+        same = guess.problem.scales == self.problem.scales and Unnumbered(guess.problem) == Unnumbered(self.problem)
+        if own and same:
             return np.array(guess.unknowns)
         return unknowns_from(self.problem, guess)
 

@@ -20,14 +20,17 @@ problem is solved in canonical units, and construction tests that the physics is
 from __future__ import annotations
 
 import math
+import pickle
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 from perilune.problem.controls import Control, scalars
+from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, stated, trace
+from perilune.problem.tape import Expression
 from perilune.problem.verification import Check
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -158,6 +161,9 @@ class Phase:
         """Record type of u."""
         return namedtuple("Control", self.control_names)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are made anew where it arrives
+
     def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
         """Rates of the states for plain sequences x and u (each component may itself be an array)."""
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
@@ -173,9 +179,13 @@ class Phase:
         return physics(*arguments)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
     """Phases, links, parameters and the objective.
+
+    Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process
+    (pickle) carries its formulas as expressions; `ranges` and `bookkeeping` go along where they are found by name, as
+    functions of a module are, and are left behind otherwise.
 
     Parameters
     ----------
@@ -220,6 +230,12 @@ class Problem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "given", MappingProxyType(dict(self.given)))
+        self._take_ranges()
+        _check_structure(self)
+        _check_homogeneous(self)
+        _ = self.form  # so that what is no formula is refused where it is stated
+
+    def _take_ranges(self) -> None:
         if self.ranges is not None:
             found = self.ranges(self.parameters({}), NUMERIC)
             free = (
@@ -228,8 +244,65 @@ class Problem:
                 if (r := found.get(f.name, _range(f)))
             )
             object.__setattr__(self, "free", tuple(free))
-        _check_structure(self)
-        _check_homogeneous(self)
+
+    @cached_property
+    def form(self) -> Form:
+        """What is stated, without the numbers: traced once, and shared by all `with_given`."""
+        return trace(self)
+
+    @property
+    def text(self) -> str:
+        """Which text of the physics its functions are: the user's own, or expressions and where they came from."""
+        return f"expressions from {self.start.origin}" if isinstance(self.start, Expression) else OWN_TEXT
+
+    @cached_property
+    def expressed(self) -> Problem:
+        """The same problem with its functions as expressions."""
+        found = self.form.expressions
+        phases = tuple(
+            replace(phase, **{name: found.get((k, name)) for name in PHASE_FUNCTIONS})
+            for k, phase in enumerate(self.phases)
+        )
+        links = tuple(found["links", k] for k in range(len(self.links)))
+        return self._changed(phases=phases, start=found["start"], links=links, objective=found["objective"])
+
+    def _changed(self, **changes: Any) -> Problem:
+        """A problem of the same form, which is not traced or tried again."""
+        new = object.__new__(Problem)
+        kept = {f.name: getattr(self, f.name) for f in fields(self)}
+        new.__dict__.update(kept, form=self.form, **changes)
+        return new
+
+    def __getstate__(self) -> dict[str, Any]:
+        own = self.expressed
+        state = {f.name: getattr(own, f.name) for f in fields(own)}
+        hooks = {name: _by_name(state[name]) for name in ("ranges", "bookkeeping")}
+        return {**state, "given": dict(self.given), "form": self.form, **hooks}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, given=MappingProxyType(state["given"]))
+
+    def __deepcopy__(self, memo: Any) -> Problem:
+        return self  # nothing in it can change
+
+    def __copy__(self) -> Problem:
+        return self
+
+    @property
+    def _numbers(self) -> tuple[Any, ...]:
+        """Every number of the problem, in order."""
+        bounded = [c for phase in self.phases for c in (*phase.states, *(c for _, c in scalars(phase.controls)))]
+        bounds = [(c.lower, c.upper) for c in bounded]
+        given = sorted((name, g.value) for name, g in self.given.items())
+        return (self.name, tuple(given), self.free, tuple(bounds), self.scales)
+
+    def __eq__(self, other: object) -> bool:
+        if self is other or not isinstance(other, Problem):
+            return self is other
+        return self.form == other.form and self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash((self.form, self._numbers))
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -264,7 +337,20 @@ class Problem:
             if name not in known:
                 raise unknown_name("parameter", name, sorted(known))
             given[name] = Given(value=float(value), unit=self.unit_of(name))
-        return replace(self, given=given, free=tuple(f for f in self.free if f.name not in values))
+        free = tuple(f for f in self.free if f.name not in values)
+        new = self._changed(given=MappingProxyType(given), free=free)
+        new._take_ranges()
+        _check_values(new)
+        return new
+
+
+def _by_name(function: Any) -> Any:
+    """The function where another process finds it by its name, else None."""
+    try:
+        pickle.dumps(function)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
+    return function
 
 
 def _range(f: Free) -> tuple[float, float, float]:
@@ -283,6 +369,14 @@ def _check_structure(problem: Problem) -> None:
     both = set(problem.given) & set(problem.free_names)
     if both:
         raise PeriluneError("a parameter cannot be given and free at once", got=", ".join(sorted(both)))
+    _check_values(problem)
+    limits = [limit for phase in problem.phases for _, c in scalars(phase.controls) for limit in (c.lower, c.upper)]
+    for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
+        if name not in problem.given and name not in problem.free_names:
+            raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
+
+
+def _check_values(problem: Problem) -> None:
     for name, g in problem.given.items():
         if not math.isfinite(g.value):
             raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
@@ -291,15 +385,16 @@ def _check_structure(problem: Problem) -> None:
             raise PeriluneError(
                 f"bounds of {f.name} are empty", got=f"[{f.lower}, {f.upper}]", expected="lower <= upper"
             )
-    limits = [limit for phase in problem.phases for _, c in scalars(phase.controls) for limit in (c.lower, c.upper)]
-    for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
-        if name not in problem.given and name not in problem.free_names:
-            raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
 
 
-def _sample(problem: Problem, scales: Scales) -> tuple[SimpleNamespace, list[tuple[list[float], list[float]]]]:
+_PLACES = 4  # points at which the physics is tried before it counts as undefined
+
+
+def _sample(
+    problem: Problem, scales: Scales, place: int
+) -> tuple[SimpleNamespace, list[tuple[list[float], list[float]]]]:
     """Parameters and one (x, u) for each phase, the same physical point written in the given canonical units."""
-    fractions = iter((0.618034 * (k + 1)) % 1.0 for k in range(10_000))
+    fractions = iter((0.618034 * k) % 1.0 for k in range(1 + 1000 * place, 1_000_000))
     si = problem.scales
     inside = {
         f.name: f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.typical
@@ -318,48 +413,36 @@ def _sample(problem: Problem, scales: Scales) -> tuple[SimpleNamespace, list[tup
     return p, points
 
 
-def _values(problem: Problem, scales: Scales) -> list[tuple[str, str, float]]:
+def _values(problem: Problem, scales: Scales, place: int) -> list[tuple[str, str, float]]:
     """(what, unit, value) of everything the user's functions return at the sample, written in canonical units."""
-    p, points = _sample(problem, scales)
+    p, points = _sample(problem, scales, place)
     found: list[tuple[str, str, float]] = []
-
-    def add(what: str, names: Sequence[tuple[str, str]], values: Sequence[Any]) -> None:
-        if len(values) != len(names):
-            raise PeriluneError(
-                f"{what} returns the wrong number of values",
-                got=str(len(values)),
-                expected=f"{len(names)}: " + ", ".join(n for n, _ in names),
-            )
-        found.extend((f"{what}, {n}", u, float(v)) for (n, u), v in zip(names, values, strict=True))
-
-    def pairs(variables: Sequence[Variable], per: str = "") -> list[tuple[str, str]]:
-        return [(v.name, v.unit + per) for v in variables]
-
-    first = problem.phases[0]
-    add("start", pairs(first.states), problem.start(p, NUMERIC))
-    for k, (phase, (x, u)) in enumerate(zip(problem.phases, points, strict=True)):
-        add(f"dynamics of {phase.name}", pairs(phase.states, "/s"), phase.rates(x, u, p))
-        add(f"end of {phase.name}", pairs(phase.end_conditions), phase.evaluate("end", x, u, p))
-        add(f"path of {phase.name}", pairs(phase.path_conditions), phase.evaluate("path", x, u, p))
-        add(f"outputs of {phase.name}", pairs(phase.output_variables), phase.evaluate("outputs", x, u, p))
-        if k < len(problem.links):
-            after = problem.phases[k + 1]
-            add(
-                f"link to {after.name}",
-                pairs(after.states),
-                problem.links[k](phase.state_record(*x), p, NUMERIC),
-            )
-    x, _ = points[-1]
-    last = problem.phases[-1]
-    add("objective", [("J", problem.objective_unit)], [problem.objective(last.state_record(*x), p, NUMERIC)])
+    for function in stated(problem):
+        if not function.what.startswith("typical_end"):  # of which only the order matters
+            x, u = points[function.phase]
+            values = function.numbers({"x": x, "u": u, "p": p})
+            pairs = zip(function.results, values, strict=True)
+            found.extend((f"{function.what}, {name}", unit, value) for (name, unit), value in pairs)
     return found
 
 
 def _check_homogeneous(problem: Problem) -> None:
     """Evaluate the physics in SI and in other units; a result that does not scale hides a dimensional constant."""
     # Incommensurate with each other, so that no power product of them is 1 by accident.
-    scales = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7)
-    for (what, unit_text, si), (_, _, other) in zip(_values(problem, Scales()), _values(problem, scales), strict=True):
+    scales, undefined = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7), []
+    for place in range(_PLACES):
+        values = _values(problem, Scales(), place)
+        undefined = [what for what, _, si in values if math.isnan(si)]
+        if not undefined:
+            break
+    else:
+        raise PeriluneError(
+            f"{undefined[0]} is not a number (NaN)",
+            got=f"NaN at each of {_PLACES} points that were tried",
+            expected="a number for states of the size of the problem's scales",
+            advice="look for the root or logarithm of something negative, and for 0/0; check units, scales and values",
+        )
+    for (what, unit_text, si), (_, _, other) in zip(values, _values(problem, scales, place), strict=True):
         scaled = other * scales.of(unit_text)
         if math.isfinite(si) and not math.isclose(
             si, scaled, rel_tol=1e-6, abs_tol=1e-9 * problem.scales.of(unit_text)

@@ -6,19 +6,55 @@ same text holds when states and parameters are divided by their `Scales`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from perilune.problem.controls import scalars
 from perilune.problem.problem import Free, Phase, Problem
 from perilune.words.maths import NUMPY_NAMES
 from perilune.words.types import Vector
 
 SYMBOLIC = SimpleNamespace(**{name: getattr(ca, name) for name in NUMPY_NAMES})
+
+
+@dataclass(frozen=True, eq=False)
+class Unnumbered:
+    """A problem as the key of what is derived from it: equal where the form is, and what is given, free and bounded.
+
+    Values and bounds do not count, so that a whole family shares one derivation. Trace from `problem`, whose functions
+    are expressions here: a cache then keeps none of the user's objects alive.
+    """
+
+    stated: Problem
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The problem with its functions as expressions."""
+        return self.stated.expressed
+
+    @cached_property
+    def _key(self) -> tuple[Any, ...]:
+        # Whether a limit is a number, and of which sign, decides on the regimes of a control.
+        bounds = tuple(
+            limit if isinstance(limit, str) else (math.isfinite(limit), limit < 0)
+            for phase in self.stated.phases
+            for _, c in scalars(phase.controls)
+            for limit in (c.lower, c.upper)
+        )
+        return (self.stated.form.digest, tuple(self.stated.given), self.stated.free_names, bounds)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Unnumbered) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
 
 
 @dataclass(frozen=True, kw_only=True)

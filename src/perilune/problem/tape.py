@@ -1,0 +1,312 @@
+"""Physics as data: a function of records written down as the list of elementary operations it does.
+
+The user's function is called once with *symbols*, and every operation on them is noted, in its order and with its own
+rounding: nothing is rewritten, but equal operations on equal values are one value. A `Tape` so made runs over any maths
+namespace `m` (NumPy floats and arrays, complex steps, CasADi symbols) exactly as the function would. It is data: it is
+compared, pickled and written as JSON; read from a file it is checked entry by entry, and nothing in it is evaluated as
+code.
+
+Source of value numbering: Cocke & Schwartz, *Programming Languages and Their Compilers*, 1970.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from numbers import Real
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.words.maths import NUMPY_NAMES
+from perilune.words.outcome import PeriluneError
+
+# Operations that Python writes with a sign, and those of the namespace `m`, each with its number of operands.
+_SIGNS: dict[str, Callable[..., Any]] = {
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "pow": operator.pow,
+    "neg": operator.neg, "lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne,
+}  # fmt: skip
+_BINARY = {"atan2", "fmin", "fmax"}
+ARITY = {**{name: 2 for name in _SIGNS}, "neg": 1, **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES}}
+ROLES = ("x", "u", "p")
+MOST_INSTRUCTIONS = 50_000  # of one function in a file; the largest of the models has about 200
+
+# ("x" | "u" | "p", name), ("const", repr of a float) or (operation, operand, ...), operands being indices before it.
+Instruction = tuple[Any, ...]
+
+
+class NotAFormula(Exception):
+    """A function did with a symbol what a formula cannot do; `advice` says what to write instead."""
+
+    def __init__(self, got: str, advice: str) -> None:
+        super().__init__(got)
+        self.got, self.advice = got, advice
+
+
+class Symbol:
+    """A value that is not known yet: what a user's function computes with while it is written down."""
+
+    __slots__ = ("_index", "_recorder")
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, recorder: Recorder, index: int) -> None:
+        self._recorder, self._index = recorder, index
+
+    def __getattr__(self, name: str) -> Any:
+        # NumPy asks an object for its own sqrt(), arcsin()...
+        for ours, numpy_name in NUMPY_NAMES.items():
+            if name in (ours, numpy_name):
+                return lambda *others: self._recorder.namespace.__dict__[ours](self, *others)
+        raise AttributeError(f"a single value has no attribute {name!r}", name=name, obj=self)
+
+    def __bool__(self) -> bool:
+        raise NotAFormula(
+            "it branches (if, and, or, min, max, np.minimum, np.where) on a value that is known only in flight",
+            "m.where(condition, value, otherwise), m.fmin or m.fmax",
+        )
+
+    def __float__(self) -> float:
+        raise NotAFormula(
+            "it makes a plain number (float, math.sin, np.interp) of a value that is known only in flight",
+            "the functions of m: m.sin, m.sqrt, ...; m.table for tabulated data",
+        )
+
+    __int__ = __index__ = __complex__ = __float__  # type: ignore[assignment]
+
+    def __array_function__(self, function: Any, types: Any, arguments: Any, keywords: Any) -> Any:
+        raise NotAFormula(
+            f"it calls np.{function.__name__} on a value that is known only in flight",
+            "the functions of m: m.where for np.where, m.table for np.interp, m.sin for np.sin",
+        )
+
+    def __pos__(self) -> Symbol:
+        return self
+
+    def __neg__(self) -> Symbol:
+        return self._recorder.do("neg", self)
+
+    def __abs__(self) -> Symbol:
+        return self._recorder.do("fabs", self)
+
+
+def _sign(name: str, reflected: bool = False) -> Callable[[Symbol, Any], Any]:
+    def method(self: Symbol, other: Any) -> Any:
+        if not _is_number(other):
+            return NotImplemented
+        return self._recorder.do(name, other, self) if reflected else self._recorder.do(name, self, other)
+
+    return method
+
+
+for _name, _python in (("add", "add"), ("sub", "sub"), ("mul", "mul"), ("div", "truediv"), ("pow", "pow")):
+    setattr(Symbol, f"__{_python}__", _sign(_name))
+    setattr(Symbol, f"__r{_python}__", _sign(_name, reflected=True))
+for _name in ("lt", "le", "eq", "ne"):
+    setattr(Symbol, f"__{_name}__", _sign(_name))
+Symbol.__gt__, Symbol.__ge__ = _sign("lt", reflected=True), _sign("le", reflected=True)  # type: ignore[attr-defined]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (Symbol, Real, np.number, np.bool_)) or (isinstance(value, np.ndarray) and not value.ndim)
+
+
+class Recorder:
+    """Writes down operations, each distinct one once."""
+
+    def __init__(self) -> None:
+        self.instructions: list[Instruction] = []
+        self._index: dict[Instruction, int] = {}
+        self.namespace = SimpleNamespace(**{name: self._function(name) for name in NUMPY_NAMES})
+
+    def _function(self, name: str) -> Callable[..., Symbol]:
+        def function(*operands: Any) -> Symbol:
+            if len(operands) != ARITY[name] or not all(_is_number(o) for o in operands):
+                raise NotAFormula(
+                    f"m.{name} gets {', '.join(type(o).__name__ for o in operands) or 'nothing'}",
+                    f"m.{name} of {ARITY[name]} single value{'s' if ARITY[name] > 1 else ''}",
+                )
+            return self.do(name, *operands)
+
+        return function
+
+    def input(self, role: str, name: str) -> Symbol:
+        """The symbol of a component of a record."""
+        return Symbol(self, self._append((role, name)))
+
+    def index_of(self, value: Any) -> int:
+        """Where a symbol or a number stands."""
+        if isinstance(value, Symbol):
+            return value._index
+        if isinstance(value, np.ndarray) and value.dtype == object:
+            return self.index_of(value.item())
+        return self._append(("const", repr(float(value))))
+
+    def do(self, name: str, *operands: Any) -> Symbol:
+        """Note one operation."""
+        return Symbol(self, self._append((name, *(self.index_of(o) for o in operands))))
+
+    def _append(self, instruction: Instruction) -> int:
+        number = self._index.get(instruction)
+        if number is None:
+            number = self._index[instruction] = len(self.instructions)
+            self.instructions.append(instruction)
+        return number
+
+    def tape(self, results: Sequence[Any]) -> Tape:
+        """What the results need of all that was noted."""
+        outputs = [self.index_of(r) for r in results]
+        needed = set(outputs)
+        for number in range(len(self.instructions) - 1, -1, -1):
+            if number in needed:
+                needed.update(_operands(self.instructions[number]))
+        place = {number: k for k, number in enumerate(sorted(needed))}
+        kept = [self.instructions[number] for number in place]
+        moved = tuple((op[0], *(place[i] for i in op[1:])) if _operands(op) else op for op in kept)
+        return Tape(moved, tuple(place[i] for i in outputs))
+
+
+def _operands(instruction: Instruction) -> tuple[int, ...]:
+    return () if instruction[0] in (*ROLES, "const") else instruction[1:]
+
+
+@dataclass(frozen=True)
+class Tape:
+    """Values in order of computation.
+
+    Attributes
+    ----------
+    instructions
+        Value i is what instruction i makes of values before it.
+    outputs
+        The results, as indices into `instructions`.
+    """
+
+    instructions: tuple[Instruction, ...]
+    outputs: tuple[int, ...]
+
+    def document(self) -> dict[str, Any]:
+        """The tape for JSON."""
+        return {"instructions": [list(op) for op in self.instructions], "outputs": list(self.outputs)}
+
+    @classmethod
+    def read(cls, document: Any, names: Mapping[str, Sequence[str]], what: str) -> Tape:
+        """A tape out of a file, checked: known operations, operands before their use, names of the given records.
+
+        Raises
+        ------
+        PeriluneError
+            If it is anything else.
+        """
+        entries = document.get("instructions") if isinstance(document, dict) else None
+        outputs = document.get("outputs") if isinstance(document, dict) else None
+        if not isinstance(entries, list) or not isinstance(outputs, list):
+            raise _unreadable(what, "no list of instructions and outputs")
+        if max(len(entries), len(outputs)) > MOST_INSTRUCTIONS:
+            raise _unreadable(what, f"more than {MOST_INSTRUCTIONS} instructions")
+        for number, entry in enumerate(entries):
+            if not _sound(entry, number, names):
+                raise _unreadable(what, f"instruction {number}: {str(entry)[:60]}")
+        if not all(_before(i, len(entries)) for i in outputs):
+            raise _unreadable(what, f"outputs {str(outputs)[:60]}")
+        return cls(tuple(tuple(entry) for entry in entries), tuple(outputs))
+
+
+def _sound(entry: Any, number: int, names: Mapping[str, Sequence[str]]) -> bool:
+    if not isinstance(entry, list) or not entry or not isinstance(entry[0], str):
+        return False
+    word, *rest = entry
+    if word in ROLES:
+        return len(rest) == 1 and isinstance(rest[0], str) and rest[0] in names.get(word, ())
+    if word == "const":
+        return len(rest) == 1 and isinstance(rest[0], str) and len(rest[0]) < 40 and _is_repr(rest[0])
+    return len(rest) == ARITY.get(word) and all(_before(i, number) for i in rest)
+
+
+def _before(index: Any, number: int) -> bool:
+    return isinstance(index, int) and not isinstance(index, bool) and 0 <= index < number
+
+
+def _is_repr(text: str) -> bool:
+    try:
+        return repr(float(text)) == text
+    except ValueError:
+        return False
+
+
+def _unreadable(what: str, got: str) -> PeriluneError:
+    return PeriluneError(
+        f"the expressions of {what} in the file cannot be read",
+        got=got,
+        expected="a list of known operations on values before them, as `perilune.save` writes it",
+        advice="save the solution again; files are not meant to be edited",
+    )
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A user's function as a tape: called as the function would be, ``f(x, u, p, m)``.
+
+    Attributes
+    ----------
+    tape
+        Its operations.
+    roles
+        Which records it takes before `m`, of `ROLES`.
+    scalar
+        Whether it returns one value instead of a sequence.
+    origin
+        Where the tape came from; no part of what it is.
+    """
+
+    tape: Tape
+    roles: tuple[str, ...]
+    scalar: bool = False
+    origin: str = field(default="", compare=False)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The values, computed with the maths namespace that is the last argument."""
+        *records, m = arguments
+        inputs, constants, place, outputs = self._plan
+        values = [getattr(records[k], name) for k, name in inputs]
+        values += constants
+        push = values.append
+        for arity, function, i, j in self._bound(m, place):
+            push(function(values[i]) if arity == 1 else function(values[i], values[j]))
+        if self.scalar:
+            return values[outputs[0]]
+        return [values[k] for k in outputs]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("tape", "roles", "scalar", "origin")}
+
+    @cached_property
+    def _plan(self) -> tuple[list[tuple[int, str]], list[float], list[tuple[str, list[int]]], list[int]]:
+        """Inputs and constants first, then the operations on them by where their operands will lie."""
+        operations = self.tape.instructions
+        inputs = [k for k, op in enumerate(operations) if op[0] in ROLES]
+        constants = [k for k, op in enumerate(operations) if op[0] == "const"]
+        rest = [k for k, op in enumerate(operations) if _operands(op)]
+        place = {number: k for k, number in enumerate([*inputs, *constants, *rest])}
+        return (
+            [(self.roles.index(operations[k][0]), operations[k][1]) for k in inputs],
+            [float(operations[k][1]) for k in constants],
+            [(operations[k][0], [place[i] for i in operations[k][1:]]) for k in rest],
+            [place[k] for k in self.tape.outputs],
+        )
+
+    @cached_property
+    def _steps(self) -> dict[int, tuple[Any, list[tuple[int, Any, int, int]]]]:
+        return {}
+
+    def _bound(self, m: Any, operations: Sequence[tuple[str, list[int]]]) -> list[tuple[int, Any, int, int]]:
+        """The operations with the functions of one namespace; the few namespaces that there are stay."""
+        found = self._steps.get(id(m))
+        if found is None or found[0] is not m:
+            steps = [(len(at), _SIGNS.get(op) or getattr(m, op), at[0], at[-1]) for op, at in operations]
+            if len(self._steps) > 8:
+                self._steps.clear()
+            found = self._steps[id(m)] = (m, steps)
+        return found[1]

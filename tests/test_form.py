@@ -1,0 +1,195 @@
+"""A problem traced: its address, its travels, and the user's mistakes in the user's words."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cho import cho_landing
+from perilune.problem.problem import Given, Problem
+from perilune.problem.tape import Tape
+from perilune.proof.numerics import COMPLEX
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from test_problem import slider
+
+
+def with_dynamics(dynamics: Any) -> Problem:
+    return slider(phases=(replace(slider().phases[0], dynamics=dynamics),))
+
+
+# -- the address ----------------------------------------------------------------------------------------------------
+
+
+def test_equal_physics_of_two_factories_is_one() -> None:
+    """`slider` makes new functions at each call."""
+    one, other = slider(), slider()
+    assert one.phases[0].dynamics is not other.phases[0].dynamics
+    assert one.form.digest == other.form.digest
+    assert one == other
+    assert hash(one) == hash(other)
+
+
+def test_another_process_finds_the_same_address() -> None:
+    code = "from test_problem import slider; print(slider().form.digest)"
+    said = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+    )
+    assert said.stdout.strip() == slider().form.digest
+
+
+def test_numbers_and_titles_are_no_part_of_it() -> None:
+    """Nor which parameter is free; but the problems are not equal."""
+    plain = slider()
+    for other in (slider(title="another"), plain.with_given(push=3.0), plain.with_given(time=3.0)):
+        assert other.form.digest == plain.form.digest
+    assert plain != plain.with_given(push=3.0)
+    assert plain == slider(title="another")
+
+
+def test_physics_units_and_names_are() -> None:
+    plain = slider()
+    faster = with_dynamics(lambda x, u, p, m: (x.v, 2 * p.push * u.along))
+    more = slider(given={**plain.given, "spare": Given(value=1.0, unit="s")})
+    assert len({plain.form.digest, faster.form.digest, more.form.digest}) == 3
+
+
+def test_with_given_does_not_trace_again() -> None:
+    plain = slider()
+    assert plain.with_given(push=3.0).form is plain.form
+
+
+# -- what is written down is what is computed -----------------------------------------------------------------------
+
+
+def physics(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+    """Every kind of operation, in one homogeneous pair of rates."""
+    ratio = x.v / (p.push * p.time)
+    shape = m.sin(ratio) + m.cos(ratio) ** 3 - m.fabs(m.tanh(-ratio))
+    shape += m.exp(-(ratio**2)) / (1 + m.sqrt(1 + ratio * ratio))
+    shape += m.atan2(u.along, 1.5 + u.across) + m.fmin(ratio, 0.3) * m.fmax(0.1, ratio) + 2.5**ratio - m.log(3 + ratio)
+    shape += (ratio > 0.2) * 0.25 + m.asin(0.1 * ratio) + m.sinh(0.1 * ratio) + np.sqrt(2 + ratio)
+    return x.v * shape, p.push * u.along * shape - 3 * p.push * u.across
+
+
+def test_an_expression_rounds_as_the_function_does() -> None:
+    """Bit for bit, over floats, arrays and complex steps."""
+    problem = with_dynamics(physics)
+    expressed = problem.expressed.phases[0]
+    rng = np.random.default_rng(0)
+    p = problem.parameters({"time": 4.0})
+    for m, x, u in (
+        (NUMERIC, rng.normal(size=2).tolist(), rng.normal(size=2).tolist()),
+        (NUMERIC, rng.normal(size=(2, 50)), rng.normal(size=(2, 50))),
+        (COMPLEX, rng.normal(size=(2, 50)) + 1e-40j * rng.normal(size=(2, 50)), rng.normal(size=(2, 50))),
+    ):
+        here, there = problem.phases[0].rates(x, u, p, m), expressed.rates(x, u, p, m)
+        for a, b in zip(here, there, strict=True):
+            np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+def test_models_round_alike_too(landing: Problem) -> None:
+    for name, function in landing.form.expressions.items():
+        again = json.loads(json.dumps(function.tape.document()))
+        known = {"x": landing.phases[0].state_names, "u": landing.phases[0].control_names,
+                 "p": (*landing.given, *landing.free_names)}  # fmt: skip
+        assert Tape.read(again, known, str(name)) == function.tape
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        None,
+        {"instructions": [["import", "os"]], "outputs": [0]},
+        {"instructions": [["x", "__class__"]], "outputs": [0]},
+        {"instructions": [["const", "__import__('os')"]], "outputs": [0]},
+        {"instructions": [["const", "1.0"], ["add", 0, 1]], "outputs": [0]},
+        {"instructions": [["const", "1.0"], ["add", 0, -1]], "outputs": [0]},
+        {"instructions": [["const", "1.0"], ["add", 0, True]], "outputs": [0]},
+        {"instructions": [["const", "1.0"], ["sin", 0, 0]], "outputs": [0]},
+        {"instructions": [["const", "1.0"]], "outputs": [1]},
+        {"instructions": [["const", "1.0"]] * 50_001, "outputs": [0]},
+        {"instructions": [["x", ["x"]], [["const"], "1.0"]], "outputs": [0]},
+    ],
+)
+def test_a_file_is_not_trusted(document: Any) -> None:
+    with pytest.raises(PeriluneError, match="expressions of it in the file cannot be read"):
+        Tape.read(document, {"x": ("x", "v"), "p": ("push",)}, "it")
+
+
+# -- travelling -----------------------------------------------------------------------------------------------------
+
+
+def test_a_problem_of_lambdas_travels() -> None:
+    plain = slider()
+    there = pickle.loads(pickle.dumps(plain))
+    assert there == plain
+    assert there.form.digest == plain.form.digest
+    assert there.text == "expressions from a copy"
+    assert plain.text == "the problem's own Python functions"
+    assert there.with_given(push=3.0) == plain.with_given(push=3.0)
+    assert copy.deepcopy(plain) is plain
+
+
+def test_ranges_travel_by_name() -> None:
+    """The landing's bounds follow from its parameters, over there too; what has no name stays behind."""
+    plain = cho_landing()
+    there = pickle.loads(pickle.dumps(plain))
+    assert there.with_given(vehicle_mass=250.0).free == plain.with_given(vehicle_mass=250.0).free
+    unnamed = slider(ranges=lambda p, m: {"time": (0.0, 2 * p.distance / p.push, 1.0)})
+    assert pickle.loads(pickle.dumps(unnamed)).ranges is None
+    assert pickle.loads(pickle.dumps(unnamed)).free == unnamed.free
+
+
+# -- the user's own mistakes ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "words"),
+    [
+        (lambda x, u, p, m: (x.v, p.push * u.along if x.v > 0 else 0.0), r"it branches(.|\n)*m\.where"),
+        (lambda x, u, p, m: (x.v, max(p.push, p.push * u.along)), r"it branches(.|\n)*m\.fmax"),
+        (lambda x, u, p, m: (x.v, p.push * u.along * math.sin(u.across)), r"plain number(.|\n)*m\.sin"),
+        (lambda x, u, p, m: (x.v, p.push * np.interp(u.along, [0, 1], [0, 1])), r"np\.interp(.|\n)*m\.table"),
+        (lambda x, u, p, m: (x.v, np.where(u.along > 0, p.push, -p.push)), r"np\.where(.|\n)*m\.where"),
+        (lambda x, u, p, m: (x.v, p.psh * u.along), r"no parameter(.|\n)*p\.psh(.|\n)*did you mean 'push'"),
+        (lambda x, u, p, m: (x.vv, p.push * u.along), r"no state(.|\n)*x\.vv(.|\n)*did you mean 'v'"),
+        (lambda x, u, p, m: (x.v, p.push * u.alon), r"no control(.|\n)*did you mean 'along'"),
+        (lambda x, u, p, m: (x.v, p.push * m.arctan(u.along)), r"no function of m(.|\n)*did you mean 'atan"),
+        (lambda x, u, p, m: None, r"wrong number of values(.|\n)*None: is there a return"),
+        (lambda x, u, p, m: x.v, r"wrong number of values(.|\n)*2: x, v"),
+        (lambda x, u, p, m: (x.v, "fast"), r"returns what is no number(.|\n)*'fast'"),
+        (lambda x, u, p: (x.v, p.push), r"fails where it is tried(.|\n)*positional"),
+        (lambda x, u, p, m: (x.v, p.push * u.along / 0.0), r"fails where it is tried(.|\n)*ZeroDivisionError"),
+        (lambda x, u, p, m: (x.v, p.push * math.nan), r"dynamics of slide, v is not a number \(NaN\)"),
+    ],
+)
+def test_mistakes_in_the_physics_are_named(dynamics: Any, words: str) -> None:
+    with pytest.raises(PeriluneError, match=r"dynamics of slide") as refused:
+        with_dynamics(dynamics)
+    assert refused.match(words)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"start": lambda p, m: (p.distanse, 0.0)}, r"start: (.|\n)*did you mean 'distance'"),
+        ({"objective": lambda x, p, m: x.tme}, r"objective: there is no state"),
+        ({"objective": lambda x, p, m: None}, r"objective returns what is no number"),
+        ({"phases": (replace(slider().phases[0], end=None),)}, r"end of slide is missing(.|\n)*2: distance, speed"),
+        ({"start": lambda p, m: 0.0}, r"start returns the wrong number of values"),
+    ],
+)
+def test_mistakes_elsewhere_are_named(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(PeriluneError, match=words):
+        slider(**changes)
