@@ -87,6 +87,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
             "extremals": extremals_document(solution),
             "verification": {
                 "level": solution.verification.level,
+                "text": solution.verification.text,
                 "checks": [
                     {
                         "name": c.name,

@@ -7,7 +7,7 @@ record: what is exported is exactly what the verifier flies. `hermite_nodes` cho
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from types import MappingProxyType
 from typing import Any
@@ -16,14 +16,17 @@ import numpy as np
 
 from perilune.problem.problem import Problem
 from perilune.problem.verification import Verification
-from perilune.words.outcome import Outcome
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.same import same_fields
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration
 
+_ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
-    """A vector function of time: values and rates at nodes, cubic Hermite between them.
+    """A vector function of time: values and rates at nodes, cubic Hermite between them. Its arrays are read-only.
 
     Parameters
     ----------
@@ -37,8 +40,45 @@ class Curve:
     values: Matrix
     rates: Matrix
 
+    def __post_init__(self) -> None:
+        for name in ("time", "values", "rates"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Curve) and same_fields(self, other))
+
+    def __hash__(self) -> int:
+        return hash((self.values.shape, self.time.shape))
+
     def __call__(self, t: float | Vector) -> Any:
-        """Value at times t: shape (k,) for a number, (len(t), k) for an array."""
+        """Value at times t [s]: shape (k,) for a number, (len(t), k) for an array.
+
+        Raises
+        ------
+        PeriluneError
+            If a time lies outside the curve by more than 1e-9 of its length.
+        """
+        first, last = self.time[0], self.time[-1]
+        slack = _ROUNDING * (last - first)
+        # A NaN fails no comparison here, and comes out as NaN.
+        if np.any(outside := (np.less(t, first - slack) | np.greater(t, last + slack))):
+            raise PeriluneError(
+                "the curve is asked outside its time",
+                got=f"{np.asarray(t)[outside].flat[0]:.9g} s",
+                expected=f"{first:.9g} to {last:.9g} s",
+                advice="each phase has its own time, which begins at 0 with the phase",
+            )
+        return self.extended(t)
+
+    def extended(self, t: float | Vector) -> Any:
+        """The same without a limit: before the first and after the last node their cubics go on.
+
+        For a proof, which has to look at tables that end where they should not.
+        """
         at = np.atleast_1d(np.asarray(t, dtype=float))
         i = np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
         h = self.time[i + 1] - self.time[i]
@@ -82,8 +122,18 @@ class Trajectory:
         return float(self.state.time[-1])
 
 
+def _read_only(values: Any) -> Any:
+    """The array where nobody can write to it, else a copy that is so."""
+    array = np.asarray(values, dtype=float)
+    owner = array if array.base is None else array.base
+    if array.flags.writeable or not isinstance(owner, np.ndarray) or owner.flags.writeable:
+        array = np.array(array)
+        array.flags.writeable = False
+    return array
+
+
 class Deferred(Sequence[Trajectory]):
-    """Trajectories that are made when first looked at: most members of a table never are."""
+    """Trajectories that are made when first looked at, or sent away: most members of a table never are."""
 
     def __init__(self, count: int, make: Callable[[], tuple[Trajectory, ...]]) -> None:
         self._count, self._make = count, make
@@ -130,9 +180,9 @@ class Statistics:
     history: tuple[Iteration, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """An answer of any method.
+    """An answer of any method. Solutions are equal when everything in them is.
 
     Parameters
     ----------
@@ -171,6 +221,22 @@ class Solution:
     def __post_init__(self) -> None:
         for name in ("free", "multipliers"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        if self.unknowns is not None:
+            object.__setattr__(self, "unknowns", _read_only(self.unknowns))
+
+    def __getstate__(self) -> dict[str, Any]:
+        plain = {"free": dict(self.free), "multipliers": dict(self.multipliers), "trajectories": (*self.trajectories,)}
+        return {f.name: getattr(self, f.name) for f in fields(self)} | plain
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Solution) and same_fields(self, other))
+
+    def __hash__(self) -> int:
+        return hash((self.problem, self.method, self.outcome, tuple(self.free)))
 
     @property
     def parameters(self) -> Any:
