@@ -29,6 +29,7 @@ from typing import Any
 
 from perilune.problem.controls import Control, scalars
 from perilune.problem.verification import Check
+from perilune.problem.views import Views, check_views
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Physics
@@ -51,7 +52,8 @@ def _in_si(name: str, text: str) -> None:
 class Variable:
     """A named component with its unit: a state, an end condition, a path condition or an output.
 
-    `lower` and `upper` bound a state where a method can use it (direct transcription, verification).
+    `lower` and `upper` bound a state where a method can use it (direct transcription, verification); `label` is its
+    name on the axis of a figure, where that is not `name` with blanks.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Variable:
     lower: float = -math.inf
     upper: float = math.inf
     description: str = ""
+    label: str = ""
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -121,6 +124,15 @@ class Phase:
         ``path(x, u, p, m)`` returns values that must not be negative on the phase.
     outputs, output_variables
         ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
+    integrals, integral_variables
+        ``integrals(x, u, p, m)`` returns rates; their integrals along the flight are results, named with the unit of
+        the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
+    inertial
+        ``inertial(x, u, t, p, m)`` returns nine values in inertial axes with the body at their origin, t seconds after
+        the first ignition: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
+    track
+        ``track(x, p, m)`` returns how far the flight has come along its way, how far to the left of it, how high, and
+        where `Views.floor` names one, the least height there [m].
     typical_end
         ``typical_end(p, m)`` returns a rough end state; only its order matters (a direct method starts there).
     """
@@ -136,6 +148,10 @@ class Phase:
     path_conditions: tuple[Variable, ...] = ()
     outputs: Physics | None = None
     output_variables: tuple[Variable, ...] = ()
+    integrals: Physics | None = None
+    integral_variables: tuple[Variable, ...] = ()
+    inertial: Physics | None = None
+    track: Physics | None = None
     typical_end: Physics | None = None
 
     @property
@@ -163,14 +179,21 @@ class Phase:
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``end`` (which takes no control), ``path`` or ``outputs``; empty where the phase has none."""
+        """Values of ``path``, ``outputs``, ``integrals``, or of ``end`` and ``track``, which take no control.
+
+        Empty where the phase has none.
+        """
         physics = getattr(self, function)
         if physics is None:
             return ()
-        arguments = (self.state_record(*x), p, m) if function == "end" else (
-            self.state_record(*x), self.control_record(*u), p, m
-        )  # fmt: skip
-        return physics(*arguments)
+        control = () if function in ("end", "track") else (self.control_record(*u),)
+        return physics(self.state_record(*x), *control, p, m)
+
+    def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+        """Values of ``inertial``; empty where the phase has none."""
+        if self.inertial is None:
+            return ()
+        return self.inertial(self.state_record(*x), self.control_record(*u), t, p, m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,12 +216,19 @@ class Problem:
         Parameters to be chosen, the durations among them.
     objective, objective_unit
         ``objective(x, p, m)`` of the last end state, minimised, and its unit.
+    results, result_variables
+        ``results(first, last, p, m)`` of the first phase's initial and the last phase's end state returns what is asked
+        of a solution (landed mass, flight time), beside the phases' `integrals`.
+    maximised
+        Name of the result that J is the negative of, or "".
     ranges
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
         make no sense together.
     bookkeeping
         ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
+    views
+        What figures show of it.
     scales
         Canonical units.
     title
@@ -213,8 +243,12 @@ class Problem:
     free: tuple[Free, ...] = ()
     objective: Physics
     objective_unit: str = "1"
+    results: Physics | None = None
+    result_variables: tuple[Variable, ...] = ()
+    maximised: str = ""
     ranges: Physics | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
+    views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
     title: str = ""
 
@@ -295,6 +329,15 @@ def _check_structure(problem: Problem) -> None:
     for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
+    results = [v.name for v in problem.result_variables]
+    if problem.maximised and problem.maximised not in results:
+        raise unknown_name("result", problem.maximised, results)
+    quantities = {
+        name
+        for phase in problem.phases
+        for name in (*phase.state_names, *phase.control_names, *(v.name for v in phase.output_variables))
+    }
+    check_views(problem.views, quantities, {*problem.given, *problem.free_names}, results)
 
 
 def _sample(problem: Problem, scales: Scales) -> tuple[SimpleNamespace, list[tuple[list[float], list[float]]]]:
@@ -316,6 +359,11 @@ def _sample(problem: Problem, scales: Scales) -> tuple[SimpleNamespace, list[tup
             u += [v / scales.of(control.unit) for v in value]
         points.append((x, u))
     return p, points
+
+
+_SEEN = [(f"{what} {axis}", unit) for what, unit in (("position", "m"), ("velocity", "m/s"), ("thrust", "m/s^2"))
+         for axis in "xyz"]  # fmt: skip
+_TRACK = [("along", "m"), ("across", "m"), ("height", "m"), ("least height", "m")]
 
 
 def _values(problem: Problem, scales: Scales) -> list[tuple[str, str, float]]:
@@ -342,6 +390,11 @@ def _values(problem: Problem, scales: Scales) -> list[tuple[str, str, float]]:
         add(f"end of {phase.name}", pairs(phase.end_conditions), phase.evaluate("end", x, u, p))
         add(f"path of {phase.name}", pairs(phase.path_conditions), phase.evaluate("path", x, u, p))
         add(f"outputs of {phase.name}", pairs(phase.output_variables), phase.evaluate("outputs", x, u, p))
+        add(f"integrals of {phase.name}", pairs(phase.integral_variables, "/s"), phase.evaluate("integrals", x, u, p))
+        time = 0.7 * problem.scales.time / scales.time
+        add(f"inertial view of {phase.name}", _SEEN if phase.inertial else (), phase.seen_inertially(x, u, time, p))
+        places = _TRACK[: 4 if problem.views.floor else 3] if phase.track else ()
+        add(f"track of {phase.name}", places, phase.evaluate("track", x, u, p))
         if k < len(problem.links):
             after = problem.phases[k + 1]
             add(
@@ -349,9 +402,11 @@ def _values(problem: Problem, scales: Scales) -> list[tuple[str, str, float]]:
                 pairs(after.states),
                 problem.links[k](phase.state_record(*x), p, NUMERIC),
             )
-    x, _ = points[-1]
-    last = problem.phases[-1]
-    add("objective", [("J", problem.objective_unit)], [problem.objective(last.state_record(*x), p, NUMERIC)])
+    end = problem.phases[-1].state_record(*points[-1][0])
+    add("objective", [("J", problem.objective_unit)], [problem.objective(end, p, NUMERIC)])
+    if problem.results is not None:
+        values = problem.results(first.state_record(*points[0][0]), end, p, NUMERIC)
+        add("results", pairs(problem.result_variables), values)
     return found
 
 
