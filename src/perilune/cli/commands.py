@@ -136,22 +136,23 @@ def _solve(
         solution = solve_problem(scenario.problem, chosen, level=level, watch=watch)
         if out is not None:
             watch("writing files and figures")
-            write_all(solution, out, scenario_text=scenario.text, ordinary=_ordinary(solution), force=force)
+            write_all(solution, out, scenario_text=scenario.text, ordinary=_beside(solution), force=force)
     check_propellant(solution)
     return _solution_answer(solution, verbose, out)
 
 
-def _ordinary(solution: Solution) -> Solution | None:
-    """The same landing without a retro burn, for the figures.
+def _beside(solution: Solution) -> Solution | None:
+    """The plainer flight that the problem's views name, for the figures.
 
     None where it is that already, or has no solution.
     """
     from perilune.solve import solve as solve_problem
 
-    if not getattr(solution.parameters, "retro_delta_v", 0.0):
+    beside = solution.problem.views.beside
+    if beside is None or all(getattr(solution.parameters, name) == value for name, value in beside.given):
         return None
     try:
-        return solve_problem(solution.problem.with_given(retro_delta_v=0.0), level=0)
+        return solve_problem(solution.problem.with_given(**dict(beside.given)), level=0)
     except PeriluneError:
         return None
 
@@ -309,12 +310,7 @@ def verify(
 
         solution = prove(read_solution(directory), level)
         check_propellant(solution)
-        answer = _solution_answer(solution, verbose)
-        if len(solution.extremals) < 2:
-            return answer
-        return replace(
-            answer, text=f"{answer.text}\n\nthe other extremals are as the file lists them, not proved again"
-        )
+        return _solution_answer(solution, verbose)
 
     deliver(as_json, work)
 

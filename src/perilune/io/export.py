@@ -13,8 +13,10 @@ import io
 import math
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from perilune import __version__ as perilune_version
@@ -45,6 +47,7 @@ _FIELDS = {
     "phases.costate": "lambda = dJ*/dx, same layout; H = lambda.f, minimised; lambda' = -dH/dx; null if none",
     "phases.control": "same layout; names and kinds of the components in `controls`",
     "phases.interpolation": "the rule for values between nodes; to normalise is to divide by the length",
+    "results": "what the problem asks of its solution, in SI",
     "extremals": "every root of the necessary conditions found, best first; the first is this solution",
     "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
     "unknowns": "the method's own unknowns, from which it can start again",
@@ -53,82 +56,67 @@ _FIELDS = {
 
 
 def results(solution: Solution) -> dict[str, dict[str, Any]]:
-    """Collect what is asked of a landing, each ``{"value": float, "unit": str}``, where the problem has it.
-
-    The propellant is everything burnt from `vehicle_mass` on, the retro burn's included.
-    """
-    p = solution.parameters
-    first, last = solution.problem.phases[0], solution.problem.phases[-1]
-    found: dict[str, tuple[float, str]] = {}
-    if "m" in last.state_names and "m" in first.state_names:
-        landed = _component(solution.trajectories[-1], last, "m", -1)
-        aboard = getattr(p, "vehicle_mass", _component(solution.trajectories[0], first, "m", 0))
-        found["landed_mass"] = (landed, "kg")
-        found["propellant"] = (aboard - landed, "kg")
-    if hasattr(p, "retro_delta_v"):
-        found["delta_v"] = (p.retro_delta_v, "m/s")
-    found["flight_time"] = (sum(t.duration for t in solution.trajectories), "s")
-    if hasattr(p, "orbit_perilune_altitude"):
-        from perilune.models.landing import perilune_speed
-
-        found["perilune_speed"] = (perilune_speed(p, NUMERIC), "m/s")
-    return {name: {"value": float(value), "unit": unit} for name, (value, unit) in found.items()}
+    """What the problem asks of its solution, each ``{"value": float, "unit": str, "description": str}``, SI."""
+    return {name: asdict(result) for name, result in solution.results.items()}
 
 
 def solution_document(solution: Solution) -> dict[str, Any]:
-    """Make what ``perilune solve --json`` prints; a number that is not finite becomes None."""
+    """Make what ``perilune solve --json`` prints; a number that is not finite becomes None.
+
+    Of a solution that was loaded, ``claimed`` names what is only the file's word.
+    """
     statistics = solution.statistics
-    return finite(
-        {
-            "problem": solution.problem.name,
-            "method": solution.method,
-            "outcome": solution.outcome.name,
-            "results": results(solution),
-            "extremals": extremals_document(solution),
-            "verification": {
-                "level": solution.verification.level,
-                "text": solution.verification.text,
-                "checks": [
-                    {
-                        "name": c.name,
-                        "level": c.level,
-                        "value": float(c.value),
-                        "limit": float(c.limit),
-                        "unit": c.unit,
-                        "passed": c.passed,
-                        "meaning": c.meaning,
-                    }
-                    for c in solution.verification.checks
-                ],
-            },
-            "statistics": {
-                "rung": statistics.rung,
-                "tried": list(statistics.tried),
-                "iterations": int(statistics.iterations),
-                "arcs": int(statistics.arcs),
-                "residual": float(statistics.residual),
-                "wall_time": float(statistics.wall_time),
-            },
-        }
-    )
+    claims = {"claimed": ["extremals", "statistics"]} if statistics.claimed else {}
+    document = {
+        "problem": solution.problem.name,
+        "method": solution.method,
+        "outcome": solution.outcome.name,
+        "results": results(solution),
+        "extremals": extremals_document(solution),
+        "verification": {
+            "level": solution.verification.level,
+            "text": solution.verification.text,
+            "checks": [
+                {
+                    "name": c.name,
+                    "level": c.level,
+                    "value": float(c.value),
+                    "limit": float(c.limit),
+                    "unit": c.unit,
+                    "passed": c.passed,
+                    "meaning": c.meaning,
+                }
+                for c in solution.verification.checks
+            ],
+        },
+        "statistics": {
+            "rung": statistics.rung,
+            "tried": list(statistics.tried),
+            "iterations": int(statistics.iterations),
+            "arcs": int(statistics.arcs),
+            "residual": float(statistics.residual),
+            "wall_time": float(statistics.wall_time),
+        },
+    }
+    return finite(document | claims)
 
 
 def extremals_document(solution: Solution) -> list[dict[str, Any]]:
-    """List the extremals, best first: delta_v [m/s], landed_mass [kg] (else the objective), nature."""
-    parameters = vars(solution.parameters)
-    mass = results(solution).get("landed_mass", {}).get("value", math.nan)
-    # J is minus the landed mass for every problem that maximises it, which the solution itself shows.
-    maximises_mass = math.isclose(-solution.objective, mass, rel_tol=1e-6)
+    """List the extremals, best first: what the parameters alone decide of the results, the objective, the nature.
+
+    Where J is the negative of a result, that result stands for it.
+    """
+    problem = solution.problem
+    unknown = [SimpleNamespace(**dict.fromkeys(problem.phases[k].state_names, math.nan)) for k in (0, -1)]
     rows = []
     for extremal in solution.extremals:
-        row: dict[str, Any] = {}
-        if "retro_delta_v" in parameters:
-            row["delta_v"] = float(extremal.free.get("retro_delta_v", parameters["retro_delta_v"]))
-        if maximises_mass:
-            row["landed_mass"] = -float(extremal.objective)
-        else:
-            row["objective"] = float(extremal.objective)
-        rows.append({**row, "nature": extremal.nature.value})
+        known: dict[str, Any] = {}
+        if problem.results is not None:
+            values = problem.results(*unknown, problem.parameters({**solution.free, **extremal.free}), NUMERIC)
+            known = {v.name: float(value) for v, value in zip(problem.result_variables, values, strict=True)}
+        known = {name: value for name, value in known.items() if math.isfinite(value)}
+        best = {problem.maximised: -extremal.objective} if problem.maximised else {"objective": extremal.objective}
+        rows.append({**known, **{k: float(v) for k, v in best.items()}, "nature": extremal.nature.value})
     return rows
 
 
@@ -225,10 +213,6 @@ def _phase_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -
 
 def _curve_document(curve: Curve) -> dict[str, Any]:
     return {"time": curve.time.tolist(), "values": curve.values.tolist(), "rates": curve.rates.tolist()}
-
-
-def _component(trajectory: Trajectory, phase: Phase, name: str, node: int) -> float:
-    return float(trajectory.state.values[node, phase.state_names.index(name)])
 
 
 def _multiplier_units(solution: Solution) -> dict[str, str]:

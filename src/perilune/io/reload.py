@@ -194,12 +194,11 @@ def _extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> tuple[
     entries = _part(document, "extremals", list)
     if len(entries) > MOST_ENTRIES or not all(isinstance(e, dict) for e in entries):
         _refuse("extremals", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")
-    natures = {nature.value: nature for nature in Nature}
     found = tuple(
         Extremal(
             free={str(k): _number(e["free"], k, "extremals.free") for k in _part(e, "free", dict)},
             objective=_number(e, "objective", "extremals"),
-            nature=_member(Nature, natures.get(_text(e, "nature")), "extremals.nature"),
+            nature=_nature(_text(e, "nature")),
         )
         for e in entries
     )
@@ -207,6 +206,13 @@ def _extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> tuple[
     if found and not np.allclose([found[0].objective, *(found[0].free.get(k, math.nan) for k in free)], own, rtol=1e-6):
         _refuse("extremals", "a first one that is not this solution", "this solution first")
     return found
+
+
+def _nature(text: str) -> Nature:
+    try:
+        return Nature(text)
+    except ValueError:
+        return _member(Nature, None, "extremals.nature")
 
 
 def _statistics(entry: Mapping[str, Any]) -> Statistics:
@@ -224,6 +230,7 @@ def _statistics(entry: Mapping[str, Any]) -> Statistics:
         arcs=count("arcs"),
         residual=known("residual"),
         wall_time=known("wall_time"),
+        claimed=True,
     )
 
 

@@ -31,10 +31,12 @@ _SIGNS: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 _BINARY = {"atan2", "fmin", "fmax"}
 ARITY = {**{name: 2 for name in _SIGNS}, "neg": 1, **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES}}
-ROLES = ("x", "u", "p")
+# What physics takes: states, controls, parameters, the time since the first ignition, the first and the last state.
+ROLES = ("x", "u", "p", "t", "first", "last")
 MOST_INSTRUCTIONS = 50_000  # of one function in a file; the largest of the models has about 200
 
-# ("x" | "u" | "p", name), ("const", repr of a float) or (operation, operand, ...), operands being indices before it.
+# (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands
+# being indices before it.
 Instruction = tuple[Any, ...]
 
 
@@ -133,7 +135,7 @@ class Recorder:
         return function
 
     def input(self, role: str, name: str) -> Symbol:
-        """The symbol of a component of a record."""
+        """The symbol of a component of a record, or of the time itself."""
         return Symbol(self, self._append((role, name)))
 
     def index_of(self, value: Any) -> int:
@@ -270,7 +272,7 @@ class Expression:
         """The values, computed with the maths namespace that is the last argument."""
         *records, m = arguments
         inputs, constants, place, outputs = self._plan
-        values = [getattr(records[k], name) for k, name in inputs]
+        values = [getattr(records[k], name) if name else records[k] for k, name in inputs]
         values += constants
         push = values.append
         for arity, function, i, j in self._bound(m, place):

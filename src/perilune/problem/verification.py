@@ -68,6 +68,11 @@ class Verification:
         return reached
 
     @property
+    def title(self) -> str:
+        """The level and its name, as it stands beside every outcome."""
+        return f"level {self.level}: {LEVEL_NAMES[self.level]}"
+
+    @property
     def passed(self) -> bool:
         """Whether checks were made and none failed."""
         return bool(self.checks) and all(c.passed for c in self.checks)

@@ -9,9 +9,11 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune.io.columns import flight_columns
 from perilune.io.export import extremals_document, results
 from perilune.problem.solution import Solution
-from perilune.report.figures import flight_columns, lines, solution_figures
+from perilune.report.figures import solution_figures
+from perilune.report.style import lines
 from perilune.report.summary import solution_summary, table
 from perilune.reproductions.cho2015 import (
     CONSTANTS,

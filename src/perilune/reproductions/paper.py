@@ -8,8 +8,9 @@ from types import MappingProxyType
 
 from matplotlib.figure import Figure
 
+from perilune.io.columns import flight_columns
 from perilune.problem.solution import Solution
-from perilune.report.figures import flight_columns, save
+from perilune.report.style import save
 
 # Name: value, unit, place in the paper. For comparison, never for computing.
 Printed = MappingProxyType[str, tuple[float, str, str]]

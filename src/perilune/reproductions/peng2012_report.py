@@ -13,12 +13,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.direct.collocation import rule
-from perilune.io.columns import columns, hamiltonian, required_hamiltonian
+from perilune.io.columns import hamiltonian, required_hamiltonian
 from perilune.io.export import results
 from perilune.problem.solution import Solution
-from perilune.report.figures import lines, solution_figures
-from perilune.report.spatial import spatial_figures
+from perilune.report.figures import solution_figures
+from perilune.report.histories import history
+from perilune.report.style import lines
 from perilune.report.summary import solution_summary, table
+from perilune.report.track import track
 from perilune.reproductions.paper import CLAIMS_HEAD, NUMBERS_HEAD, illustrated, number_rows, verdict, versions_line
 from perilune.reproductions.peng2012 import (
     CASE,
@@ -84,12 +86,12 @@ the paper never noticed; shooting and re-integration need coordinates without th
 def figures(made: Reproduction) -> dict[str, Figure]:
     """All figures of the paper, and three that are not in it, by file name."""
     flights = {"indirect": made.indirect, f"{PRINTED_POINTS} Gauss points": made.direct}
-    spatial = spatial_figures(flights, columns(made.indirect))
+    shown = {h.name: h for h in made.indirect.problem.views.histories}
     ours = solution_figures(made.indirect)
     return {
-        "fig2": spatial["track"],
-        "fig3": spatial["velocities"],
-        "fig4": spatial["steering"],
+        "fig2": track(flights),
+        "fig3": history(flights, shown["velocities"]),
+        "fig4": history(flights, shown["steering"]),
         "hamiltonian": _hamiltonians(made),
         "convergence": _convergence(made.convergence),
         "altitude": ours["altitude"],
