@@ -304,11 +304,11 @@ def verify(
     """Prove a saved solution again, from its file alone."""
 
     def work() -> Answer:
-        from perilune.io.reload import read_solution
+        from perilune.io.reload import load
         from perilune.models.preflight import check_propellant
         from perilune.solve import prove
 
-        solution = prove(read_solution(directory), level)
+        solution = prove(load(directory), level)
         check_propellant(solution)
         return _solution_answer(solution, verbose)
 

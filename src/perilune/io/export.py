@@ -22,13 +22,12 @@ from typing import Any
 from perilune import __version__ as perilune_version
 from perilune.io.columns import columns, costate_unit
 from perilune.io.files import finite, fresh_directory, json_text
-from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of, read_solution
+from perilune.io.physics import physics_document
+from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.problem import Phase
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.words.maths import NUMERIC
-
-__all__ = ["read_solution", "results", "solution_document", "write_solution"]
 
 INTERPOLATION = {
     "state": "cubic Hermite",
@@ -37,7 +36,11 @@ INTERPOLATION = {
 }
 
 _FIELDS = {
-    "scenario": "the scenario file this solution answers, word for word, and the SHA-256 of its UTF-8 text",
+    "scenario": "the scenario file this solution answers, word for word, and the SHA-256 of its UTF-8 text; or null",
+    "problem": "the problem without its given values; what is at its default (no bound, no title) is left out",
+    "problem.functions": "physics as operations in order: [record, component], [const, number] or [operation, "
+    "operand, ...], an operand being the index of an earlier entry, as the outputs are",
+    "problem.digest": "SHA-256 of the problem without its numbers: equal physics has the same",
     "given": "parameters with their values, all in SI (angles in radians)",
     "free": "parameters chosen by the optimiser, in SI, durations of phases included",
     "objective": "J, minimised, at the solution",
@@ -120,8 +123,11 @@ def extremals_document(solution: Solution) -> list[dict[str, Any]]:
     return rows
 
 
-def write_solution(solution: Solution, directory: str | Path, scenario_text: str, force: bool = False) -> None:
-    """Write ``solution.json`` and the trajectory as CSV.
+def save(solution: Solution, directory: str | Path, scenario_text: str | None = None, *, force: bool = False) -> None:
+    """Write ``solution.json``, from which `perilune.load` makes the solution again, and the trajectory as CSV.
+
+    The problem may be stated in any way: its formulas are written as expressions, so that it can be proved again
+    without the code that stated it.
 
     Parameters
     ----------
@@ -130,30 +136,36 @@ def write_solution(solution: Solution, directory: str | Path, scenario_text: str
     directory
         Where; see `perilune.io.files.fresh_directory`.
     scenario_text
-        The scenario that `solution.problem` was made of, with every change made to it.
+        The scenario that `solution.problem` was made of, with every change made to it; None for a problem in Python.
     force
         Whether files of the same names may be replaced.
+
+    Raises
+    ------
+    PeriluneError
+        If the directory cannot be written, or is not empty and `force` is false.
     """
     with fresh_directory(directory, force) as work:
         write_solution_files(solution, work, scenario_text)
 
 
-def write_solution_files(solution: Solution, directory: Path, scenario_text: str) -> None:
-    """As `write_solution`, into a directory that exists."""
+def write_solution_files(solution: Solution, directory: Path, scenario_text: str | None) -> None:
+    """As `save`, into a directory that exists."""
     (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
     for k, trajectory in enumerate(solution.trajectories):
         name = "trajectory.csv" if len(solution.trajectories) == 1 else f"trajectory_{k + 1}_{trajectory.phase}.csv"
         (directory / name).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
 
 
-def whole_document(solution: Solution, scenario_text: str) -> dict[str, Any]:
+def whole_document(solution: Solution, scenario_text: str | None = None) -> dict[str, Any]:
     """Everything about a solution, as the tree that ``solution.json`` holds."""
     problem, short = solution.problem, solution_document(solution)
+    scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": versions(),
-        "scenario": {"sha256": hash_of(scenario_text), "text": scenario_text},
-        "problem": {"name": problem.name, "title": problem.title},
+        "scenario": scenario,
+        "problem": physics_document(problem),
         "method": solution.method,
         "outcome": {"name": solution.outcome.name, "advice": solution.outcome.value},
         "objective": {"value": float(solution.objective), "unit": problem.objective_unit},

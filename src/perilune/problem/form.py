@@ -37,6 +37,10 @@ _RATES = ("dynamics", "integrals")
 _INERTIAL = tuple((f"{what} {axis}", unit) for what, unit in
                   (("position", "m"), ("velocity", "m/s"), ("thrust", "m/s^2")) for axis in "xyz")  # fmt: skip
 _TRACK = (("along", "m"), ("across", "m"), ("height", "m"), ("least height", "m"))
+# The functions of the problem itself; ("links", number) stands under "links".
+_OTHER_FUNCTIONS = {
+    "start": ("p",), "links": ("x", "p"), "objective": ("x", "p"), "results": ("first", "last", "p")
+}  # fmt: skip
 OWN_TEXT = "the problem's own Python functions"
 _KINDS = {"u": "control", "p": "parameter", "m": "function of m"}  # the others are states
 
@@ -105,6 +109,7 @@ class Stated:
     def traced(self, parameters: Sequence[str]) -> Expression:
         """The function as an expression."""
         if isinstance(self.function, Expression):
+            self._listed(self.function.tape.outputs)
             return self.function
         recorder = Recorder()
         arguments: dict[str, Any] = {
@@ -160,31 +165,37 @@ class Stated:
         return self._failing(error)
 
 
+def roles_of(key: Any) -> tuple[str, ...]:
+    """What a function takes before `m`, by its `Stated.key`."""
+    name = key if isinstance(key, str) else key[0]
+    return _OTHER_FUNCTIONS[name] if name in _OTHER_FUNCTIONS else PHASE_FUNCTIONS[key[1]][0]
+
+
 def stated(problem: Any) -> Iterator[Stated]:
     """Every function of a problem that is a formula."""
     phases = problem.phases
     shared = {"p": None, "t": None, "first": phases[0].state_record, "last": phases[-1].state_record}
 
-    def one(key: Any, what: str, function: Any, roles: Sequence[str], k: int, results: Any) -> Stated:
+    def one(key: Any, what: str, function: Any, k: int, results: Any) -> Stated:
         of = {"x": phases[k].state_record, "u": phases[k].control_record, **shared}
-        records, rough = {role: of[role] for role in roles}, what.startswith("typical_end")
+        records, rough = {role: of[role] for role in roles_of(key)}, what.startswith("typical_end")
         return Stated(key=key, what=what, function=function, phase=k, records=records, results=results, rough=rough)
 
-    yield one("start", "start", problem.start, ("p",), 0, _named(phases[0].states))
+    yield one("start", "start", problem.start, 0, _named(phases[0].states))
     for k, phase in enumerate(phases):
-        for name, (roles, field) in PHASE_FUNCTIONS.items():
+        for name, (_, field) in PHASE_FUNCTIONS.items():
             function, what = getattr(phase, name), f"{name} of {phase.name}"
             results = _results_of(problem, phase, name, field)
             if function is not None:
-                yield one((k, name), what, function, roles, k, results)
-            elif field and field != "states" and results:
+                yield one((k, name), what, function, k, results)
+            elif results and (name == "dynamics" or field not in ("", "states")):
                 raise _missing(what, results)
     for k, link in enumerate(problem.links):
-        yield one(("links", k), f"link to {phases[k + 1].name}", link, ("x", "p"), k, _named(phases[k + 1].states))
+        yield one(("links", k), f"link to {phases[k + 1].name}", link, k, _named(phases[k + 1].states))
     objective = (("J", problem.objective_unit),)
-    yield one("objective", "objective", problem.objective, ("x", "p"), len(phases) - 1, objective)
+    yield one("objective", "objective", problem.objective, len(phases) - 1, objective)
     if problem.results is not None:
-        yield one("results", "results", problem.results, ("first", "last", "p"), 0, _named(problem.result_variables))
+        yield one("results", "results", problem.results, 0, _named(problem.result_variables))
     elif problem.result_variables:
         raise _missing("results", _named(problem.result_variables))
 

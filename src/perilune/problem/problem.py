@@ -23,7 +23,7 @@ import math
 import pickle
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
@@ -325,20 +325,21 @@ class Problem:
         return self
 
     @property
-    def _numbers(self) -> tuple[Any, ...]:
+    def numbers(self) -> tuple[Any, ...]:
         """Every number of the problem, in order."""
         bounded = [c for phase in self.phases for c in (*phase.states, *(c for _, c in scalars(phase.controls)))]
         bounds = [(c.lower, c.upper) for c in bounded]
         given = sorted((name, g.value) for name, g in self.given.items())
-        return (self.name, tuple(given), self.free, tuple(bounds), self.scales)
+        free = tuple((f.name, *_range(f)) for f in self.free)
+        return (self.name, tuple(given), free, tuple(bounds), astuple(self.scales))
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, Problem):
             return self is other
-        return self.form == other.form and self._numbers == other._numbers
+        return self.form == other.form and self.numbers == other.numbers
 
     def __hash__(self) -> int:
-        return hash((self.form, self._numbers))
+        return hash((self.form, self.numbers))
 
     @property
     def free_names(self) -> tuple[str, ...]:
