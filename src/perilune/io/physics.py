@@ -115,7 +115,7 @@ def _phase(entry: Any, where: str) -> Phase:
         if kind is None:
             refuse(f"{where}.controls[{i}]", str(control)[:40], "a control of kind " + " or ".join(_CONTROLS))
         controls.append(record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]"))
-    variables = {field: _rows(entry, field, Variable) for field in _VARIABLES}
+    variables: dict[str, Any] = {field: _rows(entry, field, Variable) for field in _VARIABLES}
     return Phase(
         name=name, duration=text(entry, "duration"), controls=tuple(controls), dynamics=_nothing, **variables
     )  # fmt: skip
