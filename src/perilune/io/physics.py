@@ -111,7 +111,7 @@ def _phase(entry: Any, where: str) -> Phase:
         refuse(f"{where}.name", repr(name[:40]), "letters, digits, _ and -")
     controls = []
     for i, control in enumerate(part(entry, "controls", list)[:MOST_ENTRIES]):
-        kind = _CONTROLS.get(control.get("kind")) if isinstance(control, dict) else None
+        kind = _CONTROLS.get(str(control.get("kind"))) if isinstance(control, dict) else None
         if kind is None:
             refuse(f"{where}.controls[{i}]", str(control)[:40], "a control of kind " + " or ".join(_CONTROLS))
         controls.append(record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]"))
