@@ -19,6 +19,7 @@ _EXPORTS = {
     "Given": "perilune.problem.problem",
     "Free": "perilune.problem.problem",
     "Scales": "perilune.words.units",
+    "Finding": "perilune.problem.preflight",
     "Solution": "perilune.problem.solution",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
@@ -31,6 +32,7 @@ _EXPORTS = {
     "Hybrid": "perilune.methods.hybrid",
     "Genetic": "perilune.methods.genetic",
     "MOON": "perilune.models.bodies",
+    "preflight": "perilune.problem.preflight",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
     "verify": "perilune.solve",
@@ -42,6 +44,7 @@ __all__ = [
     "Bounded",
     "Check",
     "Direction",
+    "Finding",
     "Free",
     "Genetic",
     "Given",
@@ -59,6 +62,7 @@ __all__ = [
     "Variable",
     "Verification",
     "models",
+    "preflight",
     "solve",
     "sweep",
     "verify",
@@ -73,6 +77,7 @@ if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Free, Given, Phase, Problem, Variable
     from perilune.problem.solution import Solution
     from perilune.problem.verification import Check, Verification

@@ -41,7 +41,7 @@ from perilune.models.rotating import (
 from perilune.problem.problem import Variable
 from perilune.words.types import Physics
 
-_AXIS = (0.0, 0.0, 1.0)
+AXIS = (0.0, 0.0, 1.0)  # of the rotation, in the Cartesian frame
 
 
 # -- what both coordinate systems share
@@ -109,7 +109,7 @@ OUTPUTS = (
 def _cartesian_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     velocity = (x.vx, x.vy, x.vz)
     acceleration = combine(
-        (1, free_acceleration((x.x, x.y, x.z), velocity, _AXIS, p, m)),
+        (1, free_acceleration((x.x, x.y, x.z), velocity, AXIS, p, m)),
         (thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)),
     )
     return (*velocity, *acceleration, mass_rate(u, p))
@@ -238,13 +238,12 @@ def variables(unit: str, *names: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name, unit=unit) for name in names)
 
 
-MASS = Variable(name="m", unit="kg", lower=0.0, description="mass")
 _HEIGHT = Variable(name="touchdown_height", unit="m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
-    """A coordinate system: its states and the functions of a `Phase`; `ends` by the kind of target."""
+    """A coordinate system: its states but the mass, and the functions of a `Phase`; `ends` by the kind of target."""
 
     states: tuple[Variable, ...]
     dynamics: Physics
@@ -256,7 +255,7 @@ class Coordinates:
 
 
 CARTESIAN = Coordinates(
-    states=(*variables("m", "x", "y", "z"), *variables("m/s", "vx", "vy", "vz"), MASS),
+    states=(*variables("m", "x", "y", "z"), *variables("m/s", "vx", "vy", "vz")),
     dynamics=_cartesian_dynamics,
     start=_cartesian_start,
     ends={
@@ -275,7 +274,7 @@ CARTESIAN = Coordinates(
     typical_end=_cartesian_typical_end,
 )
 SPHERICAL = Coordinates(
-    states=(*variables("m", "r"), *variables("rad", "theta", "phi"), *variables("m/s", "u", "v", "w"), MASS),
+    states=(*variables("m", "r"), *variables("rad", "theta", "phi"), *variables("m/s", "u", "v", "w")),
     dynamics=_spherical_dynamics,
     start=_spherical_start,
     ends={
