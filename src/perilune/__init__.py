@@ -19,6 +19,7 @@ _EXPORTS = {
     "Given": "perilune.problem.problem",
     "Free": "perilune.problem.problem",
     "Scales": "perilune.words.units",
+    "Finding": "perilune.problem.preflight",
     "Solution": "perilune.problem.solution",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
@@ -33,6 +34,7 @@ _EXPORTS = {
     "MOON": "perilune.models.bodies",
     "load": "perilune.io.reload",
     "save": "perilune.io.export",
+    "preflight": "perilune.problem.preflight",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
     "verify": "perilune.solve",
@@ -44,6 +46,7 @@ __all__ = [
     "Bounded",
     "Check",
     "Direction",
+    "Finding",
     "Free",
     "Genetic",
     "Given",
@@ -62,6 +65,7 @@ __all__ = [
     "Verification",
     "load",
     "models",
+    "preflight",
     "save",
     "solve",
     "sweep",
@@ -79,6 +83,7 @@ if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Free, Given, Phase, Problem, Variable
     from perilune.problem.solution import Solution
     from perilune.problem.verification import Check, Verification

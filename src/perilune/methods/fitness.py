@@ -160,7 +160,8 @@ class ControlFitness:
         scales = state_scales(self.problem, phase)
         for i, (state, scale) in enumerate(zip(phase.states, scales, strict=True)):
             x = states[1:, i]
-            broken.append(np.maximum(np.maximum(state.lower / scale - x, x - state.upper / scale), 0.0))
+            lower, upper = self.problem.bounds(state)
+            broken.append(np.maximum(np.maximum(lower / scale - x, x - upper / scale), 0.0))
         return np.linalg.norm(end, axis=0) + np.sqrt(np.mean(np.square(broken), axis=1).sum(axis=0))
 
 

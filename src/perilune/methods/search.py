@@ -297,8 +297,9 @@ class Search:
             scales = state_scales(self.problem, phase)
             x = z[: extremal.state_count] * scales[:, None]
             for state, values, scale in zip(phase.states, x, scales, strict=True):
-                for side, limit, reached in (("below", state.lower, min(values)), ("above", state.upper, max(values))):
-                    if not np.clip(reached, state.lower - 1e-9 * scale, state.upper + 1e-9 * scale) == reached:
+                lower, upper = state.limits(p)
+                for side, limit, reached in (("below", lower, min(values)), ("above", upper, max(values))):
+                    if not np.clip(reached, lower - 1e-9 * scale, upper + 1e-9 * scale) == reached:
                         return f"{state.name} reaches {reached:.6g} {state.unit}, {side} its bound {limit:g}"
             conditions = phase.evaluate("path", list(x), list(u), p)
             for condition, values in zip(phase.path_conditions, conditions, strict=True):

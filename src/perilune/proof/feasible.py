@@ -108,16 +108,10 @@ def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
             limit=STATE_LIMIT * scale,
             meaning=f"largest difference along the arc between {state.name} of the table and as flown again",
         )  # fmt: skip
-        if np.isfinite(state.lower) or np.isfinite(state.upper):
-            yield _bound(
-                f"{arc.prefix}bounds_{state.name}",
-                state.name,
-                values,
-                state.lower,
-                state.upper,
-                state.unit,
-                scale,
-            )
+        lower, upper = state.limits(arc.p)
+        if np.isfinite(lower) or np.isfinite(upper):
+            name = f"{arc.prefix}bounds_{state.name}"
+            yield _bound(name, state.name, values, lower, upper, state.unit, scale)
 
 
 def _bound(name: str, what: str, values: Vector, lower: float, upper: float, unit: str, scale: float) -> Check:

@@ -59,9 +59,18 @@ class PeriluneError(ValueError):
 
 
 class InfeasibleError(PeriluneError):
-    """Physics forbids what was asked; the message says which limit and by how much."""
+    """Physics forbids what was asked; the message says which limit and by how much.
+
+    `reason` names the ground of the refusal in a few words: by default a bound that holds for every flight.
+    """
 
     exit_code = 3
+
+    def __init__(
+        self, what: str, *, got: str = "", expected: str = "", advice: str = "", reason: str = "cannot be flown"
+    ) -> None:
+        super().__init__(what, got=got, expected=expected, advice=advice)
+        self.reason = reason
 
 
 class NotConvergedError(PeriluneError):
