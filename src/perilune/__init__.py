@@ -19,6 +19,7 @@ _EXPORTS = {
     "Given": "perilune.problem.problem",
     "Free": "perilune.problem.problem",
     "Scales": "perilune.words.units",
+    "Table": "perilune.words.maths",
     "Solution": "perilune.problem.solution",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
@@ -56,6 +57,7 @@ __all__ = [
     "Pseudospectral",
     "Scales",
     "Solution",
+    "Table",
     "Variable",
     "Verification",
     "models",
@@ -77,6 +79,7 @@ if TYPE_CHECKING:
     from perilune.problem.solution import Solution
     from perilune.problem.verification import Check, Verification
     from perilune.solve import solve, verify
+    from perilune.words.maths import Table
     from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
     from perilune.words.units import Scales
 

@@ -41,7 +41,7 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     kept = list(range(size))
     if wanted:
         fixed = dict.fromkeys(silent, 0.0)
-        switching = [event.function for event in extremal.events]
+        switching = [f for event in extremal.events for f in (event.function, event.jump) if f is not None]
         parts = [prune(mode, [*wanted, *switching], fixed=fixed) for mode in extremal.modes]
         # What a mode holds constant may still be an unknown: it stays in z, for its columns.
         kept = sorted({i for part in parts for i in (*part.kept, *part.constant)} - set(silent))
@@ -50,11 +50,17 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     whole[kept] = z
     rates = [ca.simplify(mode(whole, p)[kept]) for mode in extremal.modes]
     crossings = [ca.simplify(event.function(whole, p)) for event in extremal.events]
-    known = [i for i in range(numbers) if ca.depends_on(ca.vertcat(*rates, *crossings), p[i])]
+    jumps = [None if event.jump is None else ca.simplify(event.jump(whole, p)[kept]) for event in extremal.events]
+    used = ca.vertcat(*rates, *crossings, *(jump for jump in jumps if jump is not None))
+    known = [i for i in range(numbers) if ca.depends_on(used, p[i])]
     modes = tuple(ca.Function("rhs", [z, p[known]], [ca.cse(rate)]) for rate in rates)
     switches = tuple(
-        replace(event, function=ca.Function("S", [z, p[known]], [S]))
-        for event, S in zip(extremal.events, crossings, strict=True)
+        replace(
+            event,
+            function=ca.Function("S", [z, p[known]], [S]),
+            jump=None if jump is None else ca.Function("jump", [z, p[known]], [jump]),
+        )
+        for event, S, jump in zip(extremal.events, crossings, jumps, strict=True)
     )
     return Equations(kept=np.array(kept), numbers=np.array(known, dtype=int), modes=modes, switches=switches)
 
