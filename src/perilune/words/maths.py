@@ -86,7 +86,7 @@ class Table:
 
     @cached_property
     def pieces(self) -> Any:
-        """Coefficients (powers, pieces) of the polynomials in x less the left knot, highest power first; with the ends."""
+        """Coefficients (powers, pieces) of polynomials in x less the left knot, highest power first; with the ends."""
         from scipy.interpolate import PchipInterpolator, PPoly, make_interp_spline
 
         x, y = np.array(self.x), np.array(self.y)
