@@ -31,7 +31,7 @@ def test_the_main_job_in_a_process_of_its_own() -> None:
     assert value["perilune_speed"] == pytest.approx(1691.96926, abs=1e-5)
     assert value["propellant"] == pytest.approx(300.0 - value["landed_mass"], abs=1e-9)
     natures = [(round(e["delta_v"]), e["nature"]) for e in document["extremals"]]
-    assert natures[0] == (1201, "global optimum")
+    assert natures[0] == (1201, "best of the extremals found")
     assert {delta_v for delta_v, _ in natures} == {1201, 0, 129}
 
 

@@ -101,8 +101,9 @@ def test_an_expression_rounds_as_the_function_does() -> None:
 def test_models_round_alike_too(landing: Problem) -> None:
     for name, function in landing.form.expressions.items():
         again = json.loads(json.dumps(function.tape.document()))
+        states = landing.phases[0].state_names
         known = {"x": landing.phases[0].state_names, "u": landing.phases[0].control_names,
-                 "p": (*landing.given, *landing.free_names)}  # fmt: skip
+                 "p": (*landing.given, *landing.free_names), "t": ("",), "first": states, "last": states}  # fmt: skip
         assert Tape.read(again, known, str(name)) == function.tape
 
 

@@ -56,10 +56,10 @@ def test_every_extremal_is_found(hybrid: Solution) -> None:
     """The global maximum of landed mass, delta_v = 0 as a local one, and the local minimum between them."""
     found = {e.nature: e for e in hybrid.extremals}
     assert len(hybrid.extremals) == 3
-    assert found[Nature.GLOBAL_OPTIMUM].free["retro_delta_v"] == pytest.approx(1200.944, abs=1e-3)
-    assert found[Nature.BOUNDARY_OPTIMUM].free["retro_delta_v"] == 0.0
+    assert found[Nature.BEST].free["retro_delta_v"] == pytest.approx(1200.944, abs=1e-3)
+    assert found[Nature.LOCAL_OPTIMUM_AT_BOUND].free["retro_delta_v"] == 0.0
     assert found[Nature.WORST].free["retro_delta_v"] == pytest.approx(130.0, abs=5.0)
-    assert found[Nature.WORST].objective > found[Nature.BOUNDARY_OPTIMUM].objective
+    assert found[Nature.WORST].objective > found[Nature.LOCAL_OPTIMUM_AT_BOUND].objective
 
 
 @pytest.mark.parametrize(("isp", "retro_burn"), [(277.95, True), (277.85, False)])
@@ -68,10 +68,10 @@ def test_retro_burn_stops_paying(isp: float, retro_burn: bool) -> None:
     solution = solve(cho_landing(isp), level=0)
     if retro_burn:
         assert solution.free["retro_delta_v"] == pytest.approx(1086.0, abs=1.0)
-        assert solution.extremals[0].nature is Nature.GLOBAL_OPTIMUM
+        assert solution.extremals[0].nature is Nature.BEST
     else:
         assert solution.free["retro_delta_v"] == 0.0
-        assert solution.extremals[0].nature is Nature.BOUNDARY_GLOBAL_OPTIMUM
+        assert solution.extremals[0].nature is Nature.BEST_AT_BOUND
 
 
 def test_initial_costate_is_the_gradient(landing: Problem, ordinary: Solution) -> None:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
-from perilune.io.columns import columns, costate_unit, flown_control, hamiltonian
-from perilune.io.export import results, solution_document, trajectory_csv, write_solution
+from perilune.io.columns import columns, costate_unit, hamiltonian
+from perilune.io.export import results, save, solution_document, trajectory_csv
 from perilune.io.files import fresh_directory, json_text
-from perilune.io.reload import hash_of, read_solution
+from perilune.io.reload import hash_of, load
 from perilune.models.landing import Retro
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Extremal, Nature, Solution, Statistics
@@ -52,11 +52,11 @@ def hybrid() -> Solution:
         outcome=Outcome.PROVED,
         multipliers={"descent.touchdown_altitude": 3.8e-4},
         extremals=(
-            Extremal(free=free, objective=found.objective, nature=Nature.GLOBAL_OPTIMUM),
+            Extremal(free=free, objective=found.objective, nature=Nature.BEST),
             Extremal(
                 free={"retro_delta_v": 0.0, "flight_time": 1005.0},
                 objective=-154.5,
-                nature=Nature.BOUNDARY_OPTIMUM,
+                nature=Nature.LOCAL_OPTIMUM_AT_BOUND,
             ),
         ),
         statistics=Statistics(rung="test", tried=("test",), iterations=7),
@@ -71,7 +71,7 @@ def ordinary() -> Solution:
     return solution_of(problem, shoot(problem, np.array([0.1, 0.29, -0.1, -0.5, 0.97])))
 
 
-def load(text: str) -> Problem:
+def stand_in(text: str) -> Problem:
     """Stand-in for the scenario reader: there is one scenario."""
     assert text == SCENARIO
     return cho_problem(Retro(specific_impulse=310.0))
@@ -87,7 +87,9 @@ def test_results_are_the_papers(hybrid: Solution, ordinary: Solution) -> None:
     assert found["propellant"]["value"] == pytest.approx(139.3814, abs=5e-5)
     assert found["perilune_speed"]["value"] == pytest.approx(1691.96926, abs=5e-6)
     assert found["flight_time"]["value"] == pytest.approx(286.864, abs=1e-3)
-    assert [entry["unit"] for entry in found.values()] == ["kg", "kg", "m/s", "s", "m/s"]
+    # Programs read these by name and in this order; what came later stands behind them.
+    assert list(found)[:5] == ["landed_mass", "propellant", "delta_v", "flight_time", "perilune_speed"]
+    assert [entry["unit"] for entry in found.values()][:5] == ["kg", "kg", "m/s", "s", "m/s"]
     assert results(ordinary)["landed_mass"]["value"] == pytest.approx(154.5413, abs=5e-5)
     assert results(ordinary)["delta_v"]["value"] == 0.0
 
@@ -105,12 +107,10 @@ def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
         "statistics",
     ]
     assert document["outcome"] == "PROVED"
-    assert set(document["extremals"][1]) == {"delta_v", "landed_mass", "nature"}
-    assert document["extremals"][1] == {
-        "delta_v": 0.0,
-        "landed_mass": 154.5,
-        "nature": "local optimum, at a bound",
-    }
+    assert set(document["extremals"][1]) == {"delta_v", "flight_time", "perilune_speed", "landed_mass", "nature"}
+    assert document["extremals"][1]["delta_v"] == 0.0
+    assert document["extremals"][1]["landed_mass"] == 154.5
+    assert document["extremals"][1]["nature"] == "local optimum, at a bound"
     assert document["verification"]["level"] == 1
     assert document["verification"]["checks"][1]["value"] is None
     assert document["verification"]["checks"][1]["passed"] is False
@@ -133,11 +133,11 @@ def test_columns_satisfy_the_optimality_conditions(hybrid: Solution) -> None:
     assert found["thrust_angle"].unit == "deg"
     assert found["thrust_angle"].values[0] == pytest.approx(180.0, abs=1e-8)
     assert found["thrust_acceleration"].values == pytest.approx(440.0 / found["m"].values)
-    u = flown_control(hybrid.problem.phases[0], hybrid.trajectories[0], t)
-    assert np.linalg.norm(u, axis=1) == pytest.approx(np.ones(200), abs=1e-15)
+    _, u = hybrid.flown(0, t)
+    assert np.linalg.norm(u, axis=0) == pytest.approx(np.ones(200), abs=1e-15)
     for turn in (-0.1, 0.1, 3.0):
         c, s = math.cos(turn), math.sin(turn)
-        turned = np.column_stack([c * u[:, 0] - s * u[:, 1], s * u[:, 0] + c * u[:, 1]])
+        turned = np.array([c * u[0] - s * u[1], s * u[0] + c * u[1]])
         assert (hamiltonian(hybrid, 0, t, turned) > found["H"].values).all()
 
 
@@ -159,8 +159,8 @@ def test_the_table_of_the_trajectory_is_exact_and_has_units(hybrid: Solution) ->
 
 def test_a_saved_solution_comes_back_exactly_but_unproved(hybrid: Solution, tmp_path) -> None:
     """Every number survives; what the file claims of its proof is not believed."""
-    write_solution(hybrid, tmp_path / "a", SCENARIO, False)
-    back = read_solution(tmp_path / "a", load)
+    save(hybrid, tmp_path / "a", SCENARIO)
+    back = load(tmp_path / "a", stand_in)
     assert back.outcome is Outcome.SOLVED
     assert back.verification.checks == ()
     assert dict(back.free) == dict(hybrid.free)
@@ -177,12 +177,13 @@ def test_a_saved_solution_comes_back_exactly_but_unproved(hybrid: Solution, tmp_
 
 def test_a_saved_solution_explains_itself(hybrid: Solution, tmp_path) -> None:
     """Format, interpolation rule, units, scenario and versions are in the file."""
-    write_solution(hybrid, tmp_path, SCENARIO, False)
+    save(hybrid, tmp_path, SCENARIO)
     document = json.loads((tmp_path / "solution.json").read_text(encoding="utf-8"))
-    assert document["format"]["name"] == "perilune-solution" and document["format"]["version"] == 1
+    assert document["format"]["name"] == "perilune-solution" and document["format"]["version"] == 2
     assert set(document["format"]["fields"]) - {"null"} <= {
         *document,
         *(f"phases.{key}" for key in document["phases"][0]),
+        *(f"problem.{key}" for key in document["problem"]),
     }
     assert document["phases"][0]["interpolation"]["control of kind direction"] == "cubic Hermite, then normalised"
     assert document["scenario"] == {"text": SCENARIO, "sha256": hash_of(SCENARIO)}
@@ -236,13 +237,13 @@ CURVE = "phases/0/state"
 )
 def test_an_altered_file_is_refused(hybrid: Solution, tmp_path, path: str, value: Any, message: str) -> None:
     """Each alteration is named; nothing but a PeriluneError comes out."""
-    write_solution(hybrid, tmp_path, SCENARIO, False)
+    save(hybrid, tmp_path, SCENARIO)
     file = tmp_path / "solution.json"
     document = json.loads(file.read_text(encoding="utf-8"))
     _set(document, path, value)
     file.write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(PeriluneError, match=re.escape(message)):
-        read_solution(tmp_path, load)
+        load(tmp_path, stand_in)
 
 
 @pytest.mark.parametrize(
@@ -262,13 +263,13 @@ def test_a_strange_file_is_refused(tmp_path, raw: bytes, message: str) -> None:
     """Without a traceback and without reading more than the limit."""
     (tmp_path / "solution.json").write_bytes(raw)
     with pytest.raises(PeriluneError, match=message):
-        read_solution(tmp_path, load)
+        load(tmp_path, stand_in)
 
 
 def test_a_missing_file_is_refused(tmp_path) -> None:
     """With what would be right."""
     with pytest.raises(PeriluneError, match="perilune solve --out"):
-        read_solution(tmp_path / "nowhere", load)
+        load(tmp_path / "nowhere", stand_in)
 
 
 # --- files ---

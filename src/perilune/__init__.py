@@ -32,6 +32,8 @@ _EXPORTS = {
     "Hybrid": "perilune.methods.hybrid",
     "Genetic": "perilune.methods.genetic",
     "MOON": "perilune.models.bodies",
+    "load": "perilune.io.reload",
+    "save": "perilune.io.export",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
     "verify": "perilune.solve",
@@ -60,7 +62,9 @@ __all__ = [
     "Table",
     "Variable",
     "Verification",
+    "load",
     "models",
+    "save",
     "solve",
     "sweep",
     "verify",
@@ -69,6 +73,8 @@ __all__ = [
 if TYPE_CHECKING:
     from perilune import models
     from perilune.families.sweep import sweep
+    from perilune.io.export import save
+    from perilune.io.reload import load
     from perilune.methods.genetic import Genetic
     from perilune.methods.hybrid import Hybrid
     from perilune.methods.indirect import Indirect

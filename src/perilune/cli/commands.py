@@ -16,6 +16,7 @@ import typer
 from perilune.cli.answer import INTERRUPTED, Answer, deliver, forsake_stdout, refusal, say
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, note, progress, refuse_used, warn
+from perilune.reproductions.papers import PAPERS
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
 if TYPE_CHECKING:
@@ -51,9 +52,6 @@ def obey(arguments: Sequence[str]) -> int:
         return say(refusal(usage, usage.exit_code), as_json="--json" in arguments)
     return 0
 
-
-# The module of each paper has `reproduce`.
-PAPERS = {"cho-2015": "perilune.reproductions.cho2015", "peng-2012": "perilune.reproductions.peng2012"}
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="FILE", help="Scenario in TOML; `perilune new` writes one.")]
 Changes = Annotated[
@@ -136,22 +134,23 @@ def _solve(
         solution = solve_problem(scenario.problem, chosen, level=level, watch=watch)
         if out is not None:
             watch("writing files and figures")
-            write_all(solution, out, scenario_text=scenario.text, ordinary=_ordinary(solution), force=force)
+            write_all(solution, out, scenario_text=scenario.text, ordinary=_beside(solution), force=force)
     check_propellant(solution)
     return _solution_answer(solution, verbose, out)
 
 
-def _ordinary(solution: Solution) -> Solution | None:
-    """The same landing without a retro burn, for the figures.
+def _beside(solution: Solution) -> Solution | None:
+    """The plainer flight that the problem's views name, for the figures.
 
     None where it is that already, or has no solution.
     """
     from perilune.solve import solve as solve_problem
 
-    if not getattr(solution.parameters, "retro_delta_v", 0.0):
+    beside = solution.problem.views.beside
+    if beside is None or all(getattr(solution.parameters, name) == value for name, value in beside.given):
         return None
     try:
-        return solve_problem(solution.problem.with_given(retro_delta_v=0.0), level=0)
+        return solve_problem(solution.problem.with_given(**dict(beside.given)), level=0)
     except PeriluneError:
         return None
 
@@ -303,25 +302,20 @@ def verify(
     """Prove a saved solution again, from its file alone."""
 
     def work() -> Answer:
-        from perilune.io.reload import read_solution
+        from perilune.io.reload import load
         from perilune.models.preflight import check_propellant
         from perilune.solve import prove
 
-        solution = prove(read_solution(directory), level)
+        solution = prove(load(directory), level)
         check_propellant(solution)
-        answer = _solution_answer(solution, verbose)
-        if len(solution.extremals) < 2:
-            return answer
-        return replace(
-            answer, text=f"{answer.text}\n\nthe other extremals are as the file lists them, not proved again"
-        )
+        return _solution_answer(solution, verbose)
 
     deliver(as_json, work)
 
 
 @app.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER", help="cho-2015 or peng-2012")],
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help=" or ".join(PAPERS))],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the report goes.")],
     as_json: Json = False,
     verbose: Verbose = False,
@@ -331,18 +325,19 @@ def reproduce(
     """Compute every number and figure of a paper and set them beside the printed ones."""
 
     def work() -> Answer:
-        from importlib import import_module
+        from perilune.reproductions.papers import reproduce as reproduce_paper
 
-        from perilune.words.outcome import unknown_name
-
-        if paper not in PAPERS:
-            raise unknown_name("paper", paper, list(PAPERS))
         refuse_used(out, force)
         with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
-            outcome = import_module(PAPERS[paper]).reproduce(out, force=force, watch=watch).outcome
+            proved = reproduce_paper(paper, out, force=force, watch=watch).proved
         report = str(out / "report.md")
-        document = {"paper": paper, "outcome": outcome.name, "report": report}
-        return Answer(text=f"written to {report}", document=document, exit_code=outcome.exit_code)
+        document = {
+            "paper": paper,
+            "outcome": proved.outcome.name,
+            "verification": {"level": proved.verification.level},
+            "report": report,
+        }
+        return Answer(text=f"written to {report}", document=document, exit_code=proved.outcome.exit_code)
 
     deliver(as_json, work)
 

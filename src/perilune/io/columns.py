@@ -15,9 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import normalised
-from perilune.problem.problem import Phase
-from perilune.problem.solution import Solution, Trajectory
+from perilune.problem.solution import Solution, full
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
@@ -36,15 +34,10 @@ class Column:
         return f"{self.name} [{self.unit}]"
 
 
-def flown_control(phase: Phase, trajectory: Trajectory, t: Vector) -> Matrix:
-    """Control at times t, cubic Hermite then normalised, shape (n, components)."""
-    return normalised(phase.controls, trajectory.control(t).T).T
-
-
 def hamiltonian(solution: Solution, k: int, t: Vector, control: Matrix | None = None) -> Vector:
     """H of phase k at times t, in units of J per second.
 
-    With the flown control, or with another, shape (n, components). NaN where the method gives no costates.
+    With the flown control, or with another, shape (components, n). NaN where the method gives no costates.
     """
     if solution.trajectories[k].costate is None:
         return np.full(len(t), math.nan)
@@ -55,8 +48,8 @@ def hamiltonian_terms(solution: Solution, k: int, t: Vector, control: Matrix | N
     """Evaluate the terms ``lam_i x_i'`` of H at times t, one for each state; phase k must have costates."""
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     assert trajectory.costate is not None
-    u = flown_control(phase, trajectory, t) if control is None else control
-    rates = phase.rates(trajectory.state(t).T, list(u.T), solution.parameters)
+    x, u = solution.flown(k, t)
+    rates = phase.rates(x, u if control is None else control, solution.parameters)
     return [lam * rate for lam, rate in zip(trajectory.costate(t).T, rates, strict=True)]
 
 
@@ -88,14 +81,13 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
     """
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     t = trajectory.time if t is None else t
-    control = flown_control(phase, trajectory, t)
-    state = trajectory.state(t)
-    outputs = phase.evaluate("outputs", state.T, list(control.T), solution.parameters)
+    state, control = solution.flown(k, t)
+    outputs = phase.evaluate("outputs", state, control, solution.parameters)
     table = [Column(name="time", unit="s", values=t)]
     table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
-    table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state.T, strict=True)]
+    table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state, strict=True)]
     units = [c.unit for c in phase.controls for _ in c.names]
-    table += [_column(n, u, y, t) for n, u, y in zip(phase.control_names, units, control.T, strict=True)]
+    table += [_column(n, u, y, t) for n, u, y in zip(phase.control_names, units, control, strict=True)]
     if trajectory.costate is not None:
         per = solution.problem.objective_unit
         table += [
@@ -115,8 +107,20 @@ def costate_unit(objective_unit: str, state_unit: str) -> str:
     return f"{objective_unit}/({state_unit})" if "/" in state_unit else f"{objective_unit}/{state_unit}"
 
 
+def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
+    """(time from the first ignition [s], column) for each phase that has the column, finely sampled."""
+    found, begin = [], 0.0
+    for k, trajectory in enumerate(solution.trajectories):
+        t = np.linspace(0.0, trajectory.duration, 601)
+        table = columns(solution, k, t)
+        if name in table:
+            found.append((begin + t, table[name]))
+        begin += trajectory.duration
+    return found
+
+
 def _column(name: str, unit: str, values: Any, t: Vector) -> Column:
-    full = np.broadcast_to(np.asarray(values, dtype=float), np.shape(t))
-    return Column(name=name, unit="deg", values=np.degrees(full)) if unit == "rad" else Column(
-        name=name, unit=unit, values=full
+    values = full(values, t)
+    return Column(name=name, unit="deg", values=np.degrees(values)) if unit == "rad" else Column(
+        name=name, unit=unit, values=values
     )  # fmt: skip

@@ -13,20 +13,21 @@ import io
 import math
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from perilune import __version__ as perilune_version
 from perilune.io.columns import columns, costate_unit
 from perilune.io.files import finite, fresh_directory, json_text
-from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of, read_solution
+from perilune.io.physics import physics_document
+from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.problem import Phase
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.words.maths import NUMERIC
-
-__all__ = ["read_solution", "results", "solution_document", "write_solution"]
 
 INTERPOLATION = {
     "state": "cubic Hermite",
@@ -35,7 +36,11 @@ INTERPOLATION = {
 }
 
 _FIELDS = {
-    "scenario": "the scenario file this solution answers, word for word, and the SHA-256 of its UTF-8 text",
+    "scenario": "the scenario file this solution answers, word for word, and the SHA-256 of its UTF-8 text; or null",
+    "problem": "the problem without its given values; what is at its default (no bound, no title) is left out",
+    "problem.functions": "physics as operations in order: [record, component], [const, number] or [operation, "
+    "operand, ...], an operand being the index of an earlier entry, as the outputs are",
+    "problem.digest": "SHA-256 of the problem without its numbers: equal physics has the same",
     "given": "parameters with their values, all in SI (angles in radians)",
     "free": "parameters chosen by the optimiser, in SI, durations of phases included",
     "objective": "J, minimised, at the solution",
@@ -45,6 +50,7 @@ _FIELDS = {
     "phases.costate": "lambda = dJ*/dx, same layout; H = lambda.f, minimised; lambda' = -dH/dx; null if none",
     "phases.control": "same layout; names and kinds of the components in `controls`",
     "phases.interpolation": "the rule for values between nodes; to normalise is to divide by the length",
+    "results": "what the problem asks of its solution, in SI",
     "extremals": "every root of the necessary conditions found, best first; the first is this solution",
     "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
     "unknowns": "the method's own unknowns, from which it can start again",
@@ -53,86 +59,75 @@ _FIELDS = {
 
 
 def results(solution: Solution) -> dict[str, dict[str, Any]]:
-    """Collect what is asked of a landing, each ``{"value": float, "unit": str}``, where the problem has it.
-
-    The propellant is everything burnt from `vehicle_mass` on, the retro burn's included.
-    """
-    p = solution.parameters
-    first, last = solution.problem.phases[0], solution.problem.phases[-1]
-    found: dict[str, tuple[float, str]] = {}
-    if "m" in last.state_names and "m" in first.state_names:
-        landed = _component(solution.trajectories[-1], last, "m", -1)
-        aboard = getattr(p, "vehicle_mass", _component(solution.trajectories[0], first, "m", 0))
-        found["landed_mass"] = (landed, "kg")
-        found["propellant"] = (aboard - landed, "kg")
-    if hasattr(p, "retro_delta_v"):
-        found["delta_v"] = (p.retro_delta_v, "m/s")
-    found["flight_time"] = (sum(t.duration for t in solution.trajectories), "s")
-    if hasattr(p, "orbit_perilune_altitude"):
-        from perilune.models.landing import perilune_speed
-
-        found["perilune_speed"] = (perilune_speed(p, NUMERIC), "m/s")
-    return {name: {"value": float(value), "unit": unit} for name, (value, unit) in found.items()}
+    """What the problem asks of its solution, each ``{"value": float, "unit": str, "description": str}``, SI."""
+    return {name: asdict(result) for name, result in solution.results.items()}
 
 
 def solution_document(solution: Solution) -> dict[str, Any]:
-    """Make what ``perilune solve --json`` prints; a number that is not finite becomes None."""
+    """Make what ``perilune solve --json`` prints; a number that is not finite becomes None.
+
+    Of a solution that was loaded, ``claimed`` names what is only the file's word.
+    """
     statistics = solution.statistics
-    return finite(
-        {
-            "problem": solution.problem.name,
-            "method": solution.method,
-            "outcome": solution.outcome.name,
-            "results": results(solution),
-            "extremals": extremals_document(solution),
-            "verification": {
-                "level": solution.verification.level,
-                "checks": [
-                    {
-                        "name": c.name,
-                        "level": c.level,
-                        "value": float(c.value),
-                        "limit": float(c.limit),
-                        "unit": c.unit,
-                        "passed": c.passed,
-                        "meaning": c.meaning,
-                    }
-                    for c in solution.verification.checks
-                ],
-            },
-            "statistics": {
-                "rung": statistics.rung,
-                "tried": list(statistics.tried),
-                "iterations": int(statistics.iterations),
-                "arcs": int(statistics.arcs),
-                "residual": float(statistics.residual),
-                "wall_time": float(statistics.wall_time),
-            },
-        }
-    )
+    claims = {"claimed": ["extremals", "statistics"]} if statistics.claimed else {}
+    document = {
+        "problem": solution.problem.name,
+        "method": solution.method,
+        "outcome": solution.outcome.name,
+        "results": results(solution),
+        "extremals": extremals_document(solution),
+        "verification": {
+            "level": solution.verification.level,
+            "text": solution.verification.text,
+            "checks": [
+                {
+                    "name": c.name,
+                    "level": c.level,
+                    "value": float(c.value),
+                    "limit": float(c.limit),
+                    "unit": c.unit,
+                    "passed": c.passed,
+                    "meaning": c.meaning,
+                }
+                for c in solution.verification.checks
+            ],
+        },
+        "statistics": {
+            "rung": statistics.rung,
+            "tried": list(statistics.tried),
+            "iterations": int(statistics.iterations),
+            "arcs": int(statistics.arcs),
+            "residual": float(statistics.residual),
+            "wall_time": float(statistics.wall_time),
+        },
+    }
+    return finite(document | claims)
 
 
 def extremals_document(solution: Solution) -> list[dict[str, Any]]:
-    """List the extremals, best first: delta_v [m/s], landed_mass [kg] (else the objective), nature."""
-    parameters = vars(solution.parameters)
-    mass = results(solution).get("landed_mass", {}).get("value", math.nan)
-    # J is minus the landed mass for every problem that maximises it, which the solution itself shows.
-    maximises_mass = math.isclose(-solution.objective, mass, rel_tol=1e-6)
+    """List the extremals, best first: what the parameters alone decide of the results, the objective, the nature.
+
+    Where J is the negative of a result, that result stands for it.
+    """
+    problem = solution.problem
+    unknown = [SimpleNamespace(**dict.fromkeys(problem.phases[k].state_names, math.nan)) for k in (0, -1)]
     rows = []
     for extremal in solution.extremals:
-        row: dict[str, Any] = {}
-        if "retro_delta_v" in parameters:
-            row["delta_v"] = float(extremal.free.get("retro_delta_v", parameters["retro_delta_v"]))
-        if maximises_mass:
-            row["landed_mass"] = -float(extremal.objective)
-        else:
-            row["objective"] = float(extremal.objective)
-        rows.append({**row, "nature": extremal.nature.value})
+        known: dict[str, Any] = {}
+        if problem.results is not None:
+            values = problem.results(*unknown, problem.parameters({**solution.free, **extremal.free}), NUMERIC)
+            known = {v.name: float(value) for v, value in zip(problem.result_variables, values, strict=True)}
+        known = {name: value for name, value in known.items() if math.isfinite(value)}
+        best = {problem.maximised: -extremal.objective} if problem.maximised else {"objective": extremal.objective}
+        rows.append({**known, **{k: float(v) for k, v in best.items()}, "nature": extremal.nature.value})
     return rows
 
 
-def write_solution(solution: Solution, directory: str | Path, scenario_text: str, force: bool = False) -> None:
-    """Write ``solution.json`` and the trajectory as CSV.
+def save(solution: Solution, directory: str | Path, scenario_text: str | None = None, *, force: bool = False) -> None:
+    """Write ``solution.json``, from which `perilune.load` makes the solution again, and the trajectory as CSV.
+
+    The problem may be stated in any way: its formulas are written as expressions, so that it can be proved again
+    without the code that stated it.
 
     Parameters
     ----------
@@ -141,30 +136,36 @@ def write_solution(solution: Solution, directory: str | Path, scenario_text: str
     directory
         Where; see `perilune.io.files.fresh_directory`.
     scenario_text
-        The scenario that `solution.problem` was made of, with every change made to it.
+        The scenario that `solution.problem` was made of, with every change made to it; None for a problem in Python.
     force
         Whether files of the same names may be replaced.
+
+    Raises
+    ------
+    PeriluneError
+        If the directory cannot be written, or is not empty and `force` is false.
     """
     with fresh_directory(directory, force) as work:
         write_solution_files(solution, work, scenario_text)
 
 
-def write_solution_files(solution: Solution, directory: Path, scenario_text: str) -> None:
-    """As `write_solution`, into a directory that exists."""
+def write_solution_files(solution: Solution, directory: Path, scenario_text: str | None) -> None:
+    """As `save`, into a directory that exists."""
     (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
     for k, trajectory in enumerate(solution.trajectories):
         name = "trajectory.csv" if len(solution.trajectories) == 1 else f"trajectory_{k + 1}_{trajectory.phase}.csv"
         (directory / name).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
 
 
-def whole_document(solution: Solution, scenario_text: str) -> dict[str, Any]:
+def whole_document(solution: Solution, scenario_text: str | None = None) -> dict[str, Any]:
     """Everything about a solution, as the tree that ``solution.json`` holds."""
     problem, short = solution.problem, solution_document(solution)
+    scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": versions(),
-        "scenario": {"sha256": hash_of(scenario_text), "text": scenario_text},
-        "problem": {"name": problem.name, "title": problem.title},
+        "scenario": scenario,
+        "problem": physics_document(problem),
         "method": solution.method,
         "outcome": {"name": solution.outcome.name, "advice": solution.outcome.value},
         "objective": {"value": float(solution.objective), "unit": problem.objective_unit},
@@ -224,10 +225,6 @@ def _phase_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -
 
 def _curve_document(curve: Curve) -> dict[str, Any]:
     return {"time": curve.time.tolist(), "values": curve.values.tolist(), "rates": curve.rates.tolist()}
-
-
-def _component(trajectory: Trajectory, phase: Phase, name: str, node: int) -> float:
-    return float(trajectory.state.values[node, phase.state_names.index(name)])
 
 
 def _multiplier_units(solution: Solution) -> dict[str, str]:

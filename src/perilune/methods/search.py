@@ -318,7 +318,7 @@ class Search:
             Extremal(
                 free=free_values(self.problem, self.conditions, found[i].root.y),
                 objective=value,
-                nature=_nature(found[i], best=place == 0),
+                nature=_nature(found[i], best=place == 0, guessed=rung == "guess"),
             )
             for place, (_, value, i) in enumerate(ranked)
         )
@@ -403,9 +403,12 @@ class Search:
         )
 
 
-def _nature(found: Found, *, best: bool) -> Nature:
-    if found.bound:
-        return Nature.BOUNDARY_GLOBAL_OPTIMUM if best else Nature.BOUNDARY_OPTIMUM
-    if not found.minimum:
+def _nature(found: Found, *, best: bool, guessed: bool) -> Nature:
+    """What a root is; the one that a guess leads to was compared with no other."""
+    if not found.minimum and not found.bound:
         return Nature.WORST
-    return Nature.GLOBAL_OPTIMUM if best else Nature.LOCAL_OPTIMUM
+    if guessed:
+        return Nature.NEAR_GUESS_AT_BOUND if found.bound else Nature.NEAR_GUESS
+    if found.bound:
+        return Nature.BEST_AT_BOUND if best else Nature.LOCAL_OPTIMUM_AT_BOUND
+    return Nature.BEST if best else Nature.LOCAL_OPTIMUM

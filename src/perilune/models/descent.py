@@ -16,11 +16,13 @@ from types import SimpleNamespace
 from typing import Any, Literal
 
 from perilune.models.bodies import MOON, Body
+from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing
 from perilune.models.descent_frames import CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
 from perilune.models.landing import Vehicle
-from perilune.models.rotating import dot, local_axes
+from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
 from perilune.problem.controls import Bounded, Control, Direction
 from perilune.problem.problem import Free, Given, Phase, Problem
+from perilune.problem.views import History, Views
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.types import Physics
@@ -34,6 +36,26 @@ _START_UNITS = {
     **dict.fromkeys(("longitude", "latitude", "heading"), "rad"),
     **dict.fromkeys(("forward_speed", "sideways_speed", "vertical_speed"), "m/s"),
 }
+
+_VIEWS = Views(
+    histories=(
+        History(name="altitude", quantities=("altitude",), caption="Altitude"),
+        History(name="mass", quantities=("m",), caption="Mass"),
+        History(
+            name="velocities",
+            quantities=("forward_speed", "sideways_speed", "vertical_speed"),
+            caption="Velocity relative to the body",
+        ),
+        History(
+            name="steering",
+            quantities=("thrust_elevation", "thrust_azimuth", "throttle"),
+            caption="Thrust direction, and throttle where there is one",
+        ),
+    ),
+    height="altitude",
+    radius="body_radius",
+    frame=INERTIAL_AXES,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,6 +280,10 @@ def _phase(coordinates: str, target: str, steering: Steering | None, controls: t
         path_conditions=path_conditions,
         outputs=frame.outputs,
         output_variables=OUTPUTS,
+        integrals=frame.spent,
+        integral_variables=SPENT,
+        inertial=frame.inertial,
+        track=frame.track,
         typical_end=frame.typical_end,
     )
 
@@ -375,6 +401,10 @@ def powered_descent(
         free=(Free(name="flight_time", unit="s"),),
         objective=_minus_landed_mass if minimise == "propellant" else _flight_time,
         objective_unit="kg" if minimise == "propellant" else "s",
+        results=landing,
+        result_variables=LANDING,
+        maximised=LANDED_MASS.name if minimise == "propellant" else "",
+        views=_VIEWS,
         ranges=ranges,
         scales=_scales(start, vehicle, _at(given, ranges)),
     )

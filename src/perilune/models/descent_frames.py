@@ -28,7 +28,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from perilune.models.budget import spent
 from perilune.models.rotating import (
+    apparent_gravity,
     combine,
     cross,
     dot,
@@ -37,6 +39,7 @@ from perilune.models.rotating import (
     heading_axes,
     local_axes,
     place,
+    seen_inertially,
 )
 from perilune.problem.problem import Variable
 from perilune.words.types import Physics
@@ -72,6 +75,16 @@ def _track_normal(p: Any, m: Any) -> Any:
     return combine((1 / m.sqrt(dot(normal, normal)), normal))
 
 
+def _track(above: Any, r: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Arc over the ground along the great circle of the first heading, arc to the left of it, height.
+
+    No pole disturbs it. `above` is the unit vector to the vehicle.
+    """
+    up, oy, oz = _axes_at_start(p, m)
+    along, across = m.atan2(dot(above, oy), dot(above, up)), m.asin(dot(above, oz))
+    return p.body_radius * along, p.body_radius * across, r - p.body_radius
+
+
 def _seen(position: Any, velocity: Any, direction: Any, p: Any, m: Any) -> Sequence[Any]:
     """All of `OUTPUTS` but the last."""
     r, longitude, latitude = place(position, m)
@@ -93,11 +106,11 @@ OUTPUTS = (
     Variable(name="altitude", unit="m"),
     Variable(name="longitude", unit="rad"),
     Variable(name="latitude", unit="rad"),
-    Variable(name="forward_speed", unit="m/s", description="u, along oy"),
-    Variable(name="sideways_speed", unit="m/s", description="v, along oz"),
-    Variable(name="vertical_speed", unit="m/s", description="w, up"),
-    Variable(name="thrust_elevation", unit="rad", description="alpha, above the horizon"),
-    Variable(name="thrust_azimuth", unit="rad", description="beta, from oy towards oz"),
+    Variable(name="forward_speed", unit="m/s", description="u, along oy", label="forward u"),
+    Variable(name="sideways_speed", unit="m/s", description="v, along oz", label="left v"),
+    Variable(name="vertical_speed", unit="m/s", description="w, up", label="up w"),
+    Variable(name="thrust_elevation", unit="rad", description="alpha, above the horizon", label="elevation α"),
+    Variable(name="thrust_azimuth", unit="rad", description="beta, from oy towards oz", label="azimuth β"),
     Variable(name="thrust_acceleration", unit="m/s^2"),
 )
 
@@ -158,6 +171,21 @@ def steered_path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 def _cartesian_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     seen = _seen((x.x, x.y, x.z), (x.vx, x.vy, x.vz), (u.toward_x, u.toward_y, u.toward_z), p, m)
     return (*seen, thrust(u, p) / x.m)
+
+
+def _cartesian_spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    pull = apparent_gravity((x.x, x.y, x.z), _AXIS, p, m)
+    return spent((x.vx, x.vy, x.vz), thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
+
+
+def _cartesian_inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    push = combine((thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
+    return seen_inertially((x.x, x.y, x.z), (x.vx, x.vy, x.vz), push, t, p, m)
+
+
+def _cartesian_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    r = m.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
+    return _track(combine((1 / r, (x.x, x.y, x.z))), r, p, m)
 
 
 def _cartesian_typical_end(p: Any, m: Any) -> Sequence[Any]:
@@ -224,6 +252,28 @@ def _spherical_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     return (x.r - p.body_radius, x.theta, x.phi, *speeds, u.alpha, u.beta, acceleration)
 
 
+def _spherical_vectors(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
+    """Position, velocity and direction of the thrust along the axes that turn with the body."""
+    up, oy, oz = heading_axes(x.theta, x.phi, p.start_heading, m)
+    level = m.cos(u.alpha)
+    direction = combine((m.sin(u.alpha), up), (level * m.cos(u.beta), oy), (level * m.sin(u.beta), oz))
+    return combine((x.r, up)), combine((x.u, oy), (x.v, oz), (x.w, up)), direction
+
+
+def _spherical_spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    position, velocity, direction = _spherical_vectors(x, u, p, m)
+    return spent(velocity, thrust(u, p) / x.m, direction, apparent_gravity(position, _AXIS, p, m), m)
+
+
+def _spherical_inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    position, velocity, direction = _spherical_vectors(x, u, p, m)
+    return seen_inertially(position, velocity, combine((thrust(u, p) / x.m, direction)), t, p, m)
+
+
+def _spherical_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    return _track(local_axes(x.theta, x.phi, m)[0], x.r, p, m)
+
+
 def _spherical_typical_end(p: Any, m: Any) -> Sequence[Any]:
     r = p.body_radius + p.site_altitude
     return (r, p.site_longitude, p.site_latitude, 0.0, 0.0, 0.0, 0.6 * p.vehicle_mass)
@@ -238,7 +288,7 @@ def variables(unit: str, *names: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name, unit=unit) for name in names)
 
 
-MASS = Variable(name="m", unit="kg", lower=0.0, description="mass")
+MASS = Variable(name="m", unit="kg", lower=0.0, description="mass", label="mass")
 _HEIGHT = Variable(name="touchdown_height", unit="m")
 
 
@@ -252,6 +302,9 @@ class Coordinates:
     ends: Mapping[str, tuple[Physics, tuple[Variable, ...]]]
     path: Physics
     outputs: Physics
+    spent: Physics
+    inertial: Physics
+    track: Physics
     typical_end: Physics
 
 
@@ -272,6 +325,9 @@ CARTESIAN = Coordinates(
     },
     path=_cartesian_path,
     outputs=_cartesian_outputs,
+    spent=_cartesian_spent,
+    inertial=_cartesian_inertial,
+    track=_cartesian_track,
     typical_end=_cartesian_typical_end,
 )
 SPHERICAL = Coordinates(
@@ -302,5 +358,8 @@ SPHERICAL = Coordinates(
     },
     path=_spherical_path,
     outputs=_spherical_outputs,
+    spent=_spherical_spent,
+    inertial=_spherical_inertial,
+    track=_spherical_track,
     typical_end=_spherical_typical_end,
 )

@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 
 from perilune.models.bodies import MOON, Body
+from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, spent
 from perilune.problem.controls import Direction
 from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
+from perilune.problem.views import Beside, History, Views
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
@@ -131,6 +133,47 @@ def _outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     )
 
 
+def _results(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
+    return last.m, p.vehicle_mass - last.m, p.retro_delta_v, p.flight_time, perilune_speed(p, m)
+
+
+def _spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    omega = p.body_rotation_rate
+    over_ground = (x.u - omega * x.r, x.v, 0.0)
+    pull = (0.0, omega * omega * x.r - p.body_gravitational_parameter / (x.r * x.r), 0.0)
+    return spent(over_ground, p.vehicle_thrust / x.m, (u.transverse, u.radial, 0.0), pull, m)
+
+
+def _inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    sine, cosine, push = m.sin(x.phi), m.cos(x.phi), p.vehicle_thrust / x.m
+    vectors = ((0.0, x.r), (x.u, x.v), (push * u.transverse, push * u.radial))
+    return tuple(
+        value
+        for across, up in vectors
+        for value in (up * cosine - across * sine, up * sine + across * cosine, 0.0 * up)
+    )
+
+
+_VIEWS = Views(
+    histories=(
+        History(name="altitude", quantities=("altitude",), caption="Altitude"),
+        History(name="horizontal_velocity", quantities=("u",), caption="Horizontal velocity"),
+        History(name="vertical_velocity", quantities=("v",), caption="Vertical velocity"),
+        History(
+            name="thrust_angle",
+            quantities=("thrust_angle",),
+            caption="Thrust angle, from the direction of flight along the horizon",
+        ),
+        History(name="mass", quantities=("m",), caption="Mass; the propellant of a retro burn is gone before ignition"),
+    ),
+    height="altitude",
+    radius="body_radius",
+    frame="inertial axes: x from the centre to the start of the Hohmann transfer, z along the body's rotation",
+    label="hybrid, ΔV = {delta_v:.1f} m/s",
+    beside=Beside(given=(("retro_delta_v", 0.0),), label="ordinary, no retro burn"),
+)
+
+
 def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
     """Cho et al. (6)."""
     return -x.m
@@ -211,9 +254,9 @@ def hybrid_landing(
         states=(
             Variable(name="r", unit="m", description="distance from the centre"),
             Variable(name="phi", unit="rad", description="position angle"),
-            Variable(name="u", unit="m/s", description="transverse velocity"),
-            Variable(name="v", unit="m/s", description="radial velocity"),
-            Variable(name="m", unit="kg", lower=0.0, description="mass"),
+            Variable(name="u", unit="m/s", description="transverse velocity", label="horizontal velocity"),
+            Variable(name="v", unit="m/s", description="radial velocity", label="vertical velocity"),
+            Variable(name="m", unit="kg", lower=0.0, description="mass", label="mass"),
         ),
         controls=(Direction(names=("transverse", "radial")),),
         dynamics=_dynamics,
@@ -229,9 +272,17 @@ def hybrid_landing(
         outputs=_outputs,
         output_variables=(
             Variable(name="altitude", unit="m"),
-            Variable(name="thrust_angle", unit="rad", description="beta, from transverse towards radial"),
+            Variable(
+                name="thrust_angle",
+                unit="rad",
+                description="beta, from transverse towards radial",
+                label="thrust angle β",
+            ),
             Variable(name="thrust_acceleration", unit="m/s^2"),
         ),
+        integrals=_spent,
+        integral_variables=SPENT,
+        inertial=_inertial,
         typical_end=_typical_end,
     )
     p = SimpleNamespace(**{name: g.value for name, g in given.items()})
@@ -246,8 +297,18 @@ def hybrid_landing(
         free=(Free(name="retro_delta_v", unit="m/s"), Free(name="flight_time", unit="s")),
         objective=_minus_landed_mass,
         objective_unit="kg",
+        results=_results,
+        result_variables=(
+            LANDED_MASS,
+            PROPELLANT,
+            Variable(name="delta_v", unit="m/s", description="of the impulsive retro burn"),
+            FLIGHT_TIME,
+            Variable(name="perilune_speed", unit="m/s", description="before the retro burn"),
+        ),
+        maximised=LANDED_MASS.name,
         ranges=_ranges,
         bookkeeping=bookkeeping,
+        views=_VIEWS,
         scales=Scales(length=speed * time, time=time, mass=vehicle.mass),
     )
     if retro is None or retro.delta_v is not None:

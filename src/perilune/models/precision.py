@@ -22,12 +22,21 @@ from types import SimpleNamespace
 from typing import Any
 
 from perilune.models.bodies import MOON, Body
+from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
 from perilune.models.descent import Site, body_and_vehicle, section, throttle_control
 from perilune.models.descent_frames import MASS, mass_rate, thrust, variables
 from perilune.models.landing import Vehicle
-from perilune.models.rotating import combine, free_acceleration
+from perilune.models.rotating import (
+    INERTIAL_AXES,
+    apparent_gravity,
+    combine,
+    free_acceleration,
+    local_axes,
+    seen_inertially,
+)
 from perilune.problem.controls import Direction
-from perilune.problem.problem import Free, Given, Phase, Problem
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.views import History, Views
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.units import Scales
@@ -114,6 +123,44 @@ def _path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     return _above_slope(x, p, m), u.toward_up - m.cos(p.corridor_tilt)
 
 
+def _spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    pull = apparent_gravity(_centre_to(x, p), _axis(p, m), p, m)
+    direction = (u.toward_east, u.toward_north, u.toward_up)
+    return spent((x.v_east, x.v_north, x.v_up), thrust(u, p) / x.m, direction, pull, m)
+
+
+def _inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    up, north, east = local_axes(p.site_longitude, p.site_latitude, m)
+    vectors = (_centre_to(x, p), (x.v_east, x.v_north, x.v_up), (u.toward_east, u.toward_north, u.toward_up))
+    position, velocity, direction = (combine((a, east), (b, north), (c, up)) for a, b, c in vectors)
+    return seen_inertially(position, velocity, combine((thrust(u, p) / x.m, direction)), t, p, m)
+
+
+def _track(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Along the line from the start to the site, left of it, height; the least height on the glide slope there.
+
+    From straight above the site the line is to the east.
+    """
+    none = 1e-300  # m: below any distance
+    away = m.sqrt(p.approach_east * p.approach_east + p.approach_north * p.approach_north)
+    east = -p.approach_east / m.fmax(away, none) + (1 - m.fmin(away / none, 1.0))
+    north = -p.approach_north / m.fmax(away, none)
+    return east * x.east + north * x.north, east * x.north - north * x.east, x.up, x.up - _above_slope(x, p, m)
+
+
+_VIEWS = Views(
+    histories=(
+        History(name="mass", quantities=("m",), caption="Mass"),
+        History(name="velocities", quantities=("v_east", "v_north", "v_up"), caption="Velocity relative to the body"),
+        History(name="steering", quantities=("thrust_tilt", "throttle"), caption="Thrust direction, and throttle"),
+    ),
+    height="up",
+    radius="body_radius",
+    frame=INERTIAL_AXES,
+    floor="glide slope",
+)
+
+
 def _outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     horizontal = m.sqrt(u.toward_east * u.toward_east + u.toward_north * u.toward_north)
     return m.atan2(horizontal, u.toward_up), thrust(u, p) / x.m
@@ -187,7 +234,9 @@ def _phase(throttle: tuple[float, float], dry_mass: float | None) -> Phase:
         name="landing",
         states=(
             *variables("m", "east", "north", "up"),
-            *variables("m/s", "v_east", "v_north", "v_up"),
+            Variable(name="v_east", unit="m/s", label="east"),
+            Variable(name="v_north", unit="m/s", label="north"),
+            Variable(name="v_up", unit="m/s", label="up"),
             replace(MASS, lower=dry_mass or 0.0),
         ),
         controls=(Direction(names=("toward_east", "toward_north", "toward_up")), throttle_control(*throttle)),
@@ -201,7 +250,14 @@ def _phase(throttle: tuple[float, float], dry_mass: float | None) -> Phase:
         path=_path,
         path_conditions=(*variables("m", "height_above_glide_slope"), *variables("1", "pointing_margin")),
         outputs=_outputs,
-        output_variables=(*variables("rad", "thrust_tilt"), *variables("m/s^2", "thrust_acceleration")),
+        output_variables=(
+            Variable(name="thrust_tilt", unit="rad", description="of the thrust from the vertical", label="tilt"),
+            *variables("m/s^2", "thrust_acceleration"),
+        ),
+        integrals=_spent,
+        integral_variables=SPENT,
+        inertial=_inertial,
+        track=_track,
         typical_end=_typical_end,
     )
 
@@ -254,7 +310,11 @@ def precision_landing(
         free=(Free(name="flight_time", unit="s"),),
         objective=_minus_landed_mass,
         objective_unit="kg",
+        results=landing,
+        result_variables=LANDING,
+        maximised=LANDED_MASS.name,
         ranges=ranges,
+        views=_VIEWS,
         scales=Scales(length=way, time=time, mass=vehicle.mass),
     )
 

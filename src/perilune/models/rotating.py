@@ -83,3 +83,26 @@ def place(position: Sequence[Any], m: Any) -> tuple[Any, Any, Any]:
     x, y, z = position
     across = m.sqrt(x * x + y * y)
     return m.sqrt(dot(position, position)), m.atan2(y, x), m.atan2(z, across)
+
+
+def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
+    """Gravity as it is felt at rest in the rotating frame: with the centrifugal acceleration."""
+    return free_acceleration(position, (0.0, 0.0, 0.0), axis, p, m)
+
+
+INERTIAL_AXES = "inertial axes that are the body's own at ignition: z along its rotation, x to longitude 0"
+
+
+def seen_inertially(
+    position: Sequence[Any], velocity: Sequence[Any], push: Sequence[Any], t: Any, p: Any, m: Any
+) -> tuple[Any, ...]:
+    """Position, velocity and a third vector in `INERTIAL_AXES`, t seconds after ignition, as nine values.
+
+    From the axes that turn with the body, z along its rotation; `velocity` is relative to these.
+    """
+    omega = p.body_rotation_rate
+    sine, cosine = m.sin(omega * t), m.cos(omega * t)
+    carried = combine((1, velocity), (omega, cross((0.0, 0.0, 1.0), position)))
+    return tuple(
+        value for x, y, z in (position, carried, push) for value in (cosine * x - sine * y, sine * x + cosine * y, z)
+    )

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -22,16 +22,27 @@ from perilune.problem.tape import Expression, NotAFormula, Recorder, Symbol
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
 
-# The functions of a phase, the records each takes before `m`, and the field with the names of its results.
+# The functions of a phase, what each takes before `m`, and the field of the phase with the names of its results.
 PHASE_FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "dynamics": (("x", "u", "p"), "states"),
     "end": (("x", "p"), "end_conditions"),
     "path": (("x", "u", "p"), "path_conditions"),
     "outputs": (("x", "u", "p"), "output_variables"),
+    "integrals": (("x", "u", "p"), "integral_variables"),
+    "inertial": (("x", "u", "t", "p"), ""),
+    "track": (("x", "p"), ""),
     "typical_end": (("p",), "states"),
 }
+_RATES = ("dynamics", "integrals")
+_INERTIAL = tuple((f"{what} {axis}", unit) for what, unit in
+                  (("position", "m"), ("velocity", "m/s"), ("thrust", "m/s^2")) for axis in "xyz")  # fmt: skip
+_TRACK = (("along", "m"), ("across", "m"), ("height", "m"), ("least height", "m"))
+# The functions of the problem itself; ("links", number) stands under "links".
+_OTHER_FUNCTIONS = {
+    "start": ("p",), "links": ("x", "p"), "objective": ("x", "p"), "results": ("first", "last", "p")
+}  # fmt: skip
 OWN_TEXT = "the problem's own Python functions"
-_KINDS = {"x": "state", "u": "control", "p": "parameter", "m": "function of m"}
+_KINDS = {"u": "control", "p": "parameter", "m": "function of m"}  # the others are states
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,19 +58,22 @@ class Stated:
     function
         The user's.
     records
-        What it takes before `m`, in order: "x", "u" and "p" with the type of each record.
+        What it takes before `m`, in order, each with the type of its record; None where it is taken as it is.
     phase
         Number of the phase whose states and controls it takes.
     results
         (name, unit) of its values.
+    rough
+        Whether only the order of its values matters, so that no units are held.
     """
 
     key: Any
     what: str
     function: Callable[..., Any]
-    records: Mapping[str, Callable[..., Any]]
+    records: Mapping[str, Callable[..., Any] | None]
     phase: int
     results: tuple[tuple[str, str], ...]
+    rough: bool = False
 
     def ask(self, arguments: Mapping[str, Any], m: Any = NUMERIC) -> list[Any]:
         """Values of the function, every mistake in it told in the user's words.
@@ -67,13 +81,11 @@ class Stated:
         Parameters
         ----------
         arguments
-            Values of x and u in order, and the record p; more than it takes may be there.
+            By role: the values of a record in order, the record p itself, the time t; more may be there.
         m
             Maths namespace.
         """
-        given = {
-            role: arguments[role] if role == "p" else make(*arguments[role]) for role, make in self.records.items()
-        }
+        given = {role: make(*arguments[role]) if make else arguments[role] for role, make in self.records.items()}
         try:
             values = self.function(*given.values(), m)
         except PeriluneError:
@@ -97,6 +109,7 @@ class Stated:
     def traced(self, parameters: Sequence[str]) -> Expression:
         """The function as an expression."""
         if isinstance(self.function, Expression):
+            self._listed(self.function.tape.outputs)
             return self.function
         recorder = Recorder()
         arguments: dict[str, Any] = {
@@ -104,6 +117,7 @@ class Stated:
             for role, make in self.records.items()
         }
         arguments["p"] = SimpleNamespace(**{name: recorder.input("p", name) for name in parameters})
+        arguments["t"] = recorder.input("t", "")
         values = self.ask(arguments, recorder.namespace)
         try:
             tape = recorder.tape(values)
@@ -143,7 +157,7 @@ class Stated:
         for role, record in records.items():
             if error.obj is record:
                 known = sorted(getattr(record, "_fields", None) or vars(record))
-                found = unknown_name(_KINDS[role], error.name or "", known)
+                found = unknown_name(_KINDS.get(role, "state"), error.name or "", known)
                 got = f"{role}.{error.name}"
                 return PeriluneError(
                     f"{self.what}: {found.what}", got=got, expected=found.expected, advice=found.advice
@@ -151,32 +165,57 @@ class Stated:
         return self._failing(error)
 
 
+def roles_of(key: Any) -> tuple[str, ...]:
+    """What a function takes before `m`, by its `Stated.key`."""
+    name = key if isinstance(key, str) else key[0]
+    return _OTHER_FUNCTIONS[name] if name in _OTHER_FUNCTIONS else PHASE_FUNCTIONS[key[1]][0]
+
+
 def stated(problem: Any) -> Iterator[Stated]:
     """Every function of a problem that is a formula."""
     phases = problem.phases
-    last = len(phases) - 1
+    shared = {"p": None, "t": None, "first": phases[0].state_record, "last": phases[-1].state_record}
 
-    def one(key: Any, what: str, function: Any, roles: Sequence[str], k: int, results: Sequence[Any], per: str = ""):
-        of = {"x": phases[k].state_record, "u": phases[k].control_record, "p": SimpleNamespace}
-        return Stated(
-            key=key, what=what, function=function, phase=k, records={role: of[role] for role in roles},
-            results=tuple((v.name, v.unit + per) for v in results),
-        )  # fmt: skip
+    def one(key: Any, what: str, function: Any, k: int, results: Any) -> Stated:
+        of = {"x": phases[k].state_record, "u": phases[k].control_record, **shared}
+        records, rough = {role: of[role] for role in roles_of(key)}, what.startswith("typical_end")
+        return Stated(key=key, what=what, function=function, phase=k, records=records, results=results, rough=rough)
 
-    yield one("start", "start", problem.start, ("p",), 0, phases[0].states)
+    yield one("start", "start", problem.start, 0, _named(phases[0].states))
     for k, phase in enumerate(phases):
-        for name, (roles, results) in PHASE_FUNCTIONS.items():
-            function, named = getattr(phase, name), getattr(phase, results)
+        for name, (_, field) in PHASE_FUNCTIONS.items():
+            function, what = getattr(phase, name), f"{name} of {phase.name}"
+            results = _results_of(problem, phase, name, field)
             if function is not None:
-                per = "/s" if name == "dynamics" else ""
-                yield one((k, name), f"{name} of {phase.name}", function, roles, k, named, per)
-            elif named and name != "typical_end":
-                wanted = f"a function that returns {len(named)}: " + ", ".join(v.name for v in named)
-                raise PeriluneError(f"{name} of {phase.name} is missing", got="None", expected=wanted)
+                yield one((k, name), what, function, k, results)
+            elif results and (name == "dynamics" or field not in ("", "states")):
+                raise _missing(what, results)
     for k, link in enumerate(problem.links):
-        yield one(("links", k), f"link to {phases[k + 1].name}", link, ("x", "p"), k, phases[k + 1].states)
-    objective = one("objective", "objective", problem.objective, ("x", "p"), last, ())
-    yield replace(objective, results=(("J", problem.objective_unit),))
+        yield one(("links", k), f"link to {phases[k + 1].name}", link, k, _named(phases[k + 1].states))
+    objective = (("J", problem.objective_unit),)
+    yield one("objective", "objective", problem.objective, len(phases) - 1, objective)
+    if problem.results is not None:
+        yield one("results", "results", problem.results, 0, _named(problem.result_variables))
+    elif problem.result_variables:
+        raise _missing("results", _named(problem.result_variables))
+
+
+def _named(variables: Sequence[Any], per: str = "") -> tuple[tuple[str, str], ...]:
+    return tuple((v.name, v.unit + per) for v in variables)
+
+
+def _results_of(problem: Any, phase: Any, name: str, field: str) -> tuple[tuple[str, str], ...]:
+    """(name, unit) of what a function of a phase returns."""
+    if name == "inertial":
+        return _INERTIAL
+    if name == "track":
+        return _TRACK[: 4 if problem.views.floor else 3]
+    return _named(getattr(phase, field), "/s" if name in _RATES else "")
+
+
+def _missing(what: str, results: Sequence[tuple[str, str]]) -> PeriluneError:
+    wanted = f"a function that returns {len(results)}: " + ", ".join(name for name, _ in results)
+    return PeriluneError(f"{what} is missing", got="None", expected=wanted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +225,7 @@ class Form:
     Attributes
     ----------
     structure
-        Names, units, kinds of controls, conditions: a tree for JSON.
+        Names, units, kinds of controls, and what each function takes and returns: a tree for JSON.
     expressions
         Every function of the problem by its `Stated.key`.
     """
@@ -197,7 +236,7 @@ class Form:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of structure and expressions, hexadecimal."""
-        tapes = [[str(key), list(e.roles), e.tape.document()] for key, e in self.expressions.items()]
+        tapes = [e.tape.document() for e in self.expressions.values()]
         text = json.dumps([self.structure, tapes], separators=(",", ":"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -217,30 +256,20 @@ def trace(problem: Any) -> Form:
         Naming the function that is no formula, misspells a name or returns the wrong number of values.
     """
     parameters = sorted({*problem.given, *problem.free_names})
-    return Form(_structure(problem, parameters), {s.key: s.traced(parameters) for s in stated(problem)})
-
-
-def _structure(problem: Any, parameters: Sequence[str]) -> dict[str, Any]:
-    def pairs(variables: Sequence[Any]) -> list[list[str]]:
-        return [[v.name, v.unit] for v in variables]
-
-    return {
+    functions = list(stated(problem))
+    structure = {
         "parameters": [[name, problem.unit_of(name)] for name in parameters],
-        "objective": problem.objective_unit,
         "phases": [
-            {
-                "name": phase.name,
-                "duration": phase.duration,
-                "controls": [_control(c) for c in phase.controls],
-                **{name: pairs(getattr(phase, results)) for name, (_, results) in PHASE_FUNCTIONS.items()},
-            }
+            [phase.name, phase.duration, _named(phase.states), [_control(c) for c in phase.controls]]
             for phase in problem.phases
         ],
+        "functions": [[str(s.key), list(s.records), s.results] for s in functions],
     }
+    return Form(structure, {s.key: s.traced(parameters) for s in functions})
 
 
 def _control(control: Any) -> list[Any]:
-    """Kind, components, unit; a bound that is a number is none of the form, one that names a parameter is."""
-    bounds = [getattr(control, side, None) for side in ("lower", "upper")]
-    named = [bound if isinstance(bound, str) else None for bound in bounds]
+    """Kind, components, unit; a limit that is a number is none of the form, one that names a parameter is."""
+    limits = [getattr(control, side, None) for side in ("lower", "upper")]
+    named = [limit if isinstance(limit, str) else None for limit in limits]
     return [control.kind, list(control.names), control.unit, named]

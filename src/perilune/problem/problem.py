@@ -23,15 +23,17 @@ import math
 import pickle
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
+from perilune.problem.checks import check_homogeneous, check_structure, check_values
 from perilune.problem.controls import Control, scalars
-from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, stated, trace
+from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, trace
 from perilune.problem.tape import Expression
 from perilune.problem.verification import Check
+from perilune.problem.views import Views
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Physics
@@ -54,7 +56,8 @@ def _in_si(name: str, text: str) -> None:
 class Variable:
     """A named component with its unit: a state, an end condition, a path condition or an output.
 
-    `lower` and `upper` bound a state where a method can use it (direct transcription, verification).
+    `lower` and `upper` bound a state where a method can use it (direct transcription, verification); `label` is its
+    name on the axis of a figure, where that is not `name` with blanks.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Variable:
     lower: float = -math.inf
     upper: float = math.inf
     description: str = ""
+    label: str = ""
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -124,6 +128,15 @@ class Phase:
         ``path(x, u, p, m)`` returns values that must not be negative on the phase.
     outputs, output_variables
         ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
+    integrals, integral_variables
+        ``integrals(x, u, p, m)`` returns rates; their integrals along the flight are results, named with the unit of
+        the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
+    inertial
+        ``inertial(x, u, t, p, m)`` returns nine values in inertial axes with the body at their origin, t seconds after
+        the first ignition: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
+    track
+        ``track(x, p, m)`` returns how far the flight has come along its way, how far to the left of it, how high, and
+        where `Views.floor` names one, the least height there [m].
     typical_end
         ``typical_end(p, m)`` returns a rough end state; only its order matters (a direct method starts there).
     """
@@ -139,6 +152,10 @@ class Phase:
     path_conditions: tuple[Variable, ...] = ()
     outputs: Physics | None = None
     output_variables: tuple[Variable, ...] = ()
+    integrals: Physics | None = None
+    integral_variables: tuple[Variable, ...] = ()
+    inertial: Physics | None = None
+    track: Physics | None = None
     typical_end: Physics | None = None
 
     @property
@@ -169,14 +186,21 @@ class Phase:
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``end`` (which takes no control), ``path`` or ``outputs``; empty where the phase has none."""
+        """Values of ``path``, ``outputs``, ``integrals``, or of ``end`` and ``track``, which take no control.
+
+        Empty where the phase has none.
+        """
         physics = getattr(self, function)
         if physics is None:
             return ()
-        arguments = (self.state_record(*x), p, m) if function == "end" else (
-            self.state_record(*x), self.control_record(*u), p, m
-        )  # fmt: skip
-        return physics(*arguments)
+        control = () if function in ("end", "track") else (self.control_record(*u),)
+        return physics(self.state_record(*x), *control, p, m)
+
+    def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+        """Values of ``inertial``; empty where the phase has none."""
+        if self.inertial is None:
+            return ()
+        return self.inertial(self.state_record(*x), self.control_record(*u), t, p, m)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -203,12 +227,19 @@ class Problem:
         Parameters to be chosen, the durations among them.
     objective, objective_unit
         ``objective(x, p, m)`` of the last end state, minimised, and its unit.
+    results, result_variables
+        ``results(first, last, p, m)`` of the first phase's initial and the last phase's end state returns what is asked
+        of a solution (landed mass, flight time), beside the phases' `integrals`.
+    maximised
+        Name of the result that J is the negative of, or "".
     ranges
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
         make no sense together.
     bookkeeping
         ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
+    views
+        What figures show of it.
     scales
         Canonical units.
     title
@@ -223,16 +254,20 @@ class Problem:
     free: tuple[Free, ...] = ()
     objective: Physics
     objective_unit: str = "1"
+    results: Physics | None = None
+    result_variables: tuple[Variable, ...] = ()
+    maximised: str = ""
     ranges: Physics | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
+    views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
     title: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "given", MappingProxyType(dict(self.given)))
         self._take_ranges()
-        _check_structure(self)
-        _check_homogeneous(self)
+        check_structure(self)
+        check_homogeneous(self)
         _ = self.form  # so that what is no formula is refused where it is stated
 
     def _take_ranges(self) -> None:
@@ -264,7 +299,8 @@ class Problem:
             for k, phase in enumerate(self.phases)
         )
         links = tuple(found["links", k] for k in range(len(self.links)))
-        return self._changed(phases=phases, start=found["start"], links=links, objective=found["objective"])
+        own = {name: found[name] for name in ("start", "objective", "results") if name in found}
+        return self._changed(phases=phases, links=links, **own)
 
     def _changed(self, **changes: Any) -> Problem:
         """A problem of the same form, which is not traced or tried again."""
@@ -289,20 +325,21 @@ class Problem:
         return self
 
     @property
-    def _numbers(self) -> tuple[Any, ...]:
+    def numbers(self) -> tuple[Any, ...]:
         """Every number of the problem, in order."""
         bounded = [c for phase in self.phases for c in (*phase.states, *(c for _, c in scalars(phase.controls)))]
         bounds = [(c.lower, c.upper) for c in bounded]
         given = sorted((name, g.value) for name, g in self.given.items())
-        return (self.name, tuple(given), self.free, tuple(bounds), self.scales)
+        free = tuple((f.name, *_range(f)) for f in self.free)
+        return (self.name, tuple(given), free, tuple(bounds), astuple(self.scales))
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, Problem):
             return self is other
-        return self.form == other.form and self._numbers == other._numbers
+        return self.form == other.form and self.numbers == other.numbers
 
     def __hash__(self) -> int:
-        return hash((self.form, self._numbers))
+        return hash((self.form, self.numbers))
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -340,7 +377,7 @@ class Problem:
         free = tuple(f for f in self.free if f.name not in values)
         new = self._changed(given=MappingProxyType(given), free=free)
         new._take_ranges()
-        _check_values(new)
+        check_values(new)
         return new
 
 
@@ -355,101 +392,3 @@ def _by_name(function: Any) -> Any:
 
 def _range(f: Free) -> tuple[float, float, float]:
     return f.lower, f.upper, f.typical
-
-
-def _check_structure(problem: Problem) -> None:
-    if not problem.phases:
-        raise PeriluneError("a problem needs at least one phase", got="none")
-    if len(problem.links) != len(problem.phases) - 1:
-        raise PeriluneError(
-            "each phase after the first needs a link from the one before",
-            got=f"{len(problem.links)} links for {len(problem.phases)} phases",
-            expected=f"{len(problem.phases) - 1} links",
-        )
-    both = set(problem.given) & set(problem.free_names)
-    if both:
-        raise PeriluneError("a parameter cannot be given and free at once", got=", ".join(sorted(both)))
-    _check_values(problem)
-    limits = [limit for phase in problem.phases for _, c in scalars(phase.controls) for limit in (c.lower, c.upper)]
-    for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
-        if name not in problem.given and name not in problem.free_names:
-            raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
-
-
-def _check_values(problem: Problem) -> None:
-    for name, g in problem.given.items():
-        if not math.isfinite(g.value):
-            raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
-    for f in problem.free:
-        if not f.lower <= f.upper or math.isnan(f.typical):
-            raise PeriluneError(
-                f"bounds of {f.name} are empty", got=f"[{f.lower}, {f.upper}]", expected="lower <= upper"
-            )
-
-
-_PLACES = 4  # points at which the physics is tried before it counts as undefined
-
-
-def _sample(
-    problem: Problem, scales: Scales, place: int
-) -> tuple[SimpleNamespace, list[tuple[list[float], list[float]]]]:
-    """Parameters and one (x, u) for each phase, the same physical point written in the given canonical units."""
-    fractions = iter((0.618034 * k) % 1.0 for k in range(1 + 1000 * place, 1_000_000))
-    si = problem.scales
-    inside = {
-        f.name: f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.typical
-        for f in problem.free
-    }
-    known = problem.parameters(inside)
-    p = SimpleNamespace(**{name: v / scales.of(problem.unit_of(name)) for name, v in vars(known).items()})
-    points = []
-    for phase in problem.phases:
-        x = [(0.7 + 0.5 * next(fractions)) * si.of(s.unit) / scales.of(s.unit) for s in phase.states]
-        u: list[float] = []
-        for control in phase.controls:
-            value = control.example(fractions, known, si.of(control.unit))
-            u += [v / scales.of(control.unit) for v in value]
-        points.append((x, u))
-    return p, points
-
-
-def _values(problem: Problem, scales: Scales, place: int) -> list[tuple[str, str, float]]:
-    """(what, unit, value) of everything the user's functions return at the sample, written in canonical units."""
-    p, points = _sample(problem, scales, place)
-    found: list[tuple[str, str, float]] = []
-    for function in stated(problem):
-        if not function.what.startswith("typical_end"):  # of which only the order matters
-            x, u = points[function.phase]
-            values = function.numbers({"x": x, "u": u, "p": p})
-            pairs = zip(function.results, values, strict=True)
-            found.extend((f"{function.what}, {name}", unit, value) for (name, unit), value in pairs)
-    return found
-
-
-def _check_homogeneous(problem: Problem) -> None:
-    """Evaluate the physics in SI and in other units; a result that does not scale hides a dimensional constant."""
-    # Incommensurate with each other, so that no power product of them is 1 by accident.
-    scales, undefined = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7), []
-    for place in range(_PLACES):
-        values = _values(problem, Scales(), place)
-        undefined = [what for what, _, si in values if math.isnan(si)]
-        if not undefined:
-            break
-    else:
-        raise PeriluneError(
-            f"{undefined[0]} is not a number (NaN)",
-            got=f"NaN at each of {_PLACES} points that were tried",
-            expected="a number for states of the size of the problem's scales",
-            advice="look for the root or logarithm of something negative, and for 0/0; check units, scales and values",
-        )
-    for (what, unit_text, si), (_, _, other) in zip(values, _values(problem, scales, place), strict=True):
-        scaled = other * scales.of(unit_text)
-        if math.isfinite(si) and not math.isclose(
-            si, scaled, rel_tol=1e-6, abs_tol=1e-9 * problem.scales.of(unit_text)
-        ):
-            raise PeriluneError(
-                f"the physics is not dimensionally homogeneous: {what}",
-                got=f"{si:.6g} computed in SI, {scaled:.6g} computed in other units",
-                expected=f"a quantity in {unit_text}",
-                advice="move constants with a dimension out of the function into `given`, with their unit",
-            )

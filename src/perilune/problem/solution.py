@@ -7,23 +7,28 @@ record: what is exported is exactly what the verifier flies. `hermite_nodes` cho
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Problem
+from perilune.problem.controls import normalised
+from perilune.problem.problem import Problem, Variable
 from perilune.problem.verification import Verification
-from perilune.words.outcome import Outcome
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.same import same_fields
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration
 
+_ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
-    """A vector function of time: values and rates at nodes, cubic Hermite between them.
+    """A vector function of time: values and rates at nodes, cubic Hermite between them. Its arrays are read-only.
 
     Parameters
     ----------
@@ -37,8 +42,45 @@ class Curve:
     values: Matrix
     rates: Matrix
 
+    def __post_init__(self) -> None:
+        for name in ("time", "values", "rates"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Curve) and same_fields(self, other))
+
+    def __hash__(self) -> int:
+        return hash((self.values.shape, self.time.shape))
+
     def __call__(self, t: float | Vector) -> Any:
-        """Value at times t: shape (k,) for a number, (len(t), k) for an array."""
+        """Value at times t [s]: shape (k,) for a number, (len(t), k) for an array.
+
+        Raises
+        ------
+        PeriluneError
+            If a time lies outside the curve by more than 1e-9 of its length.
+        """
+        first, last = self.time[0], self.time[-1]
+        slack = _ROUNDING * (last - first)
+        # A NaN fails no comparison here, and comes out as NaN.
+        if np.any(outside := (np.less(t, first - slack) | np.greater(t, last + slack))):
+            raise PeriluneError(
+                "the curve is asked outside its time",
+                got=f"{np.asarray(t)[outside].flat[0]:.9g} s",
+                expected=f"{first:.9g} to {last:.9g} s",
+                advice="each phase has its own time, which begins at 0 with the phase",
+            )
+        return self.extended(t)
+
+    def extended(self, t: float | Vector) -> Any:
+        """The same without a limit: before the first and after the last node their cubics go on.
+
+        For a proof, which has to look at tables that end where they should not.
+        """
         at = np.atleast_1d(np.asarray(t, dtype=float))
         i = np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
         h = self.time[i + 1] - self.time[i]
@@ -82,8 +124,18 @@ class Trajectory:
         return float(self.state.time[-1])
 
 
+def _read_only(values: Any) -> Any:
+    """The array where nobody can write to it, else a copy that is so."""
+    array = np.asarray(values, dtype=float)
+    owner = array if array.base is None else array.base
+    if array.flags.writeable or not isinstance(owner, np.ndarray) or owner.flags.writeable:
+        array = np.array(array)
+        array.flags.writeable = False
+    return array
+
+
 class Deferred(Sequence[Trajectory]):
-    """Trajectories that are made when first looked at: most members of a table never are."""
+    """Trajectories that are made when first looked at, or sent away: most members of a table never are."""
 
     def __init__(self, count: int, make: Callable[[], tuple[Trajectory, ...]]) -> None:
         self._count, self._make = count, make
@@ -99,13 +151,23 @@ class Deferred(Sequence[Trajectory]):
 
 
 class Nature(Enum):
-    """What an extremal is for the objective, in its free parameters (the control being optimal along each)."""
+    """What an extremal is for the objective, in its free parameters (the control being optimal along each).
 
-    GLOBAL_OPTIMUM = "global optimum"
+    Nothing shows that the best of those found is the best there is.
+    """
+
+    BEST = "best of the extremals found"
+    BEST_AT_BOUND = "best of the extremals found, at a bound"
     LOCAL_OPTIMUM = "local optimum"
+    LOCAL_OPTIMUM_AT_BOUND = "local optimum, at a bound"
     WORST = "locally worst"
-    BOUNDARY_GLOBAL_OPTIMUM = "global optimum, at a bound"
-    BOUNDARY_OPTIMUM = "local optimum, at a bound"
+    NEAR_GUESS = "an extremal near the guess"
+    NEAR_GUESS_AT_BOUND = "an extremal near the guess, at a bound"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Nature | None:
+        """Words that older files used."""
+        return {"global optimum": cls.BEST, "global optimum, at a bound": cls.BEST_AT_BOUND}.get(str(value))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +180,17 @@ class Extremal:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Result:
+    """A number that was asked of a solution, in SI."""
+
+    value: float
+    unit: str
+    description: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """How the answer was found."""
+    """How the answer was found; `claimed` where a file says so and nobody here saw it."""
 
     rung: str = ""
     tried: tuple[str, ...] = ()
@@ -128,11 +199,12 @@ class Statistics:
     residual: float = float("nan")
     wall_time: float = float("nan")
     history: tuple[Iteration, ...] = ()
+    claimed: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """An answer of any method.
+    """An answer of any method. Solutions are equal when everything in them is.
 
     Parameters
     ----------
@@ -171,20 +243,113 @@ class Solution:
     def __post_init__(self) -> None:
         for name in ("free", "multipliers"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        if self.unknowns is not None:
+            object.__setattr__(self, "unknowns", _read_only(self.unknowns))
+
+    def __getstate__(self) -> dict[str, Any]:
+        plain = {"free": dict(self.free), "multipliers": dict(self.multipliers), "trajectories": (*self.trajectories,)}
+        return {f.name: getattr(self, f.name) for f in fields(self)} | plain
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Solution) and same_fields(self, other))
+
+    def __hash__(self) -> int:
+        return hash((self.problem, self.method, self.outcome, tuple(self.free)))
 
     @property
     def parameters(self) -> Any:
         """Record ``p`` of all parameters in SI, as the physics receives it."""
         return self.problem.parameters(self.free)
 
+    @property
+    def results(self) -> dict[str, Result]:
+        """What the problem asks of its flight, by name: its `results`, then the phases' `integrals`.
+
+        Of a problem that asks nothing, the flight time and the objective.
+        """
+        problem, p = self.problem, self.parameters
+        first, last = (problem.phases[i].state_record(*self.trajectories[i].state.values[i]) for i in (0, -1))
+        if problem.results is None:
+            found = {
+                "flight_time": Result(value=sum(t.duration for t in self.trajectories), unit="s"),
+                "objective": Result(value=float(self.objective), unit=problem.objective_unit, description="J"),
+            }
+        else:
+            found = _named(problem.result_variables, problem.results(first, last, p, NUMERIC))
+        for k, phase in enumerate(problem.phases):
+            for name, part in _named(phase.integral_variables, self._integrals(k)).items():
+                so_far = found[name].value if name in found else 0.0
+                found[name] = replace(part, value=so_far + part.value)
+        return found
+
+    def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
+        """State (states, n) and control (components, n) at times t [s], as the physics receives them.
+
+        Cubic Hermite between nodes, then each `Direction` normalised.
+        """
+        trajectory = self.trajectories[phase]
+        control = normalised(self.problem.phases[phase].controls, np.asarray(trajectory.control(t), dtype=float).T)
+        return np.asarray(trajectory.state(t), dtype=float).T, control
+
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
         """The phase's named outputs at times t, in SI."""
+        definition = self.problem.phases[phase]
+        values = definition.evaluate("outputs", *self.flown(phase, t), self.parameters)
+        return {v.name: full(value, t) for v, value in zip(definition.output_variables, values, strict=True)}
+
+    def inertial(self, phase: int, t: Vector) -> tuple[Matrix, Matrix, Matrix]:
+        """Position [m], velocity [m/s] and acceleration by thrust [m/s^2] in inertial axes, each (3, n).
+
+        Parameters
+        ----------
+        phase
+            Number of the phase.
+        t
+            Times from the phase's ignition [s].
+
+        Raises
+        ------
+        PeriluneError
+            If the problem states no inertial view of that phase.
+        """
+        definition = self.problem.phases[phase]
+        since = sum(trajectory.duration for trajectory in self.trajectories[:phase])
+        values = definition.seen_inertially(*self.flown(phase, t), since + t, self.parameters)
+        if not values:
+            raise PeriluneError(
+                f"the phase {definition.name} of {self.problem.name} has no inertial view",
+                advice="state it: Phase(inertial=...)",
+            )
+        rows = np.array([full(value, t) for value in values])
+        return rows[:3], rows[3:6], rows[6:]
+
+    def _integrals(self, phase: int) -> list[float]:
+        """Integrals along a phase by Gauss's rule between the nodes of its curves, which have no kink inside."""
         definition, flown = self.problem.phases[phase], self.trajectories[phase]
-        values = definition.evaluate("outputs", flown.state(t).T, flown.control(t).T, self.parameters)
-        return {
-            v.name: np.broadcast_to(np.asarray(value, dtype=float), np.shape(t))
-            for v, value in zip(definition.output_variables, values, strict=True)
-        }
+        if definition.integrals is None:
+            return []
+        nodes = np.union1d(flown.state.time, flown.control.time)
+        point, weight = np.polynomial.legendre.leggauss(5)
+        half = 0.5 * np.diff(nodes)[:, None]
+        t = (nodes[:-1, None] + half * (1 + point)).ravel()
+        rates = definition.evaluate("integrals", *self.flown(phase, t), self.parameters)
+        return [float((half * weight).ravel() @ full(rate, t)) for rate in rates]
+
+
+def full(values: Any, t: Vector) -> Vector:
+    """A quantity at every time, also where the physics returns one number for all."""
+    return np.broadcast_to(np.asarray(values, dtype=float), np.shape(t))
+
+
+def _named(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Result]:
+    return {
+        v.name: Result(value=float(value), unit=v.unit, description=v.description)
+        for v, value in zip(variables, values, strict=True)
+    }
 
 
 def hermite_nodes(

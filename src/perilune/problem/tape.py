@@ -34,11 +34,12 @@ ARITY = {
     **{name: 2 for name in _SIGNS}, "neg": 1, "where": 3, "table": 1,
     **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES},
 }  # fmt: skip
-ROLES = ("x", "u", "p")
+# What physics takes: states, controls, parameters, the time since the first ignition, the first and the last state.
+ROLES = ("x", "u", "p", "t", "first", "last")
 MOST_INSTRUCTIONS = 50_000  # of one function in a file; the largest of the models has about 200
 
-# ("x" | "u" | "p", name), ("const", repr of a float) or (operation, operand, ...), operands being indices before it;
-# ("table", operand, digest of the table).
+# (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands
+# being indices before it; ("table", operand, digest of the table).
 Instruction = tuple[Any, ...]
 
 
@@ -150,7 +151,7 @@ class Recorder:
         return Symbol(self, self._append(("table", self.index_of(value), table.digest)))
 
     def input(self, role: str, name: str) -> Symbol:
-        """The symbol of a component of a record."""
+        """The symbol of a component of a record, or of the time itself."""
         return Symbol(self, self._append((role, name)))
 
     def index_of(self, value: Any) -> int:
@@ -307,7 +308,7 @@ class Expression:
         """The values, computed with the maths namespace that is the last argument."""
         *records, m = arguments
         inputs, constants, place, outputs = self._plan
-        values = [getattr(records[k], name) for k, name in inputs]
+        values = [getattr(records[k], name) if name else records[k] for k, name in inputs]
         values += constants
         push = values.append
         for arity, function, i, j, k in self._bound(m, place):

@@ -42,9 +42,19 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """All checks made of one solution."""
+    """All checks made of one solution.
+
+    Parameters
+    ----------
+    checks
+        In the order of their levels.
+    text
+        Which text of the physics was flown: the problem's own Python functions, or expressions and where they came
+        from (`Problem.text`).
+    """
 
     checks: tuple[Check, ...] = ()
+    text: str = ""
 
     @property
     def level(self) -> int:
@@ -58,6 +68,11 @@ class Verification:
         return reached
 
     @property
+    def title(self) -> str:
+        """The level and its name, as it stands beside every outcome."""
+        return f"level {self.level}: {LEVEL_NAMES[self.level]}"
+
+    @property
     def passed(self) -> bool:
         """Whether checks were made and none failed."""
         return bool(self.checks) and all(c.passed for c in self.checks)
@@ -68,7 +83,7 @@ class Verification:
         return tuple(c for c in self.checks if not c.passed)
 
     def __str__(self) -> str:
-        lines = [f"level {self.level} ({LEVEL_NAMES[self.level]})"]
+        lines = [f"level {self.level} ({LEVEL_NAMES[self.level]})" + (f", flown: {self.text}" if self.text else "")]
         for c in self.checks:
             mark = "ok  " if c.passed else "FAIL"
             lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} (limit {c.limit:.3g}) {c.unit}")

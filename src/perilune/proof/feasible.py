@@ -16,6 +16,7 @@ from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.numerics import Arc, Flight, fly, initial_state, smooth_pieces
 from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 # In canonical units. Measured on good answers: end conditions 2e-11, states along the arc 4e-11.
@@ -72,8 +73,7 @@ def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         yield from _paths(arc, flight)
     yield from _free_parameters(solution)
     yield _objective(solution, *flown[-1])
-    if solution.problem.bookkeeping is not None:
-        yield from solution.problem.bookkeeping(solution)
+    yield from _bookkeeping(solution)
 
 
 def _times(arc: Arc) -> Iterator[Check]:
@@ -129,7 +129,7 @@ def _bound(name: str, what: str, values: Vector, lower: float, upper: float, uni
 
 def _controls(arc: Arc) -> Iterator[Check]:
     t = arc.times(_DENSE)
-    u = arc.trajectory.control(t).T
+    u = arc.trajectory.control.extended(t).T
     for here, control in placed(arc.phase.controls):
         part, name = u[here], "_".join(control.names)
         if not control.scalar:
@@ -170,3 +170,12 @@ def _objective(solution: Solution, arc: Arc, flight: Flight) -> Check:
         unit=solution.problem.objective_unit, limit=END_LIMIT * arc.objective_scale,
         meaning="difference between the objective of the new flight and the one claimed",
     )  # fmt: skip
+
+
+def _bookkeeping(solution: Solution) -> Sequence[Check]:
+    """The model's own checks; one that fails where they cannot be made."""
+    try:
+        return () if solution.problem.bookkeeping is None else solution.problem.bookkeeping(solution)
+    except PeriluneError as error:
+        meaning = f"the model's own checks can be made: {error.what} ({error.got})"
+        return [Check(name="bookkeeping", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning)]

@@ -69,4 +69,4 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
                 checks += neighbours(solution, resolve)
             if level >= 4:
                 checks += agreement(solution, other)
-    return Verification(checks=tuple(checks))
+    return Verification(checks=tuple(checks), text=solution.problem.text)

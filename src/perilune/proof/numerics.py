@@ -216,16 +216,16 @@ class Arc:
 
     def state(self, t: Vector) -> Matrix:
         """Exported states."""
-        return self.trajectory.state(t).T
+        return self.trajectory.state.extended(t).T
 
     def control(self, t: Vector) -> Matrix:
         """Exported control, directions normalised."""
-        return normalised(self.phase.controls, self.trajectory.control(t).T)
+        return normalised(self.phase.controls, self.trajectory.control.extended(t).T)
 
     def costate(self, t: Vector) -> Matrix:
         """Exported costates [J per state]; NaN where the method gave none."""
         curve = self.trajectory.costate
-        return np.full((len(self.phase.states), len(t)), np.nan) if curve is None else curve(t).T
+        return np.full((len(self.phase.states), len(t)), np.nan) if curve is None else curve.extended(t).T
 
     def rates(self, x: Any, u: Any, p: Any = None) -> Any:
         """Dynamics, complex-safe, (n, ...) for x (n, ...) and u (k, ...)."""

@@ -26,7 +26,7 @@ def write_all(
     scenario_text
         The scenario that the problem was made of, with every change made to it.
     ordinary
-        The landing without a retro burn, drawn into the same figures.
+        A plainer flight of the same problem, drawn into the same figures.
     force
         Whether files of the same names may be replaced.
 

@@ -49,17 +49,21 @@ def family_csv(family: Family) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     heads = [f"{name} [{unit}]" for name, unit in names.items()]
-    writer.writerow([f"{document['parameter']} [{document['unit']}]", *heads, "outcome", "message"])
+    writer.writerow(
+        [f"{document['parameter']} [{document['unit']}]", *heads, "outcome", "verification_level", "message"]
+    )
     for point in document["points"]:
         values = [point["results"].get(name, {}).get("value") for name in names]
         cells = ["" if v is None else repr(v) for v in (point["value"], *values)]
-        writer.writerow([*cells, point["outcome"], " ".join(str(point["message"] or "").split())])
+        writer.writerow(
+            [*cells, point["outcome"], point["verification_level"], " ".join(str(point["message"] or "").split())]
+        )
     return text.getvalue()
 
 
 def family_figure(family: Family) -> Figure:
     """Each result that varies, one panel below the other, against the parameter; failed points as crosses."""
-    from perilune.report.figures import family_panels
+    from perilune.report.histories import family_panels
 
     document = family_document(family)
     value = np.array([point["value"] for point in document["points"]])
@@ -77,7 +81,7 @@ def family_figure(family: Family) -> Figure:
 
 def write_family(family: Family, directory: str | Path, force: bool = False) -> None:
     """Write ``family.csv``, ``family.json`` and ``family.png`` / ``.svg``; arguments of `fresh_directory`."""
-    from perilune.report.figures import save
+    from perilune.report.style import save
 
     with fresh_directory(directory, force) as work:
         (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(family)), encoding="utf-8")

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import columns, flown_control
 from perilune.problem.solution import Solution
-from perilune.report.figures import BLUE, GREEN, GREY, VERMILION, flight_columns, new_figure, styled
+from perilune.report.style import GREY, LOOKS, new_figure, styled
+from perilune.words.types import Matrix, Vector
 
 WIDTH = 7.0  # inches: two columns, as the path is long and flat
 
@@ -23,13 +23,15 @@ WIDTH = 7.0  # inches: two columns, as the path is long and flat
 @styled
 def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     """Path of each flight from ignition to touchdown, thrust shown by strokes along the exhaust."""
-    radius = next(iter(flights.values())).parameters.body_radius
-    paths = {who: _path(solution) for who, solution in flights.items()}
+    first = next(iter(flights.values()))
+    radius = getattr(first.parameters, first.problem.views.radius)
+    plane = _plane(first)
+    paths = {who: _path(solution, plane, radius) for who, solution in flights.items()}
     begin = min(float(phi[0]) for phi, _ in paths.values())
     end = max(float(phi[-1]) for phi, _ in paths.values())
     highest = max(float(height.max()) for _, height in paths.values())
     stretch = _round_factor(0.16 * radius * (end - begin) / highest)
-    margin = 0.07 * (end - begin)
+    margin = max(0.07 * (end - begin), 0.2 * highest / radius)
     middle = 0.5 * (begin + end)
 
     def place(phi: Any, height: Any) -> tuple[Any, Any]:
@@ -44,16 +46,14 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     floor = min(float(ground[1].min()) - 0.02 * span, -0.11 * span)
     axes.fill_between(*ground, floor, color="#C9C9C9", linewidth=0, zorder=2)
     axes.plot(*ground, color=GREY, linewidth=0.8, zorder=2)
-    for (who, (phi, height)), colour, dash in zip(
-        paths.items(), (BLUE, VERMILION, GREEN), ("-", "--", ":"), strict=False
-    ):
+    for (who, (phi, height)), (colour, dash) in zip(paths.items(), LOOKS, strict=False):
         axes.plot(*place(phi, height), dash, color=colour, label=who, zorder=3)
         axes.plot(*place(phi[-1], height[-1]), "v", color=colour, markersize=5, zorder=4)
-        _thrust_strokes(axes, flights[who], place, colour, 0.035 * radius * (end - begin))
+        _thrust_strokes(axes, flights[who], plane, radius, place, colour, 0.035 * radius * (end - begin))
     x, y = place(phi[0], height[0])
     axes.plot(x, y, "ko", markersize=4, zorder=5)
     axes.annotate(
-        "ignition\nat perilune",
+        "ignition",
         (x, y),
         (-6, 0),
         textcoords="offset points",
@@ -68,11 +68,22 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     return figure
 
 
-def _path(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Position angle [rad] and height above the body's radius [m] along the flight."""
-    phi = np.radians(np.concatenate([c.values for _, c in flight_columns(solution, "phi")]))
-    r = np.concatenate([c.values for _, c in flight_columns(solution, "r")])
-    return phi, r - solution.parameters.body_radius
+def _plane(solution: Solution) -> Matrix:
+    """Unit vectors, as rows: up at ignition, and ahead along the horizon there, in the inertial axes."""
+    position, velocity, _ = (vector[:, 0] for vector in solution.inertial(0, np.zeros(1)))
+    up = position / np.linalg.norm(position)
+    ahead = velocity - (velocity @ up) * up
+    if not np.linalg.norm(ahead) > 1e-9 * np.linalg.norm(velocity):  # straight down: any direction will do
+        ahead = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    return np.array([up, ahead / np.linalg.norm(ahead)])
+
+
+def _path(solution: Solution, plane: Matrix, radius: float) -> tuple[Vector, Vector]:
+    """Angle from ignition [rad] and height above the body's radius [m] along the flight."""
+    times = [np.linspace(0.0, trajectory.duration, 601) for trajectory in solution.trajectories]
+    r = np.concatenate([solution.inertial(k, t)[0] for k, t in enumerate(times)], axis=1)
+    above, ahead = plane @ r
+    return np.unwrap(np.arctan2(ahead, above)), np.linalg.norm(r, axis=0) - radius
 
 
 def _round_factor(value: float) -> float:
@@ -83,19 +94,27 @@ def _round_factor(value: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= value))
 
 
-def _thrust_strokes(axes: Any, solution: Solution, place: Any, colour: str, length: float) -> None:
-    """Strokes from the path along the exhaust, opposite the thrust, at equal times."""
-    phase, trajectory = solution.problem.phases[0], solution.trajectories[0]
-    t = np.linspace(0.02, 0.98, 12) * trajectory.duration
-    table = columns(solution, 0, t)
-    phi, height = np.radians(table["phi"].values), table["r"].values - solution.parameters.body_radius
-    for angle, h, (transverse, radial) in zip(phi, height, flown_control(phase, trajectory, t), strict=True):
-        x, y = place(angle, h)
-        across, up = place(angle + 1e-4, h)[0] - x, place(angle + 1e-4, h)[1] - y
-        east = np.array([across, up]) / np.hypot(across, up)
-        north = np.array([-east[1], east[0]])
-        stroke = -(transverse * east + radial * north) * length / 1e3
-        axes.plot([x, x + stroke[0]], [y, y + stroke[1]], color=colour, linewidth=0.6, alpha=0.7, zorder=1)
+def _thrust_strokes(
+    axes: Any, solution: Solution, plane: Matrix, radius: float, place: Any, colour: str, length: float
+) -> None:
+    """Strokes from the path along the exhaust, opposite the thrust, at equal times; none where the engine is off."""
+    whole = sum(trajectory.duration for trajectory in solution.trajectories)
+    for k, trajectory in enumerate(solution.trajectories):
+        t = np.linspace(0.02, 0.98, max(2, round(12 * trajectory.duration / whole))) * trajectory.duration
+        r, _, push = solution.inertial(k, t)
+        (above, ahead), thrust = plane @ r, plane @ push
+        angles, heights = np.arctan2(ahead, above), np.linalg.norm(r, axis=0) - radius
+        for angle, h, (out, on), strength in zip(angles, heights, thrust.T, np.linalg.norm(push, axis=0), strict=True):
+            if not strength > 0:
+                continue
+            cosine, sine = np.cos(angle), np.sin(angle)
+            radial, transverse = (out * cosine + on * sine) / strength, (on * cosine - out * sine) / strength
+            x, y = place(angle, h)
+            across, rise = place(angle + 1e-4, h)[0] - x, place(angle + 1e-4, h)[1] - y
+            east = np.array([across, rise]) / np.hypot(across, rise)
+            north = np.array([-east[1], east[0]])
+            stroke = -(transverse * east + radial * north) * length / 1e3
+            axes.plot([x, x + stroke[0]], [y, y + stroke[1]], color=colour, linewidth=0.6, alpha=0.7, zorder=1)
 
 
 def _scale_bars(axes: Any, stretch: float, floor: float, span: float) -> None:

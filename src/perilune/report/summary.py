@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from perilune.io.export import extremals_document, results
+from perilune.io.export import extremals_document
 from perilune.problem.solution import Solution
 from perilune.problem.verification import LEVEL_NAMES, Verification
 
@@ -14,17 +14,13 @@ _DIGITS = {"kg": 6, "m/s": 4, "s": 4}
 
 _CAPTIONS = {
     "path": "Path over the limb; strokes show the exhaust",
-    "altitude": "Altitude",
-    "horizontal_velocity": "Horizontal velocity",
-    "vertical_velocity": "Vertical velocity",
-    "thrust_angle": "Thrust angle, from the direction of flight along the horizon",
-    "mass": "Mass; the propellant of a retro burn is gone before ignition",
     "track": "Path from the side and from above",
-    "velocities": "Velocity relative to the body",
-    "steering": "Thrust direction, and throttle where there is one",
+    "states": "States",
+    "controls": "Controls",
     "costates": "Costates",
     "hamiltonian": "Hamiltonian, and what turning the thrust away would cost",
 }
+_CLAIMED = "as the file says, not proved again"
 
 
 def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
@@ -33,15 +29,15 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     Without `every_check` the checks are counted, level by level, and only those that failed are shown.
     """
     lines = [
-        f"{solution.problem.title or solution.problem.name}: {solution.outcome.name}",
+        f"{solution.problem.title or solution.problem.name}: {_outcome(solution)}",
         f"  {solution.outcome.value}",
         "",
     ]
-    for name, entry in results(solution).items():
-        lines.append(f"  {name.replace('_', ' '):16}{quantity(entry['value'], entry['unit']):>16} {entry['unit']}")
+    for name, result in solution.results.items():
+        lines.append(f"  {name.replace('_', ' '):16}{quantity(result.value, result.unit):>16} {result.unit}")
     rows = _extremal_rows(solution)
     if len(rows) > 1:
-        lines += ["", "extremals, best first"]
+        lines += ["", "extremals, best first" + (f" ({_CLAIMED})" if solution.statistics.claimed else "")]
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
     verification = solution.verification
     lines += ["", f"verification: level {verification.level} ({LEVEL_NAMES[verification.level]})"]
@@ -69,11 +65,12 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
         Shown at the end, so that the report says what it answers.
     """
     title = solution.problem.title or solution.problem.name
-    parts = [f"# {title}", f"**{solution.outcome.name}**: {solution.outcome.value}.", "## Results"]
+    parts = [f"# {title}", f"**{_outcome(solution)}.** {_sentence(solution.outcome.value)}", "## Results"]
+    found = solution.results
     parts.append(
         table(
-            ["quantity", "value", "unit"],
-            [[n.replace("_", " "), quantity(e["value"], e["unit"]), e["unit"]] for n, e in results(solution).items()],
+            ["quantity", "value", "unit", ""],
+            [[n.replace("_", " "), quantity(r.value, r.unit), r.unit, r.description] for n, r in found.items()],
         )
     )
     rows = _extremal_rows(solution)
@@ -86,10 +83,9 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     parts += ["## Proof", _proof(solution), "## How it was found", _how(solution)]
     names = list(figures)
     if names:
-        parts += [
-            "## Figures",
-            *(f"![{_CAPTIONS.get(n, n)}](figures/{n}.png)\n\n*{_CAPTIONS.get(n, n)}.*" for n in names),
-        ]
+        captions = _CAPTIONS | {h.name: h.caption for h in solution.problem.views.histories}
+        told = {name: captions.get(name) or name.replace("_", " ").capitalize() for name in names}
+        parts += ["## Figures", *(f"![{text}](figures/{n}.png)\n\n*{text}.*" for n, text in told.items())]
     if scenario_text:
         parts += [
             "## Scenario",
@@ -112,20 +108,25 @@ def quantity(value: float, unit: str) -> str:
     return f"{value:.{_DIGITS.get(unit, 6)}f}" if math.isfinite(value) else "unknown"
 
 
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _outcome(solution: Solution) -> str:
+    """The outcome with the level that was reached beside it, where a proof was asked for."""
+    verified = solution.verification.checks
+    return solution.outcome.name + (f", {solution.verification.title}" if verified else "")
+
+
 def _extremal_rows(solution: Solution) -> list[list[str]]:
-    """Heading and one row for each extremal."""
+    """Heading and one row for each extremal: what tells them apart."""
     documents = extremals_document(solution)
-    heads = {
-        "delta_v": "delta v (m/s)",
-        "landed_mass": "landed mass (kg)",
-        "objective": "objective",
-        "nature": "nature",
-    }
-    units = {"delta_v": "m/s", "landed_mass": "kg", "objective": ""}
-    keys = [key for key in heads if documents and key in documents[0]]
-    return [[heads[k] for k in keys]] + [
-        [d[k] if k == "nature" else quantity(d[k], units[k]) for k in keys] for d in documents
-    ]
+    units = {name: result.unit for name, result in solution.results.items()}
+    units.setdefault("objective", solution.problem.objective_unit)
+    numbers = [key for key in documents[0] if key != "nature"] if documents else []
+    shown = [key for key in numbers if key == numbers[-1] or len({d[key] for d in documents}) > 1]
+    heads = [f"{key.replace('_', ' ')} ({units[key]})".removesuffix(" (1)") for key in shown]
+    return [[*heads, "nature"]] + [[*(quantity(d[k], units[k]) for k in shown), d["nature"]] for d in documents]
 
 
 def _padded(rows: list[list[str]], row: list[str]) -> Iterable[tuple[str, int]]:
@@ -165,7 +166,7 @@ def _proof(solution: Solution) -> str:
 
 def _how(solution: Solution) -> str:
     s = solution.statistics
-    text = f"method {solution.method}"
+    text = (f"{_CLAIMED}: " if s.claimed else "") + f"method {solution.method}"
     if s.rung:
         text += f"; start: {s.rung}"
     text += f"; {s.iterations} iteration{'' if s.iterations == 1 else 's'}"

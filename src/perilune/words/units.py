@@ -174,6 +174,11 @@ class Scales:
     mass: float = 1.0
     temperature: float = 1.0
 
+    def __post_init__(self) -> None:
+        for name in ("length", "time", "mass", "temperature"):
+            if not (value := getattr(self, name)) > 0 or not math.isfinite(value):
+                raise PeriluneError(f"a scale must be positive: {name}", got=str(value), expected="> 0 and finite")
+
     def of(self, unit_text: str) -> float:
         """SI size of one canonical unit of the given unit's dimension: ``canonical = SI / scale``."""
         a, b, c, d = unit(unit_text)[1]

@@ -1,0 +1,161 @@
+"""A problem as a tree for JSON and back: its formulas as expressions, so that no code is needed to prove it again.
+
+What was read is a `Problem` like any other: its structure and its units are checked, and its digest must be the one
+that the file names. Functions that are no formulas stay behind (`ranges`, `bookkeeping`): the ranges of the free
+parameters are those that were saved.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from string import Formatter
+from typing import Any
+
+from perilune.io.reading import MOST_ENTRIES, part, plain, record, refuse, text
+from perilune.problem.controls import Bounded, Direction
+from perilune.problem.form import PHASE_FUNCTIONS, roles_of
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.tape import Expression, Tape
+from perilune.problem.views import Views
+from perilune.words.units import Scales
+
+_CONTROLS = {kind.kind: kind for kind in (Direction, Bounded)}
+# Of a phase and of a problem, the fields that are tuples of variables.
+_VARIABLES = [f.name for f in fields(Phase) if f.name == "states" or f.name.endswith(("_conditions", "_variables"))]
+_NAME = re.compile(r"[A-Za-z_][\w-]{0,80}", re.ASCII)  # what becomes part of a file's name
+_SPEC = re.compile(r"(\.\d{1,2})?[efg]?", re.ASCII)
+
+
+def physics_document(problem: Problem) -> dict[str, Any]:
+    """Everything about a problem but its given values."""
+    expressions = problem.form.expressions
+    return {
+        "name": problem.name,
+        "title": problem.title,
+        "digest": problem.form.digest,
+        "scales": plain(problem.scales),
+        "free": plain(problem.free),
+        "objective_unit": problem.objective_unit,
+        "result_variables": plain(problem.result_variables),
+        "maximised": problem.maximised,
+        "views": plain(problem.views),
+        "phases": [_phase_document(phase) for phase in problem.phases],
+        "functions": {_written(key): e.tape.document() for key, e in expressions.items()},
+    }
+
+
+def _written(key: Any) -> str:
+    """The key of a function as a text: ``start``, ``0.dynamics``, ``links.0``."""
+    return key if isinstance(key, str) else ".".join(str(k) for k in key)
+
+
+def _phase_document(phase: Phase) -> dict[str, Any]:
+    variables = {name: plain(getattr(phase, name)) for name in _VARIABLES}
+    controls = [{"kind": c.kind, **plain(c)} for c in phase.controls]
+    return {"name": phase.name, "duration": phase.duration, "controls": controls, **variables}
+
+
+def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
+    """The problem of a document, its functions expressions.
+
+    Raises
+    ------
+    PeriluneError
+        If anything in it is not what `physics_document` writes, or its digest is another.
+    """
+    free = _rows(document, "free", Free)
+    entries = part(document, "phases", list)
+    if not 0 < len(entries) <= MOST_ENTRIES:
+        refuse("phases", str(len(entries)), "at least one")
+    bare = [_phase(entry, f"problem.phases[{k}]") for k, entry in enumerate(entries)]
+    read = _Functions(part(document, "functions", dict), bare, {*given, *(f.name for f in free)})
+    phases = tuple(
+        replace(phase, **{name: read((k, name), k) for name in PHASE_FUNCTIONS}) for k, phase in enumerate(bare)
+    )
+    problem = Problem(
+        name=text(document, "name"),
+        title=text(document, "title"),
+        phases=phases,
+        start=read("start", 0) or refuse("functions.start", "nothing", "a function"),
+        links=tuple(link for k in range(len(phases) - 1) if (link := read(("links", k), k))),
+        given=given,
+        free=free,
+        objective=read("objective", len(phases) - 1) or refuse("functions.objective", "nothing", "a function"),
+        objective_unit=text(document, "objective_unit"),
+        results=read("results", 0),
+        result_variables=_rows(document, "result_variables", Variable),
+        maximised=text(document, "maximised"),
+        views=_views(document),
+        scales=record(Scales, document.get("scales"), "problem.scales"),
+    )
+    if problem.form.digest != (said := text(document, "digest")):
+        refuse("problem.digest", said[:16], f"{problem.form.digest[:16]}, of the expressions beside it")
+    return problem
+
+
+def _rows(document: Mapping[str, Any], name: str, kind: type) -> tuple[Any, ...]:
+    entries = part(document, name, list)
+    if len(entries) > MOST_ENTRIES:
+        refuse(name, f"{len(entries)} entries", f"at most {MOST_ENTRIES}")
+    return tuple(record(kind, entry, f"problem.{name}[{i}]") for i, entry in enumerate(entries))
+
+
+def _phase(entry: Any, where: str) -> Phase:
+    """A phase without its functions."""
+    if not isinstance(entry, dict):
+        refuse(where, str(entry)[:40], "a record")
+    name = text(entry, "name")
+    if not _NAME.fullmatch(name):
+        refuse(f"{where}.name", repr(name[:40]), "letters, digits, _ and -")
+    controls = []
+    for i, control in enumerate(part(entry, "controls", list)[:MOST_ENTRIES]):
+        kind = _CONTROLS.get(str(control.get("kind"))) if isinstance(control, dict) else None
+        if kind is None:
+            refuse(f"{where}.controls[{i}]", str(control)[:40], "a control of kind " + " or ".join(_CONTROLS))
+        controls.append(record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]"))
+    variables: dict[str, Any] = {field: _rows(entry, field, Variable) for field in _VARIABLES}
+    return Phase(
+        name=name, duration=text(entry, "duration"), controls=tuple(controls), dynamics=_nothing, **variables
+    )  # fmt: skip
+
+
+def _nothing(*arguments: Any) -> None:
+    """Stands for the dynamics until they are read."""
+
+
+def _views(document: Mapping[str, Any]) -> Views:
+    """Views whose words can do no more than be shown."""
+    views = record(Views, document.get("views"), "problem.views")
+    for history in views.histories:
+        if not _NAME.fullmatch(history.name):
+            refuse("problem.views.histories", repr(history.name[:40]), "names of letters, digits, _ and -")
+    try:
+        fields_of_label = list(Formatter().parse(views.label))
+    except ValueError:
+        refuse("problem.views.label", views.label[:40], "a text with {name:format}")
+    for _, name, spec, conversion in fields_of_label:
+        if name is not None and (conversion or not _SPEC.fullmatch(spec or "")):
+            refuse("problem.views.label", views.label[:40], "formats such as {name:.1f}")
+    return views
+
+
+class _Functions:
+    """The functions of a document by their key; None where there is none."""
+
+    def __init__(self, tapes: Mapping[str, Any], phases: list[Phase], parameters: set[str]) -> None:
+        self.tapes, self.phases, self.parameters = tapes, phases, parameters
+
+    def __call__(self, key: Any, k: int) -> Any:
+        """The function of a key, which takes states and controls of phase k."""
+        name, phase = _written(key), self.phases[k]
+        if name not in self.tapes:
+            return None
+        known = {
+            "x": phase.state_names, "u": phase.control_names, "p": self.parameters, "t": ("",),
+            "first": self.phases[0].state_names, "last": self.phases[-1].state_names,
+        }  # fmt: skip
+        roles = roles_of(key)
+        tape = Tape.read(self.tapes[name], {role: known[role] for role in roles}, name)
+        return Expression(tape, roles, scalar=key == "objective", origin="a file")

@@ -1,0 +1,151 @@
+"""Entries of a JSON tree that may come from a stranger: each is checked before it is used, and refused by its name.
+
+`plain` writes a record (a dataclass of texts, numbers, and tuples of these or of records) without what is at its
+default; `record` reads one back by the types that its fields declare.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from perilune.words.outcome import PeriluneError
+
+LONGEST_TEXT = 10_000
+MOST_ENTRIES = 1000  # of a list that is no table: phases, extremals, unknowns
+Kind = TypeVar("Kind")
+
+
+def refuse(where: str, got: str, expected: str) -> NoReturn:
+    """Raise for one entry."""
+    raise PeriluneError(
+        f"the saved solution does not fit its own problem: {where}",
+        got=got,
+        expected=expected,
+        advice="solve again and save; files are not meant to be edited",
+    )
+
+
+def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
+    """The entry of a name, of a kind."""
+    value = entry.get(name)
+    if not isinstance(value, kind):
+        refuse(name, str(value)[:40], {dict: "a record", list: "a list", str: "a text"}[kind])
+    return value
+
+
+def text(entry: Mapping[str, Any], name: str) -> str:
+    """A text."""
+    return part(entry, name, str)
+
+
+def number(entry: Mapping[str, Any], name: str, where: str) -> float:
+    """A finite number; text and booleans are none."""
+    return _number(entry.get(name), f"{where}.{name}")
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        refuse(where, str(value)[:40], "a number")
+    try:
+        found = float(value)
+    except OverflowError:
+        found = math.inf
+    if not math.isfinite(found):
+        refuse(where, str(value)[:40], "a finite number")
+    return found
+
+
+def numbers(document: Mapping[str, Any], name: str) -> dict[str, float]:
+    """Values of ``{key: {"value": number}}``."""
+    entries = part(document, name, dict)
+    return {key: number(part(entries, key, dict), "value", f"{name}.{key}") for key in entries}
+
+
+def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
+    """Array of finite numbers of a shape (None: any length); text and booleans are not numbers."""
+    try:
+        found = np.asarray(value)
+    except ValueError:
+        refuse(where, "rows of unequal length", "a full table of numbers")
+    wanted = " x ".join("any" if n is None else str(n) for n in shape)
+    fits = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
+    if (found.size and found.dtype.kind not in "if") or not fits:
+        refuse(where, f"{found.dtype.kind}-type table of shape {found.shape}", f"numbers, {wanted}")
+    found = found.astype(float)
+    if not np.isfinite(found).all():
+        refuse(where, "numbers that are not finite", "finite numbers")
+    return found
+
+
+def member(kind: type, found: Any, where: str) -> Any:
+    """The member of an enumeration, unless it is None."""
+    if found is None:
+        refuse(where, "an unknown word", "one of " + ", ".join(str(m.name) for m in kind))  # type: ignore[attr-defined]
+    return found
+
+
+# -- records ----------------------------------------------------------------------------------------------------------
+
+
+def plain(value: Any) -> Any:
+    """A record as a tree for JSON, without the fields that are at their defaults."""
+    if is_dataclass(value) and not isinstance(value, type):
+        shown = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+        defaults = {f.name: f.default for f in fields(value)}
+        return {name: plain(entry) for name, entry in shown.items() if entry != defaults[name]}
+    return [plain(entry) for entry in value] if isinstance(value, tuple) else value
+
+
+def record(kind: type[Kind], document: Any, where: str) -> Kind:
+    """A record of a kind; its own checks are made as ever."""
+    if not isinstance(document, dict):
+        refuse(where, str(document)[:40], "a record")
+    hints, known = _hints(kind), {f.name: f for f in fields(kind) if f.init}  # type: ignore[arg-type]
+    for name in document:
+        if name not in known:
+            refuse(f"{where}.{name}"[:100], "a field that is not known", "one of " + ", ".join(known))
+    for name, f in known.items():
+        if name not in document and f.default is MISSING and f.default_factory is MISSING:
+            refuse(f"{where}.{name}", "nothing", "an entry")
+    return kind(**{name: _entry(hints[name], value, f"{where}.{name}") for name, value in document.items()})
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _entry(hint: Any, value: Any, where: str) -> Any:
+    """A value of a declared type."""
+    if get_origin(hint) in (Union, UnionType):
+        choices = get_args(hint)
+        if value is None and NoneType in choices:
+            return None
+        words = isinstance(value, str) and str in choices
+        hint = str if words else next(h for h in choices if h not in (str, NoneType))
+    if get_origin(hint) is tuple:
+        return _row(get_args(hint), value, where)
+    if hint is str:
+        if not isinstance(value, str) or len(value) > LONGEST_TEXT:
+            refuse(where, str(value)[:40], f"a text of at most {LONGEST_TEXT} characters")
+        return value
+    if hint in (float, int):
+        return hint(_number(value, where))
+    if hint is bool:
+        return value if isinstance(value, bool) else refuse(where, str(value)[:40], "true or false")
+    return record(hint, value, where)
+
+
+def _row(hints: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    alike = len(hints) == 2 and hints[1] is Ellipsis
+    if not isinstance(value, list) or len(value) > MOST_ENTRIES or not (alike or len(value) == len(hints)):
+        refuse(where, str(value)[:40], "a list" if alike else f"a list of {len(hints)}")
+    each = (hints[0],) * len(value) if alike else hints
+    return tuple(_entry(h, v, f"{where}[{i}]") for i, (h, v) in enumerate(zip(each, value, strict=True)))

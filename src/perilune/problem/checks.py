@@ -1,0 +1,127 @@
+"""What a problem must be to mean anything: names that exist, values that are finite, physics that keeps its units.
+
+The physics is tried where it is stated: called at a sample of states and controls, once in SI and once in other units.
+The functions here take a `Problem`, whose file stands above this one.
+"""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+from perilune.problem.controls import scalars
+from perilune.problem.form import stated
+from perilune.problem.views import check_views
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.units import Scales
+
+
+def check_structure(problem: Any) -> None:
+    """Refuse phases, links, parameters and views that do not fit together."""
+    if not problem.phases:
+        raise PeriluneError("a problem needs at least one phase", got="none")
+    if len(problem.links) != len(problem.phases) - 1:
+        raise PeriluneError(
+            "each phase after the first needs a link from the one before",
+            got=f"{len(problem.links)} links for {len(problem.phases)} phases",
+            expected=f"{len(problem.phases) - 1} links",
+        )
+    both = set(problem.given) & set(problem.free_names)
+    if both:
+        raise PeriluneError("a parameter cannot be given and free at once", got=", ".join(sorted(both)))
+    check_values(problem)
+    limits = [limit for phase in problem.phases for _, c in scalars(phase.controls) for limit in (c.lower, c.upper)]
+    for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
+        if name not in problem.given and name not in problem.free_names:
+            raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
+    results = [v.name for v in problem.result_variables]
+    if problem.maximised and problem.maximised not in results:
+        raise unknown_name("result", problem.maximised, results)
+    quantities = {
+        name
+        for phase in problem.phases
+        for name in (*phase.state_names, *phase.control_names, *(v.name for v in phase.output_variables))
+    }
+    check_views(problem.views, quantities, {*problem.given, *problem.free_names}, results)
+
+
+def check_values(problem: Any) -> None:
+    """Refuse given values that are not finite, and ranges of free parameters that are empty."""
+    for name, g in problem.given.items():
+        if not math.isfinite(g.value):
+            raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
+    for f in problem.free:
+        if not f.lower <= f.upper or math.isnan(f.typical):
+            raise PeriluneError(
+                f"bounds of {f.name} are empty", got=f"[{f.lower}, {f.upper}]", expected="lower <= upper"
+            )
+
+
+_PLACES = 4  # points at which the physics is tried before it counts as undefined
+
+
+def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, list[tuple[list[float], list[float]]]]:
+    """Parameters and one (x, u) for each phase, the same physical point written in the given canonical units."""
+    fractions = iter((0.618034 * k) % 1.0 for k in range(1 + 1000 * place, 1_000_000))
+    si = problem.scales
+    inside = {
+        f.name: f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.typical
+        for f in problem.free
+    }
+    known = problem.parameters(inside)
+    p = SimpleNamespace(**{name: v / scales.of(problem.unit_of(name)) for name, v in vars(known).items()})
+    points = []
+    for phase in problem.phases:
+        x = [(0.7 + 0.5 * next(fractions)) * si.of(s.unit) / scales.of(s.unit) for s in phase.states]
+        u: list[float] = []
+        for control in phase.controls:
+            value = control.example(fractions, known, si.of(control.unit))
+            u += [v / scales.of(control.unit) for v in value]
+        points.append((x, u))
+    return p, points
+
+
+def _values(problem: Any, scales: Scales, place: int) -> list[tuple[str, str, float]]:
+    """(what, unit, value) of everything the user's functions return at the sample, written in canonical units."""
+    p, points = _sample(problem, scales, place)
+    everywhere = {
+        "p": p, "t": 0.7 * problem.scales.time / scales.time, "first": points[0][0], "last": points[-1][0]
+    }  # fmt: skip
+    found: list[tuple[str, str, float]] = []
+    for function in stated(problem):
+        if not function.rough:
+            x, u = points[function.phase]
+            values = function.numbers({"x": x, "u": u, **everywhere})
+            pairs = zip(function.results, values, strict=True)
+            found.extend((f"{function.what}, {name}", unit, value) for (name, unit), value in pairs)
+    return found
+
+
+def check_homogeneous(problem: Any) -> None:
+    """Evaluate the physics in SI and in other units; a result that does not scale hides a dimensional constant."""
+    # Incommensurate with each other, so that no power product of them is 1 by accident.
+    scales, undefined = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7), []
+    for place in range(_PLACES):
+        values = _values(problem, Scales(), place)
+        undefined = [what for what, _, si in values if math.isnan(si)]
+        if not undefined:
+            break
+    else:
+        raise PeriluneError(
+            f"{undefined[0]} is not a number (NaN)",
+            got=f"NaN at each of {_PLACES} points that were tried",
+            expected="a number for states of the size of the problem's scales",
+            advice="look for the root or logarithm of something negative, and for 0/0; check units, scales and values",
+        )
+    for (what, unit_text, si), (_, _, other) in zip(values, _values(problem, scales, place), strict=True):
+        scaled = other * scales.of(unit_text)
+        if math.isfinite(si) and not math.isclose(
+            si, scaled, rel_tol=1e-6, abs_tol=1e-9 * problem.scales.of(unit_text)
+        ):
+            raise PeriluneError(
+                f"the physics is not dimensionally homogeneous: {what}",
+                got=f"{si:.6g} computed in SI, {scaled:.6g} computed in other units",
+                expected=f"a quantity in {unit_text}",
+                advice="move constants with a dimension out of the function into `given`, with their unit",
+            )

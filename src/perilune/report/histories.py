@@ -1,0 +1,108 @@
+"""Quantities against time, and families against a parameter: what every problem has, whatever it is about.
+
+Axis texts come from the problem's variables: their `label`, or their name, and the unit in which a reader expects them
+(angles in degrees, long ways in kilometres).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from perilune.io.columns import Column, flight_columns
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.problem.views import History
+from perilune.report.style import BLUE, GREY, LOOKS, TIME, VERMILION, legend_above, new_figure, styled
+
+LONG = 2000.0  # m: from here on a way is told in kilometres
+GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
+
+
+@styled
+def history(flights: Mapping[str, Solution], shown: History) -> Figure:
+    """Each quantity of a `History` in its panel against time, several flights in each."""
+    problem = next(iter(flights.values())).problem
+    sampled = {
+        name: {who: flight_columns(solution, name) for who, solution in flights.items()} for name in shown.quantities
+    }
+    sampled = {name: parts for name, parts in sampled.items() if any(parts.values())}
+    rows = len(sampled)
+    figure, axes = new_figure(height=2.3 if rows == 1 else 0.55 + 1.05 * rows, rows=rows)
+    axes = np.atleast_1d(axes)
+    for ax, (name, flown) in zip(axes, sampled.items(), strict=True):
+        text, factor = axis_text(problem, [column for parts in flown.values() for _, column in parts])
+        for (who, parts), (colour, dash) in zip(flown.items(), LOOKS, strict=False):
+            for time, column in parts:
+                ax.plot(time, factor * column.values, dash, color=colour, label=who)
+                who = "_"  # one entry in the legend for all phases of a flight
+            if rows == 1 and parts:
+                time, column = parts[-1]
+                ax.plot(time[-1], factor * column.values[-1], "o", color=colour, markersize=3, clip_on=False)
+        ax.set_ylabel(text if rows == 1 else text.replace(" (", "\n("))
+        if name == problem.views.height:
+            ax.set_ylim(bottom=0)
+    axes[-1].set_xlabel(TIME)
+    axes[-1].set_xlim(left=0)
+    figure.align_ylabels()
+    legend_above(figure, axes[0])
+    return figure
+
+
+def axis_text(problem: Problem, shown: list[Column]) -> tuple[str, float]:
+    """Text of an axis that shows these columns of one name, and the factor from their unit to that of the text."""
+    name, unit, factor = shown[0].name, shown[0].unit, 1.0
+    if unit == "m" and max(float(np.abs(column.values).max()) for column in shown) >= LONG:
+        unit, factor = "km", 1e-3
+    labels = {v.name: v.label for phase in problem.phases for v in (*phase.states, *phase.output_variables)}
+    text = labels.get(name) or name.replace("_", " ")
+    return f"{text} ({unit})".removesuffix(" (1)"), factor
+
+
+@styled
+def costates(solution: Solution) -> Figure:
+    """Each costate against time, with its unit."""
+    states = dict.fromkeys(name for phase in solution.problem.phases for name in phase.state_names)
+    found = [flight_columns(solution, f"lambda_{name}") for name in states]
+    figure, axes = new_figure(height=0.5 + 0.95 * len(found), rows=len(found))
+    axes = np.atleast_1d(axes)
+    for ax, parts in zip(axes, found, strict=True):
+        for time, column in parts:
+            ax.plot(time, column.values, color=BLUE)
+        values = np.concatenate([column.values for _, column in parts])
+        if np.ptp(values) <= 1e-9 * np.abs(values).max():  # constant: not the noise of its last digits
+            room = abs(values[0]) or 1.0
+            ax.set_ylim(values[0] - room, values[0] + room)
+        ax.set_ylabel(_costate_symbol(parts[0][1]) + f"\n({parts[0][1].unit})")
+        ax.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
+    figure.align_ylabels()
+    axes[-1].set(xlabel=TIME, xlim=(0, sum(trajectory.duration for trajectory in solution.trajectories)))
+    return figure
+
+
+def _costate_symbol(column: Column) -> str:
+    state = column.name.removeprefix("lambda_")
+    return rf"$\lambda_{{\{state}}}$" if state in GREEK else rf"$\lambda_{{{state.replace('_', ',')}}}$"
+
+
+@styled
+def family_panels(value: np.ndarray, results: Mapping[str, np.ndarray], parameter: str) -> Figure:
+    """Panels of results (axis label: values, NaN where none) against a parameter, sharing its axis."""
+    rows = max(len(results), 1)
+    figure, axes = new_figure(height=0.6 + 1.15 * rows, rows=rows)
+    axes = np.atleast_1d(axes)
+    order = np.argsort(value)
+    for ax, (text, y) in zip(axes, results.items(), strict=False):
+        # The optimum may jump between two points: the line only guides the eye.
+        ax.plot(value[order], y[order], "-", color=GREY, alpha=0.5, linewidth=0.6)
+        ax.plot(value[order], y[order], "o", color=BLUE, markersize=2.5)
+        for failed in value[~np.isfinite(y)]:
+            ax.axvline(failed, color=VERMILION, linewidth=0.8, linestyle=":")
+        ax.set_ylabel(text.replace(" (", "\n("))
+    if any(not np.isfinite(y).all() for y in results.values()):
+        axes[0].set_title("dotted: no solution", fontsize=7, color=VERMILION, loc="right")
+    figure.align_ylabels()
+    axes[-1].set_xlabel(parameter)
+    return figure

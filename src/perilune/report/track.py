@@ -1,0 +1,45 @@
+"""The way of a descent from the side and from above, along and across the direction that its problem states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from perilune.problem.solution import Solution, full
+from perilune.report.style import GREY, LOOKS, legend_above, new_figure, styled
+from perilune.words.types import Matrix
+
+
+@styled
+def track(flights: Mapping[str, Solution]) -> Figure:
+    """Height and cross-range over downrange: the path from the side and from above."""
+    figure, (side, top) = new_figure(height=3.2, rows=2)
+    ways = {who: path(solution) / 1e3 for who, solution in flights.items()}
+    for (who, (along, across, height, *_)), (colour, dash) in zip(ways.items(), LOOKS, strict=False):
+        side.plot(along, height, dash, color=colour, label=who)
+        top.plot(along, across, dash, color=colour)
+        for ax, y in ((side, height), (top, across)):
+            ax.plot(along[-1], y[-1], "v", color=colour, markersize=4, clip_on=False)
+            ax.plot(along[0], y[0], "o", color="black", markersize=3, clip_on=False, zorder=5)
+    along, _, _, *floor = next(iter(ways.values()))
+    text = next(iter(flights.values())).problem.views.floor
+    for least in floor:
+        side.plot(along, least, "-.", color=GREY, linewidth=0.9, label=text)
+    side.set(ylabel="height (km)")
+    side.set_ylim(bottom=min(0.0, side.get_ylim()[0]))
+    top.set(xlabel="downrange (km)", ylabel="cross-range,\nleft (km)")
+    figure.align_ylabels()
+    legend_above(figure, side, columns=1 if floor else 2)
+    return figure
+
+
+def path(solution: Solution) -> Matrix:
+    """Values of `Phase.track` along the flight [m], shape (3 or 4, n)."""
+    parts = []
+    for k, (phase, trajectory) in enumerate(zip(solution.problem.phases, solution.trajectories, strict=True)):
+        t = np.linspace(0.0, trajectory.duration, 601)
+        x, u = solution.flown(k, t)
+        parts.append(np.array([full(value, t) for value in phase.evaluate("track", x, u, solution.parameters)]))
+    return np.concatenate(parts, axis=1)

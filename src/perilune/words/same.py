@@ -1,0 +1,37 @@
+"""Whether two records hold the same: field by field, arrays and NaN included."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+
+def same(one: Any, other: Any) -> bool:
+    """Equality in which a NaN is itself, and arrays, mappings and sequences of equal entries are equal."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        return np.shape(one) == np.shape(other) and np.array_equal(one, other, equal_nan=True)
+    if isinstance(one, float) and isinstance(other, float):
+        return one == other or (math.isnan(one) and math.isnan(other))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
+    if isinstance(one, Sequence) and isinstance(other, Sequence) and not isinstance(one, str):
+        return len(one) == len(other) and all(map(same, one, other))
+    if is_dataclass(one) and type(one) is type(other) and _by_fields(type(one)):
+        return same_fields(one, other)
+    return bool(one == other)
+
+
+def same_fields(one: Any, other: Any) -> bool:
+    """Whether two records of one class hold the same."""
+    return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+
+
+def _by_fields(kind: Any) -> bool:
+    """Whether a record class leaves its equality to its fields."""
+    return kind.__dataclass_params__.eq

@@ -1,0 +1,194 @@
+"""Saved and loaded: a solution of any problem is proved again from its file alone; the file is not trusted."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.scenario import load_file, load_text
+from perilune.solve import prove, solve
+from perilune.words.outcome import Outcome, PeriluneError
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+@pytest.fixture(scope="module")
+def hop() -> Solution:
+    """The problem of the documentation, which is made of lambdas."""
+    return runpy.run_path(str(EXAMPLES / "own_problem.py"))["exact"]
+
+
+def edited(directory: Path, change: Callable[[dict[str, Any]], Any]) -> Path:
+    file = directory / "solution.json"
+    document = json.loads(file.read_text(encoding="utf-8"))
+    change(document)
+    file.write_text(json.dumps(document), encoding="utf-8")
+    return directory
+
+
+def test_the_papers_landing_proves_again(hybrid: Solution, tmp_path: Path) -> None:
+    """Without a scenario: the expressions are flown, by NumPy, and level 3 holds."""
+    pl.save(hybrid, tmp_path / "landing")
+    back = pl.load(tmp_path / "landing")
+    assert back.problem == hybrid.problem
+    assert back.outcome is Outcome.SOLVED and back.verification.level == 0
+    np.testing.assert_array_equal(back.trajectories[0].state.values, hybrid.trajectories[0].state.values)
+    assert back.results == hybrid.results
+    proved = prove(back, 3)
+    assert proved.outcome is Outcome.PROVED
+    assert proved.verification.text == "expressions from a file"
+
+
+def test_an_own_problem_proves_again(hop: Solution, tmp_path: Path) -> None:
+    """Two controls, a throttle that switches, functions without a name."""
+    pl.save(hop, tmp_path / "hop")
+    back = pl.load(tmp_path / "hop")
+    assert back.problem == hop.problem
+    proved = prove(back, 3)
+    assert proved.outcome is Outcome.PROVED, str(proved.verification)
+    assert {c.name for c in proved.verification.checks} == {c.name for c in hop.verification.checks}
+
+
+def test_several_phases_and_links_come_back(tmp_path: Path) -> None:
+    from problems.staging import staged_burns
+
+    solution = solve(staged_burns(), Pseudospectral(), level=0)
+    pl.save(solution, tmp_path / "two")
+    assert pl.load(tmp_path / "two").problem == solution.problem
+
+
+def test_a_loaded_problem_is_solved_as_the_first(hop: Solution, tmp_path: Path) -> None:
+    """Its parameters vary as ever."""
+    pl.save(hop, tmp_path / "hop")
+    farther = pl.load(tmp_path / "hop").problem.with_given(distance=2500.0)
+    here, there = (solve(p, level=0) for p in (hop.problem.with_given(distance=2500.0), farther))
+    assert here.objective == there.objective
+
+
+def test_no_file_is_overwritten(hop: Solution, tmp_path: Path) -> None:
+    pl.save(hop, tmp_path / "hop")
+    with pytest.raises(PeriluneError, match="not empty"):
+        pl.save(hop, tmp_path / "hop")
+    pl.save(hop, tmp_path / "hop", force=True)
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Solution]:
+    """A landing saved with its scenario."""
+    stated = load_file(EXAMPLES / "ordinary_lander.toml")
+    solution = solve(stated.problem, level=0)
+    pl.save(solution, tmp_path_factory.mktemp("scenario") / "out", stated.text)
+    return tmp_path_factory.getbasetemp(), solution
+
+
+@pytest.fixture
+def saved(scenario: tuple[Path, Solution], tmp_path: Path) -> Path:
+    solution = scenario[1]
+    pl.save(solution, tmp_path / "s", load_file(EXAMPLES / "ordinary_lander.toml").text)
+    return tmp_path / "s"
+
+
+def test_with_a_scenario_the_models_own_text_is_flown(saved: Path) -> None:
+    proved = prove(pl.load(saved), 1)
+    assert proved.verification.text == "the problem's own Python functions"
+    assert "propellant" in {c.name for c in proved.verification.checks}  # the model's bookkeeping
+
+
+def test_a_file_of_the_first_version_still_loads(saved: Path) -> None:
+    """Which had nothing of the problem but its scenario."""
+
+    def older(document: dict[str, Any]) -> None:
+        document["format"]["version"] = 1
+        document["problem"] = {name: document["problem"][name] for name in ("name", "title")}
+
+    assert prove(pl.load(edited(saved, older)), 1).outcome is Outcome.PROVED
+
+
+def test_scenario_and_expressions_must_agree(saved: Path) -> None:
+    """Numbers that the scenario does not give, or physics that it does not have."""
+
+    def heavier(document: dict[str, Any]) -> None:
+        document["problem"]["scales"]["mass"] = 2.0
+
+    with pytest.raises(PeriluneError, match="state different problems"):
+        pl.load(edited(saved, heavier))
+
+
+def test_another_physics_under_the_same_scenario_is_refused(saved: Path, hop: Solution, tmp_path: Path) -> None:
+    pl.save(hop, tmp_path / "hop")
+    other = json.loads((tmp_path / "hop" / "solution.json").read_text(encoding="utf-8"))
+
+    def foreign(document: dict[str, Any]) -> None:
+        document["problem"]["functions"]["0.outputs"]["outputs"].reverse()
+        document["problem"]["digest"] = other["problem"]["digest"]
+
+    with pytest.raises(PeriluneError):
+        pl.load(edited(saved, foreign))
+
+
+def problem_of(document: dict[str, Any]) -> dict[str, Any]:
+    return document["problem"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d["problem"].pop("functions"), "functions"),
+        (lambda d: d["problem"]["functions"].pop("start"), "functions.start"),
+        (lambda d: d["problem"]["functions"].pop("0.dynamics"), "dynamics of hop is missing"),
+        (lambda d: d["problem"]["functions"].pop("0.end"), "end of hop is missing"),
+        (lambda d: d["problem"]["functions"]["0.dynamics"]["outputs"].pop(), "wrong number of values"),
+        (lambda d: d["problem"]["functions"]["0.dynamics"]["instructions"].insert(0, ["exec", 0]), "cannot be read"),
+        (lambda d: d["problem"]["functions"]["start"]["instructions"].append(["x", "m"]), "cannot be read"),
+        (lambda d: d["problem"].update(digest="0" * 64), "problem.digest"),
+        (lambda d: d["problem"].update(title=5), "title"),
+        (lambda d: d["problem"]["phases"][0].update(name="../../etc"), "letters, digits"),
+        (lambda d: d["problem"]["phases"][0]["controls"][0].update(kind="lambda"), "a control of kind"),
+        (lambda d: d["problem"]["phases"][0]["states"][0].update(lower=True), "a number"),
+        (lambda d: d["problem"]["phases"][0]["states"][0].update(colour="red"), "not known"),
+        (lambda d: d["problem"]["phases"][0]["states"][0].pop("name"), "nothing"),
+        (lambda d: d["problem"]["phases"][0]["states"][0].update(unit="furlong"), "not a unit"),
+        (lambda d: d["problem"].update(views={"label": "{mass:999999999}"}), "views.label"),
+        (lambda d: d["problem"].update(views={"histories": [{"name": "/tmp/x", "quantities": []}]}), "histories"),
+        (lambda d: d["problem"].update(scales={"length": None}), "a number"),
+        (lambda d: d["problem"].update(scales={"length": 0.0}), "scale"),
+        (lambda d: d["problem"].update(free=[]), "."),
+        (lambda d: d["given"]["g"].update(unit="km"), "numbers are in SI"),
+        (lambda d: d["given"].pop("g"), "."),
+        (lambda d: d["given"]["g"].update(value=None), "a number"),
+        (lambda d: d["format"].update(version=3), "not a saved solution"),
+        (lambda d: d["format"].update(version=1), "scenario"),
+    ],
+)
+def test_an_altered_problem_is_refused(hop: Solution, tmp_path: Path, change: Any, words: str) -> None:
+    """Each by a PeriluneError that names it."""
+    pl.save(hop, tmp_path / "hop")
+    with pytest.raises(PeriluneError, match=re.escape(words) if words != "." else words):
+        pl.load(edited(tmp_path / "hop", change))
+
+
+def test_what_was_changed_in_the_physics_fails_the_proof(hop: Solution, tmp_path: Path) -> None:
+    """A file may state other physics consistently; then its trajectory is none of it."""
+    pl.save(hop, tmp_path / "hop")
+
+    def weaker(document: dict[str, Any]) -> None:
+        document["given"]["g"]["value"] = 1.63
+
+    assert prove(pl.load(edited(tmp_path / "hop", weaker)), 1).outcome is Outcome.NOT_PROVED
+
+
+def test_scenarios_are_untouched_by_saving(scenario: tuple[Path, Solution]) -> None:
+    stated = load_file(EXAMPLES / "ordinary_lander.toml")
+    assert load_text(stated.text) == scenario[1].problem
+    assert isinstance(scenario[1].problem, Problem)
