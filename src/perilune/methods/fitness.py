@@ -25,6 +25,7 @@ from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from perilune.conditions.pontryagin import derive, extremal_parameters
@@ -208,7 +209,7 @@ class CostateFitness:
         y[:, :count] = genes[:, :count] / np.linalg.norm(genes[:, :count], axis=1, keepdims=True)
         y[:, c.free_at] = genes[:, count:]
         ends = self._ends(y)
-        h, h_y, h_z = (np.array(out) for out in self._over(c.residual, size)(y.T, ends, self._numbers(size)))
+        h, h_y, h_z = (np.array(out) for out in self._over(self._residual, size)(y.T, ends, self._numbers(size)))
         rows = h.shape[0]
         h = h.T
         h_y = h_y.reshape(rows, size, -1).transpose(1, 0, 2)
@@ -226,6 +227,14 @@ class CostateFitness:
         return y, np.where(finite, fitness, np.inf)
 
     @cached_property
+    def _residual(self) -> ca.Function:
+        """(y, ends, p) -> residual, Jacobian by y, Jacobian by the ends."""
+        function = self.conditions.residual
+        y, ends, p = (ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(3))
+        h = function(y, ends, p)[0]
+        return ca.Function("residual", [y, ends, p], ca.cse([h, ca.jacobian(h, y), ca.jacobian(h, ends)]))
+
+    @cached_property
     def _is_costate(self) -> Vector:
         """Which components of the stacked ends are costates."""
         return np.concatenate([np.repeat([False, True], phase.half) for phase in self.conditions.phases])
@@ -234,11 +243,11 @@ class CostateFitness:
         """Ends of all phases, stacked: (nz, N); NaN where an arc was lost."""
         size, before, ends = len(y), np.zeros((0, len(y))), []
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
-            z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size))[:2])
+            z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size)))
             mode = np.array(self._over(extremal.mode, size)(z0, self._numbers(size))).ravel().astype(int)
             settings = {"rtol": TOLERANCE, "atol": TOLERANCE, "max_steps": MOST_STEPS, "mode": mode}
             whole = equations(extremal, (), ())
-            arcs = engine(whole, 0).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
+            arcs = engine(whole).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
             before = np.where(arcs.succeeded, arcs.z.T, np.nan)
             ends.append(before)
         return np.vstack(ends)
