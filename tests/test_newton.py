@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ ONE = Columns(n=1)
 ATAN = toy(np.arctan, lambda y: 1 / (1 + y**2))
 
 
-def run(function: Evaluate, *starts: float, **settings: float) -> Ends:
+def run(function: Evaluate, *starts: float, **settings: Any) -> Ends:
     return newton(function, np.array(starts)[:, None], ONE, **settings)
 
 

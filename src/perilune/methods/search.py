@@ -78,7 +78,7 @@ class Search:
                     new, members = self._all_extremals(first)
                     if self._answers(new) and self.base is None:
                         self.base, self.rung = first, name
-                    found += new
+                    found += [f for f in new if not any(_same(f.root.y, known.root.y, 1e-6) for known in found)]
                     for member in members:
                         self.walked.setdefault(member.value, []).append(member.root.y)
         if not self._answers(found):
@@ -307,7 +307,7 @@ class Search:
         extremals = tuple(
             Extremal(
                 free=free_values(self.problem, self.conditions, f.root.y),
-                objective=f.root.cost * self.judge.unit,
+                objective=float(f.root.cost * self.judge.unit),
                 nature=_nature(f, best=place == 0),
             )
             for place, f in enumerate(ranked)
