@@ -22,7 +22,6 @@ Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -311,7 +310,7 @@ def _derive(unnumbered: Unnumbered) -> Conditions:
 def _range_rows(problem: Problem) -> list[int]:
     """Rows of the end conditions that have a finite bound: those rows come first, phase by phase."""
     conditions = [c for phase in problem.phases for c in phase.end_conditions]
-    return [row for row, c in enumerate(conditions) if math.isfinite(c.lower) or math.isfinite(c.upper)]
+    return [row for row, c in enumerate(conditions) if c.ranged]
 
 
 def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ All in canonical units, in which J, the conditions and their multipliers are of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -31,7 +31,7 @@ import numpy as np
 from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.assemble import free_values, multipliers, trajectories
 from perilune.problem.controls import control_scales
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.problem import Phase, Problem, Variable
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.symbolic import canonical_given, free_scales, state_scales
 from perilune.shooting.propagate import engine, equations
@@ -153,6 +153,7 @@ class ControlFitness:
         """How far the conditions of a phase are missed, (N,)."""
         size = states.shape[2]
         end = _stacked(phase.evaluate("end", list(states[-1]), (), p), size)
+        end = _missed(self.problem, phase.end_conditions, end)
         broken = []
         if phase.path is not None:
             along = list(np.moveaxis(states[1:], 0, 1)), list(np.moveaxis(controls[2::2], 0, 1))
@@ -212,6 +213,8 @@ class CostateFitness:
         h, h_y, h_z = (np.array(out) for out in self._over(self._residual, size)(y.T, ends, self._numbers(size)))
         rows = h.shape[0]
         h = h.T
+        ends_of = [condition for phase in self.problem.phases for condition in phase.end_conditions]
+        h[:, : len(ends_of)] = _missed(self.problem, ends_of, h.T).T
         h_y = h_y.reshape(rows, size, -1).transpose(1, 0, 2)
         h_z = h_z.reshape(rows, size, -1).transpose(1, 0, 2)
         multiplied = np.where(self._is_costate, ends.T, 0.0)
@@ -261,6 +264,13 @@ class CostateFitness:
 
     def _numbers(self, size: int) -> Matrix:
         return np.repeat(self.p[:, None], size, axis=1)
+
+
+def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
+    """By how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
+    scales = [problem.scales.of(c.unit) for c in conditions]
+    missed = [c.missed(v * scale) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
+    return np.array(missed).reshape(len(conditions), -1)
 
 
 def _flown(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:

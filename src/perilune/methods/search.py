@@ -91,7 +91,7 @@ class Search:
 
     def _all_extremals(self, first: Member) -> tuple[list[Found], list[Member]]:
         if self.scanned is None:
-            return [self._found(first.root, True)], [first]
+            return [Found(root=first.root, minimum=True)], [first]
         self.watch(f"following the family of extremals along {self.problem.free[self.scanned].name}")
         return scan(self._family(), first, self._bounds(self.scanned), self.settings.scan_points, self.watch)
 
@@ -110,8 +110,8 @@ class Search:
         y = self._known(guess)
         root = self._settled(y[None], self._held_in(guess, y), limits=self.limits)[0]
         if root.converged:
-            free = self.scanned is None or root.choice[self.scanned] > 0
-            return [self._found(root, free or self.shooting.curvature(root, self.scanned or 0) > 0)]
+            held = self.scanned is None or root.choice[self.scanned] > 0
+            return [Found(root=root, minimum=held or self.shooting.curvature(root, self.scanned or 0) > 0)]
         name = self._outside(root)
         if name is not None:
             raise NotConvergedError(
@@ -168,6 +168,7 @@ class Search:
             choices[:, self.scanned], choices[:, self.shooting.plan.held + self.scanned] = 1.0, held
         roots = self._settled(Y, choices, limits=self.others, limit=_PATIENCE, max_step=_STRIDE)
         if not roots.converged.any():
+            self._hold_ranges(choices)
             roots = self._settled(roots.y, choices, limits=self.others, limit=3 * _PATIENCE, max_step=_STRIDE)
         breaking: list[Member] = []
         for value in holds:
@@ -182,6 +183,19 @@ class Search:
         self.tried.append(f"{_SPHERE}: {self.met} extremals, {len(breaking)} of them break a path condition")
         if self.base is None:
             yield from ((member, _SPHERE) for member in breaking)
+
+    def _hold_ranges(self, choices: Matrix) -> None:
+        """Hold in one start none of the ranges, in the next the first at a bound, and so on."""
+        first, held = self.shooting.plan.free, self.shooting.plan.held
+        bounds = [
+            (i, side[i])
+            for side in (self.limits.lower, self.limits.upper)
+            for i in range(first, held)
+            if np.isfinite(side[i])
+        ]
+        for number, (i, bound) in enumerate(bounds, 1):
+            choices[number :: len(bounds) + 1, i] = 1.0
+            choices[number :: len(bounds) + 1, held + i] = bound
 
     def _distinct(self, roots: Roots, lanes: list[int]) -> list[Root]:
         """Different roots within the bounds, best first."""
@@ -296,19 +310,13 @@ class Search:
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
-    def _found(self, root: Root, minimum: bool) -> Found:
-        """A root as an extremal of its own, on a bound where a free parameter is held there."""
-        held = root.choice[: self.shooting.plan.free] > 0
-        value = 0.0 if self.scanned is None else float(root.y[self.conditions.free_at.start + self.scanned])
-        return Found(root=root, value=value, bound=int(held.any()), minimum=minimum)
-
     def _compose(self, found: list[Found], rung: str) -> Solution:
         ranked = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
         extremals = tuple(
             Extremal(
                 free=free_values(self.problem, self.conditions, f.root.y),
                 objective=float(f.root.cost * self.judge.unit),
-                nature=_nature(f, best=place == 0),
+                nature=self._nature(f, best=place == 0),
             )
             for place, f in enumerate(ranked)
         )
@@ -336,6 +344,13 @@ class Search:
             ),
         )
 
+    def _nature(self, found: Found, *, best: bool) -> Nature:
+        if found.root.choice[: self.shooting.plan.free].any():
+            return Nature.BOUNDARY_GLOBAL_OPTIMUM if best else Nature.BOUNDARY_OPTIMUM
+        if not found.minimum:
+            return Nature.WORST
+        return Nature.GLOBAL_OPTIMUM if best else Nature.LOCAL_OPTIMUM
+
     def _refusal(self, found: list[Found]) -> PeriluneError:
         """Physics' reason where there is one; not converged where a flight that keeps every condition is known."""
         if isinstance(self.refusal, InfeasibleError):
@@ -354,11 +369,3 @@ class Search:
 
 def _same(one: Vector, other: Vector, tolerance: float) -> bool:
     return bool(np.abs(one - other).max() <= tolerance * (1.0 + np.abs(other).max()))
-
-
-def _nature(found: Found, *, best: bool) -> Nature:
-    if found.bound:
-        return Nature.BOUNDARY_GLOBAL_OPTIMUM if best else Nature.BOUNDARY_OPTIMUM
-    if not found.minimum:
-        return Nature.WORST
-    return Nature.GLOBAL_OPTIMUM if best else Nature.LOCAL_OPTIMUM

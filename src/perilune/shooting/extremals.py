@@ -22,11 +22,9 @@ from perilune.words.types import Matrix, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """An extremal: its root, the value of q [canonical], its bound (-1, 0, +1), and whether J is least there."""
+    """An extremal: its root, which knows what it holds at a bound, and whether J is least there."""
 
     root: Root
-    value: float
-    bound: int
     minimum: bool
 
 
@@ -107,7 +105,7 @@ def scan(
         if members[end].value != limit:
             say(f"the family of extremals ends at {members[end].value:.6g}, before {limit:.6g} (canonical)")
         elif slopes[end] * bound < 0:  # J rises into the interior; otherwise the bound is no extremal at all
-            found.append(Found(root=members[end].root, value=limit, bound=bound, minimum=True))
+            found.append(Found(root=members[end].root, minimum=True))
     brackets = [
         _Bracket(a, b, slope_a, slope_b)
         for (a, slope_a), (b, slope_b) in pairwise(zip(members, slopes, strict=True))
@@ -115,8 +113,7 @@ def scan(
     ]
     inner = [*_between(family, brackets), *_dips(family, members, slopes)]
     for root in inner:
-        minimum = family.shooting.curvature(root, family.index) > 0
-        found.append(Found(root=root, value=family.value(root), bound=0, minimum=minimum))
+        found.append(Found(root=root, minimum=family.shooting.curvature(root, family.index) > 0))
     return found, members
 
 
