@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from perilune.words.outcome import NotConvergedError, PeriluneError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 INTERRUPTED = 130
 OUTCOME_OF_CODE = {1: "FAULT", 2: "REFUSED", 3: "INFEASIBLE", 4: "NOT_CONVERGED", INTERRUPTED: "INTERRUPTED"}
@@ -62,6 +62,8 @@ def refusal(error: PeriluneError, code: int) -> Answer:
     """What is said of an error."""
     parts = {"what": error.what, "got": error.got, "expected": error.expected, "try": error.advice}
     document: dict[str, Any] = {"outcome": OUTCOME_OF_CODE.get(code, "REFUSED"), "error": parts}
+    if isinstance(error, InfeasibleError):
+        document["error"]["reason"] = error.reason
     if isinstance(error, NotConvergedError):
         document["partial"] = error.partial
     return Answer(text=f"perilune: {error}", document=document, exit_code=code)

@@ -98,16 +98,18 @@ class Conditions:
     phases
         Canonical equations of each phase.
     starts
-        For each phase (y, z_before, p) -> (z0, duration), with its Jacobians by y and z_before; the first phase takes
-        an empty z_before.
+        For each phase (y, z_before, p) -> (z0, duration); the first phase takes an empty z_before.
     residual
-        (y, all end z stacked, p) -> residual, Jacobian by y, Jacobian by the ends.
+        (y, all end z stacked, p) -> (residual, J).
     unknowns, residuals
         (name, unit) of each component, units in SI.
     free_at, costate_at
         Slices of y: the free parameters, and each phase's lambda(0).
     stationarity_at
         Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals.
+    ranges
+        (row of the residual, unknown nu) of each end condition with a finite bound: its row holds psi, which only has
+        to lie between the bounds.
     silent
         For each phase the entries of z that vanish on every extremal: costates of coordinates that neither the
         dynamics nor the end know of. Cho et al. (13), (19): lambda_phi.
@@ -125,6 +127,7 @@ class Conditions:
     free_at: slice
     costate_at: tuple[slice, ...]
     stationarity_at: slice
+    ranges: tuple[tuple[int, int], ...]
     silent: tuple[tuple[int, ...], ...]
     silent_rows: tuple[tuple[int, int], ...]
     needed: tuple[tuple[int, ...], ...]
@@ -345,20 +348,23 @@ def _derive(unnumbered: Unnumbered) -> Conditions:
     return Conditions(
         phases=tuple(phases),
         starts=starts,
-        residual=ca.Function(
-            "residual",
-            [y, zf, numbers],
-            ca.cse([residual, ca.jacobian(residual, y), ca.jacobian(residual, zf)]),
-        ),
+        residual=ca.Function("residual", [y, zf, numbers], ca.cse([residual, cost])),
         unknowns=unknowns,
         residuals=residuals,
         free_at=slice(count, count + len(problem.free)),
         costate_at=_slices([e.half for e in phases]),
         stationarity_at=slice(residual.numel() - len(problem.free), residual.numel()),
+        ranges=tuple((row, count + len(problem.free) + row) for row in _range_rows(problem)),
         silent=silent,
         silent_rows=silent_rows,
         needed=needed,
     )
+
+
+def _range_rows(problem: Problem) -> list[int]:
+    """Rows of the end conditions that have a finite bound: those rows come first, phase by phase."""
+    conditions = [c for phase in problem.phases for c in phase.end_conditions]
+    return [row for row, c in enumerate(conditions) if c.ranged]
 
 
 def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:
@@ -401,7 +407,7 @@ def _needed(
     for k, zf in enumerate(ends):
         wanted = set(ca.jacobian(ca.simplify(rows), zf).sparsity().get_triplet()[1])
         if k + 1 < len(phases):
-            wanted |= set(starts[k + 1].sparsity_out(3).get_triplet()[1])
+            wanted |= set(starts[k + 1].jac_sparsity(0, 1).get_triplet()[1])
         found.append(tuple(sorted(wanted - set(silent[k]))))
     return tuple(found)
 
@@ -438,8 +444,7 @@ def _starts(
         before = ca.SX.sym("before", 2 * phases[k - 1].half if k else 0)
         z0 = ca.vertcat(state(before), lam0[k])
         duration = getattr(p.record, phase.duration)
-        outputs = [z0, duration, ca.jacobian(z0, y), ca.jacobian(z0, before), ca.jacobian(duration, y)]
-        starts.append(ca.Function(f"start_{k}", [y, before, numbers], ca.cse([ca.SX(o) for o in outputs])))
+        starts.append(ca.Function(f"start_{k}", [y, before, numbers], ca.cse([z0, ca.SX(duration)])))
     return tuple(starts), states
 
 

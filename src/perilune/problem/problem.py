@@ -56,8 +56,9 @@ def _in_si(name: str, text: str) -> None:
 class Variable:
     """A named component with its unit: a state, an end condition, a path condition or an output.
 
-    `lower` and `upper` bound a state where a method can use it (direct transcription, verification); `label` is its
-    name on the axis of a figure, where that is not `name` with blanks.
+    `lower` and `upper` bound a state where a method can use it (direct transcription, verification). An end condition
+    with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its name on the
+    axis of a figure, where that is not `name` with blanks.
     """
 
     name: str
@@ -77,6 +78,15 @@ class Variable:
                 got=f"[{self.lower}, {self.upper}]",
                 expected="lower < upper",
             )
+
+    @property
+    def ranged(self) -> bool:
+        """Whether an end condition of this name is a range and no equality."""
+        return math.isfinite(self.lower) or math.isfinite(self.upper)
+
+    def missed(self, value: Any) -> Any:
+        """By how much an end condition of this value is not met, 0 where it is; a number, or an array of them."""
+        return value - NUMERIC.fmin(NUMERIC.fmax(value, self.lower), self.upper) if self.ranged else value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +133,8 @@ class Phase:
     duration
         Name of the parameter (given or free) that is the length of the phase in seconds.
     end, end_conditions
-        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition.
+        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition; one whose
+        condition has bounds has to lie between them instead.
     path, path_conditions
         ``path(x, u, p, m)`` returns values that must not be negative on the phase.
     outputs, output_variables

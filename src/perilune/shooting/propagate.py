@@ -65,16 +65,19 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     return Equations(kept=np.array(kept), numbers=np.array(known, dtype=int), modes=modes, switches=switches)
 
 
+Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may be nonzero, row by row
+
+
 @lru_cache(maxsize=256)
-def engine(flown: Equations, columns: int) -> Engine:
-    """Engine with the given number of variational columns, made once."""
-    return compile_arcs(flown.modes, columns=columns, events=flown.switches)
+def engine(flown: Equations, seeds: Pattern = ()) -> Engine:
+    """Engine with the variational columns that such seeds need, made once."""
+    return compile_arcs(flown.modes, columns=np.array(seeds) if seeds else 0, events=flown.switches)
 
 
 def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
     """All of z along one arc, as a function of time; settings as for the engine's `dense`."""
     whole = equations(extremal, (), ())
-    return engine(whole, 0).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
+    return engine(whole).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
 
 
 def mode_at(extremal: PhaseExtremal, z: Vector, p: Vector) -> int:
