@@ -28,7 +28,7 @@ def draw(hybrid: Solution, ordinary: Solution, directory: Path) -> list[Path]:
 
 if __name__ == "__main__":
     from perilune.models.landing import Retro
-    from perilune.reproductions.cho2015 import CONSTANTS, problem
+    from perilune.reproductions.cho2015.case import CONSTANTS, problem
     from perilune.solve import solve
 
     IMAGES.mkdir(exist_ok=True)

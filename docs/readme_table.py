@@ -26,10 +26,10 @@ def against_the_paper(hybrid: Solution, ordinary: Solution, near_break_even: tup
     near_break_even
         The hybrid landing at each specific impulse of `BRACKET`.
     """
-    from perilune.io.export import results
-    from perilune.reproductions.cho2015 import PRINTED, gain_of_retro_burn
+    from perilune.reproductions.cho2015.case import PRINTED
+    from perilune.reproductions.cho2015.compute import gain_of_retro_burn
 
-    with_burn, without = results(hybrid), results(ordinary)
+    with_burn, without = hybrid.results, ordinary.results
     ours = {
         "perilune speed V0": with_burn["perilune_speed"],
         "optimal retro burn": with_burn["delta_v"],
@@ -40,13 +40,13 @@ def against_the_paper(hybrid: Solution, ordinary: Solution, near_break_even: tup
     }
     rows = []
     for quantity, (printed, unit, where) in PRINTED.items():
-        value = ours[quantity]["value"]
+        value = ours[quantity].value
         digits = len(repr(printed).partition(".")[2])
         agrees = "all digits agree" if round(value, digits) == printed else "differs"
         name = quantity.replace("previous solution", "no retro burn").replace("proposed solution", "hybrid")
         computed, difference = f"{value:.{DIGITS[unit]}f} {unit}", f"{value - printed:+.1e}, {agrees}"
         rows.append(f"| {name}, {where} | {printed} {unit} | {computed} | {difference} |")
-    ratio = with_burn["flight_time"]["value"] / without["flight_time"]["value"]
+    ratio = with_burn["flight_time"].value / without["flight_time"].value
     rows.append(f"| flight time, hybrid over ordinary, section 4 | a third | {ratio:.4f} | |")
     (low, high), (loss, gain) = BRACKET, (gain_of_retro_burn(s) for s in near_break_even)
     limit = low - loss * (high - low) / (gain - loss)
@@ -74,7 +74,7 @@ def not_printed(hybrid: Solution, ordinary: Solution) -> list[str]:
 
 if __name__ == "__main__":
     from perilune.models.landing import Retro
-    from perilune.reproductions.cho2015 import CONSTANTS, problem
+    from perilune.reproductions.cho2015.case import CONSTANTS, problem
     from perilune.solve import solve
 
     whole = problem(Retro(specific_impulse=CONSTANTS.specific_impulse))

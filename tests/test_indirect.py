@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
+from newton_toys import toy
 from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Free, Given, Problem, Variable
 from perilune.problem.solution import Curve, Solution, hermite_nodes
 from perilune.shooting.continuation import Member, follow
-from perilune.shooting.function import Shooting
-from perilune.shooting.rootfind import Root, damped_newton
+from perilune.shooting.function import Root, Shooting
+from perilune.shooting.newton import Columns, newton
 from perilune.solve import solve
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 from perilune.words.watch import Iteration
@@ -51,33 +52,6 @@ def test_a_free_parameter_in_the_dynamics() -> None:
     assert slope == pytest.approx(-2e-3, rel=1e-6)
 
 
-def test_jacobian_by_taylor_ratio(landing: Problem, hybrid: Solution) -> None:
-    """|h(y + e d) - h(y) - e J d| falls by four when e is halved; single and multiple shooting."""
-    p = extremal_parameters(landing)
-    assert hybrid.unknowns is not None
-    for segments in (1, 3):
-        shooting = Shooting(derive(landing), segments=segments)
-        y = shooting.joints(hybrid.unknowns, p)
-        assert y is not None
-        rng = np.random.default_rng(1)
-        direction = rng.normal(size=len(y))
-        h, J = shooting(y, p, {})
-        rests = [np.linalg.norm(shooting(y + e * direction, p, {})[0] - h - e * (J @ direction)) for e in (1e-3, 5e-4)]
-        assert rests[0] / rests[1] == pytest.approx(4.0, rel=0.02)
-
-
-def test_fused_algebra_is_the_same(landing: Problem) -> None:
-    """One smooth phase takes a path of its own; it gives what the general one gives, to rounding."""
-    p, shooting = extremal_parameters(landing), Shooting(derive(landing))
-    y = 0.3 * np.random.default_rng(0).normal(size=len(derive(landing).unknowns))
-    y[derive(landing).free_at] = 0.3, 0.6
-    assert shooting._fused is not None
-    fused, assembled = shooting._fused(y, p), shooting._assembled(y, p)
-    assert fused is not None and assembled is not None
-    for one, other in zip((*fused[:2], *fused[2]), (*assembled[:2], *assembled[2]), strict=True):
-        assert one == pytest.approx(other, rel=1e-13, abs=1e-13)
-
-
 def test_multiple_shooting_agrees(landing: Problem, hybrid: Solution) -> None:
     """From disturbed joints to the same root."""
     p = extremal_parameters(landing)
@@ -86,7 +60,7 @@ def test_multiple_shooting_agrees(landing: Problem, hybrid: Solution) -> None:
     y = shooting.joints(hybrid.unknowns, p)
     assert y is not None
     y[len(hybrid.unknowns) :] += 1e-3
-    root = shooting.root(y, p, {})
+    root = shooting.root(y, p, shooting.holding({}))
     assert root.converged
     assert root.y[: len(hybrid.unknowns)] == pytest.approx(hybrid.unknowns, abs=1e-9)
 
@@ -106,29 +80,18 @@ def test_iterations_are_shown(landing: Problem, ordinary: Solution) -> None:
     assert all(0 < i.damping <= 1 for i in iterations)
 
 
-def test_newton_damps_where_full_steps_diverge() -> None:
-    """The arctangent from 3: undamped Newton leaves for infinity."""
-    root = damped_newton(lambda y: (np.arctan(y), np.diag(1 / (1 + y**2))), np.array([3.0]))
-    assert root.converged
-    assert root.y[0] == pytest.approx(0.0, abs=1e-11)
-    assert root.history[0].damping < 1.0
-
-
-def test_newton_stops_honestly() -> None:
-    """No root, a singular Jacobian, and NaN: each ends without convergence."""
-    assert not damped_newton(lambda y: (y**2 + 1.0, np.diag(2 * y)), np.array([0.7])).converged
-    assert not damped_newton(lambda y: (y - 1.0, np.zeros((1, 1))), np.array([0.0])).converged
-    assert not damped_newton(lambda y: (np.full(1, np.nan), np.eye(1)), np.array([0.0])).converged
-
-
 def test_continuation_halves_steps_and_reports() -> None:
     """The family y^3 = v, whose tangent is infinite at 0; and y^2 = v, which ends there."""
 
     def root(power: int, y: np.ndarray, v: float) -> Root:
-        return damped_newton(lambda x: (x**power - v, np.diag(power * x ** (power - 1))), y)
+        ends = newton(toy(lambda x: x**power - v, lambda x: power * x ** (power - 1)), y[None], Columns(n=1))
+        return Root(
+            y=ends.y[0], residual=ends.rows[0, 4:5], inverse=ends.rows[:, 6:7], slopes=y, ranges=y, cost=0.0, choice=y,
+            converged=bool(ends.converged[0]),
+        )  # fmt: skip
 
     def tangent(power: int, r: Root, v: float) -> np.ndarray:
-        return 1 / (power * r.y ** (power - 1))
+        return r.inverse[0]
 
     first = Member(value=1.0, root=root(2, np.ones(1), 1.0))
     found = list(follow(first, [0.5, 0.01, -1.0], lambda y, v: root(2, y, v), lambda r, v: tangent(2, r, v)))

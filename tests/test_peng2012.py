@@ -22,26 +22,29 @@ from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.track import path
-from perilune.reproductions.peng2012 import (
-    AT_FIFTY,
+from perilune.reproductions.papers import PAPERS, reproduce
+from perilune.reproductions.peng2012.case import (
     CASE,
     PRINTED,
+    implied_gravity,
+    other_readings,
+    parking_altitude,
+    problem,
+    problem_of_the_paper,
+)
+from perilune.reproductions.peng2012.compute import (
+    AT_FIFTY,
     Reproduction,
     Starts,
     computed_numbers,
     converge,
     fitting_gravity,
-    implied_gravity,
     missed_by_reintegration,
-    other_readings,
-    parking_altitude,
-    problem,
-    problem_of_the_paper,
     starts,
 )
-from perilune.reproductions.peng2012_report import convergence_csv, figures, markdown, point_times, scaled_hamiltonian
+from perilune.reproductions.peng2012.report import convergence_csv, figures, markdown, point_times, scaled_hamiltonian
 from perilune.solve import solve
-from perilune.words.outcome import NotConvergedError, Outcome
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 
 def silent(_: Any) -> None:
@@ -144,7 +147,7 @@ def answer(seed: int) -> Any:
 
 def test_report_states_what_was_computed(made: Reproduction) -> None:
     """Every verdict yes; every figure that the text shows is drawn."""
-    text, drawn = markdown(made, {"perilune": "0"}), figures(made)
+    text, drawn = markdown(made), figures(made)
     assert "**no**" not in text
     assert "472.7956" in text
     assert "nan" not in text
@@ -162,12 +165,20 @@ def test_the_command_writes_it_all(
 ) -> None:
     """Report, data and figures; the exit code is that of the solution that was to be proved."""
     doubtful = replace(made, indirect=replace(made.indirect, outcome=Outcome.NOT_PROVED))
-    monkeypatch.setattr("perilune.reproductions.peng2012.compute", lambda watch, level, seeds: doubtful)
+    monkeypatch.setattr("perilune.reproductions.peng2012.compute.compute", lambda watch: doubtful)
     out = tmp_path / "report"
     assert run(["reproduce", "peng-2012", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
     assert "report.md" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {"report.md", "convergence.csv", "figures"}
     assert len(list((out / "figures").glob("*.png"))) == 7
+
+
+def test_papers_are_known_by_name(tmp_path: Path) -> None:
+    """Another is refused before anything is computed, and leaves nothing."""
+    with pytest.raises(PeriluneError, match="cho-2015"):
+        reproduce("cho-2051", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert set(PAPERS) == {"cho-2015", "peng-2012"}
 
 
 @pytest.mark.parametrize(
@@ -183,7 +194,7 @@ def test_the_command_writes_it_all(
 )
 def test_claims_can_fail(made: Reproduction, spoil: Any, claim: str) -> None:
     """A number on the wrong side is a "no" in its own row."""
-    text = markdown(replace(made, **spoil(made)), {})
+    text = markdown(replace(made, **spoil(made)))
     row = next(line for line in text.splitlines() if line.startswith("|") and claim in line)
     assert row.endswith("**no** |")
 

@@ -112,10 +112,13 @@ def residual_at(problem: Problem, costate: tuple[float, ...], free: dict[str, fl
     y = np.zeros(len(conditions.unknowns))
     y[conditions.costate_at[0]] = np.array(costate) * state_scales(problem, problem.phases[0]) / unit
     y[conditions.free_at] = canonical_free(problem, free)
-    nu = slice(conditions.free_at.stop, len(y))
-    h, jacobian = Shooting(conditions)(y, p, {})
-    y[nu] = np.linalg.lstsq(jacobian[:, nu], -h, rcond=None)[0]
-    return float(np.abs(Shooting(conditions)(y, p, {})[0]).max())
+    shooting = Shooting(conditions)
+    nothing, plan = shooting.holding({}), shooting.plan
+    root = shooting.at(y[None], p, nothing)[0]
+    nu = plan.active >= conditions.free_at.stop
+    slope = np.linalg.inv(root.inverse)[:, nu]
+    y[plan.active[nu]] = np.linalg.lstsq(slope, -root.residual[plan.rows], rcond=None)[0]
+    return float(np.abs(shooting.at(y[None], p, nothing)[0].residual).max())
 
 
 @pytest.mark.parametrize(

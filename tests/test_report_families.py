@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import json
 from dataclasses import replace
@@ -15,7 +14,8 @@ import pytest
 from perilune.families.sweep import Family, FamilyPoint
 from perilune.problem.solution import Extremal, Nature, Solution
 from perilune.report.family import family_csv, family_document, write_family
-from perilune.reproductions.cho2015 import PRINTED, best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn
+from perilune.reproductions.cho2015.case import PRINTED
+from perilune.reproductions.cho2015.compute import best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn
 from perilune.words.outcome import PeriluneError
 
 # --- families ---
@@ -99,7 +99,7 @@ def test_gain_of_the_retro_burn_compares_the_best_of_each_kind() -> None:
 def test_a_stopped_family_stops_the_reproduction(monkeypatch: pytest.MonkeyPatch, hybrid: Solution) -> None:
     """A sweep answers Ctrl-C with what it has, which must not be taken for the whole figure."""
     stopped = Family(problem=hybrid.problem, parameter="retro_delta_v", unit="m/s", points=(), interrupted=True)
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", lambda *_, **__: hybrid)
-    monkeypatch.setattr(importlib.import_module("perilune.families.sweep"), "sweep", lambda *_, **__: stopped)
+    monkeypatch.setattr("perilune.reproductions.cho2015.compute.solve", lambda *_, **__: hybrid)
+    monkeypatch.setattr("perilune.reproductions.cho2015.compute.sweep", lambda *_, **__: stopped)
     with pytest.raises(KeyboardInterrupt):
         compute(lambda _: None, level=0)

@@ -18,7 +18,7 @@ from perilune.problem.problem import Variable
 from perilune.problem.solution import Extremal, Nature, Result, Solution
 from perilune.problem.views import Beside, Views
 from perilune.report.figures import label, solution_figures
-from perilune.reproductions.peng2012 import problem, problem_of_the_paper
+from perilune.reproductions.peng2012.case import problem, problem_of_the_paper
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError

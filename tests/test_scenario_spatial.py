@@ -11,7 +11,7 @@ import pytest
 from command_line import ROOT, read_json
 from perilune.cli import run
 from perilune.cli.methods import NAMES, method_of
-from perilune.reproductions.peng2012 import CASE, problem
+from perilune.reproductions.peng2012.case import CASE, problem
 from perilune.scenario import load_file, load_text
 from perilune.scenario.sections import DOCUMENTS, sections_of
 from perilune.solve import solve

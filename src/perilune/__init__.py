@@ -20,6 +20,7 @@ _EXPORTS = {
     "Free": "perilune.problem.problem",
     "Scales": "perilune.words.units",
     "Finding": "perilune.problem.preflight",
+    "Table": "perilune.words.maths",
     "Solution": "perilune.problem.solution",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
@@ -61,6 +62,7 @@ __all__ = [
     "Pseudospectral",
     "Scales",
     "Solution",
+    "Table",
     "Variable",
     "Verification",
     "load",
@@ -88,6 +90,7 @@ if TYPE_CHECKING:
     from perilune.problem.solution import Solution
     from perilune.problem.verification import Check, Verification
     from perilune.solve import solve, verify
+    from perilune.words.maths import Table
     from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
     from perilune.words.units import Scales
 

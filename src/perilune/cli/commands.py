@@ -16,6 +16,7 @@ import typer
 from perilune.cli.answer import INTERRUPTED, Answer, deliver, forsake_stdout, refusal, say
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, note, progress, refuse_used, warn
+from perilune.reproductions.papers import PAPERS
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 if TYPE_CHECKING:
@@ -50,9 +51,6 @@ def obey(arguments: Sequence[str]) -> int:
         return say(refusal(usage, usage.exit_code), as_json="--json" in arguments)
     return 0
 
-
-# The module of each paper has `reproduce`.
-PAPERS = {"cho-2015": "perilune.reproductions.cho2015", "peng-2012": "perilune.reproductions.peng2012"}
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="FILE", help="Scenario in TOML; `perilune new` writes one.")]
 Changes = Annotated[
@@ -291,7 +289,7 @@ def verify(
 
 @app.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER", help="cho-2015 or peng-2012")],
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help=" or ".join(PAPERS))],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the report goes.")],
     as_json: Json = False,
     verbose: Verbose = False,
@@ -301,18 +299,19 @@ def reproduce(
     """Compute every number and figure of a paper and set them beside the printed ones."""
 
     def work() -> Answer:
-        from importlib import import_module
+        from perilune.reproductions.papers import reproduce as reproduce_paper
 
-        from perilune.words.outcome import unknown_name
-
-        if paper not in PAPERS:
-            raise unknown_name("paper", paper, list(PAPERS))
         refuse_used(out, force)
         with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
-            outcome = import_module(PAPERS[paper]).reproduce(out, force=force, watch=watch).outcome
+            proved = reproduce_paper(paper, out, force=force, watch=watch).proved
         report = str(out / "report.md")
-        document = {"paper": paper, "outcome": outcome.name, "report": report}
-        return Answer(text=f"written to {report}", document=document, exit_code=outcome.exit_code)
+        document = {
+            "paper": paper,
+            "outcome": proved.outcome.name,
+            "verification": {"level": proved.verification.level},
+            "report": report,
+        }
+        return Answer(text=f"written to {report}", document=document, exit_code=proved.outcome.exit_code)
 
     deliver(as_json, work)
 

@@ -22,19 +22,21 @@ Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.control_law import minimising_control
+from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
+    Kinked,
     Parameters,
     Unnumbered,
     canonical_given,
@@ -42,11 +44,13 @@ from perilune.problem.symbolic import (
     elements,
     trace_at_end,
     trace_parameters,
-    trace_rates,
+    trace_sides,
 )
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 from perilune.words.units import quotient
+
+_REFRACTIONS = 7  # steps of Newton's method for the costate behind a surface; a step too many changes nothing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,16 +98,18 @@ class Conditions:
     phases
         Canonical equations of each phase.
     starts
-        For each phase (y, z_before, p) -> (z0, duration), with its Jacobians by y and z_before; the first phase takes
-        an empty z_before.
+        For each phase (y, z_before, p) -> (z0, duration); the first phase takes an empty z_before.
     residual
-        (y, all end z stacked, p) -> residual, Jacobian by y, Jacobian by the ends.
+        (y, all end z stacked, p) -> (residual, J).
     unknowns, residuals
         (name, unit) of each component, units in SI.
     free_at, costate_at
         Slices of y: the free parameters, and each phase's lambda(0).
     stationarity_at
         Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals.
+    ranges
+        (row of the residual, unknown nu) of each end condition with a finite bound: its row holds psi, which only has
+        to lie between the bounds.
     silent
         For each phase the entries of z that vanish on every extremal: costates of coordinates that neither the
         dynamics nor the end know of. Cho et al. (13), (19): lambda_phi.
@@ -121,6 +127,7 @@ class Conditions:
     free_at: slice
     costate_at: tuple[slice, ...]
     stationarity_at: slice
+    ranges: tuple[tuple[int, int], ...]
     silent: tuple[tuple[int, ...], ...]
     silent_rows: tuple[tuple[int, int], ...]
     needed: tuple[tuple[int, ...], ...]
@@ -172,53 +179,103 @@ def _phase_extremal(
 ) -> PhaseExtremal:
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
-    f = trace_rates(phase, x, u, p.record)
-    acting = ca.vertcat(f, *(limit for pair in limits.values() for limit in pair))
+    dynamics = trace_sides(phase, x, u, p.record)
+    acting = ca.vertcat(*dynamics.rates, *dynamics.margins, *(limit for pair in limits.values() for limit in pair))
     constants = tuple(
         i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(acting, p.free[i])
     )
-    if phase.duration in free_names and ca.depends_on(f, p.free[free_names.index(phase.duration)]):
+    if phase.duration in free_names and ca.depends_on(acting, p.free[free_names.index(phase.duration)]):
         raise PeriluneError(
             f"the dynamics of {phase.name} depend on the phase's own duration",
             advice="make time a state with rate 1",
         )
     q = ca.vertcat(ca.SX(0, 1), *[p.free[i] for i in constants])
     lam = ca.SX.sym("lam", n + len(constants))
-    hamiltonian = ca.dot(lam[:n], f)
-    law = minimising_control(phase, hamiltonian, u, limits)
-    # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
-    gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
     # The constant states are symbols of p.free; as entries of z they need symbols of their own.
     z = ca.vertcat(x, q, lam)
     symbol = ca.SX.sym("z", z.numel())
-    modes, reports = [], []
-    for control in law.control:
-        # A limit that is a free parameter moves the control with it.
-        pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, limits, q))
-        rate = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
-        rate, value = (ca.substitute(e, u, control) for e in (rate, hamiltonian))
-        expressions = [ca.substitute(e, z, symbol) for e in (rate, control, ca.jtimes(control, z, rate), value)]
-        rate, control, control_rate, value = ca.cse(expressions)
-        modes.append(ca.Function("rhs", [symbol, numbers], [rate], ["z", "p"], ["rate"]))
-        outputs = [control, control_rate, value]
-        reports.append(ca.Function("report", [symbol, numbers], outputs, ["z", "p"], ["u", "u_rate", "H"]))
 
-    def function(name: str, expression: ca.SX) -> ca.Function:
-        return ca.Function(name, [symbol, numbers], [ca.cse(ca.substitute(expression, z, symbol))], ["z", "p"], [name])
+    def function(name: str, *expressions: ca.SX) -> ca.Function:
+        return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
 
-    events = [
-        Event(function=function("S", way.function), direction=way.direction, switches=way.switches)
-        for way in law.transitions
-    ]
+    laws, flows, reports = [], [], []
+    for f in dynamics.rates:
+        hamiltonian = ca.dot(lam[:n], f)
+        law = minimising_control(phase, hamiltonian, u, limits)
+        # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
+        gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
+        for control in law.control:
+            # A limit that is a free parameter moves the control with it.
+            pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, limits, q))
+            rate = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
+            rate, value = (ca.substitute(e, u, control) for e in (rate, hamiltonian))
+            flows.append(rate)
+            reports.append(function("report", control, ca.jtimes(control, z, rate), value))
+        laws.append(law)
     return PhaseExtremal(
-        modes=tuple(modes),
+        modes=tuple(function("rhs", rate) for rate in flows),
         reports=tuple(reports),
-        regimes=law.regimes,
-        events=tuple(events),
-        mode=function("mode", law.mode),
+        regimes=tuple(regimes for law in laws for regimes in law.regimes),
+        events=tuple(_events(dynamics, laws, flows, z, function)),
+        mode=function("mode", _mode(dynamics, laws)),
         state_count=n,
         constants=constants,
     )
+
+
+def _mode(dynamics: Kinked, laws: list[ControlLaw]) -> ca.SX:
+    """Number of the mode at a point: the side of each kink, and there the regimes in which H is least."""
+    number, first = ca.SX(0.0), 0
+    for sides, law in zip(dynamics.sides, laws, strict=True):
+        here = ca.SX(1.0)
+        for side, margin in zip(sides, dynamics.margins, strict=True):
+            here = ca.logic_and(here, margin > 0 if side else margin <= 0)
+        number = ca.if_else(here, first + law.mode, number)
+        first += len(law.control)
+    return number
+
+
+def _events(
+    dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX, function: Callable[..., ca.Function]
+) -> Iterator[Event]:
+    """What leads from mode to mode: the control's transitions on each side, and the kinks."""
+    firsts = list(accumulate((len(law.control) for law in laws), initial=0))
+    grouped: dict[tuple[str, int], tuple[ca.Function, dict[int, int]]] = {}
+    for first, law in zip(firsts, laws, strict=False):
+        for way in law.transitions:
+            S = function("S", way.function)
+            switches = grouped.setdefault((S.serialize(), way.direction), (S, {}))[1]
+            switches |= {first + before: first + after for before, after in way.switches.items()}
+    for (_, direction), (S, switches) in grouped.items():
+        yield Event(function=S, direction=direction, switches=switches)
+    for number, (sides, law) in enumerate(zip(dynamics.sides, laws, strict=True)):
+        for i, margin in enumerate(dynamics.margins):
+            other = dynamics.sides.index((*sides[:i], not sides[i], *sides[i + 1 :]))
+            for k, regimes in enumerate(law.regimes):
+                if regimes in laws[other].regimes:
+                    before, after = firsts[number] + k, firsts[other] + laws[other].regimes.index(regimes)
+                    yield Event(
+                        function=function("kink", margin),
+                        direction=-1 if sides[i] else 1,
+                        switches={before: after},
+                        jump=function("jump", _refracted(z, margin, flows[before], flows[after])),
+                    )
+
+
+def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, after: ca.SX) -> ca.SX:
+    """z beyond a surface g = 0 on which the dynamics change: lambda+ = lambda- - nu g_x, and H goes on as it was.
+
+    nu is 0 where the rates are continuous (Bryson, Ho 1975, section 3.7). As the control behind the surface is that of
+    lambda+, nu is found by Newton's method: dH+/dnu = -g_x . f+, H being stationary in the control.
+    """
+    half = z.numel() // 2
+    x, lam = z[:half], z[half:]
+    normal, kept = ca.gradient(margin, x), ca.dot(lam, before[:half])
+    behind = lam
+    for _ in range(_REFRACTIONS):
+        rate = ca.substitute(after[:half], lam, behind)
+        behind = behind - (ca.dot(behind, rate) - kept) / ca.dot(normal, rate) * normal
+    return ca.vertcat(x, behind)
 
 
 def _through_limits(
@@ -291,30 +348,35 @@ def _derive(unnumbered: Unnumbered) -> Conditions:
     return Conditions(
         phases=tuple(phases),
         starts=starts,
-        residual=ca.Function(
-            "residual",
-            [y, zf, numbers],
-            ca.cse([residual, ca.jacobian(residual, y), ca.jacobian(residual, zf)]),
-        ),
+        residual=ca.Function("residual", [y, zf, numbers], ca.cse([residual, cost])),
         unknowns=unknowns,
         residuals=residuals,
         free_at=slice(count, count + len(problem.free)),
         costate_at=_slices([e.half for e in phases]),
         stationarity_at=slice(residual.numel() - len(problem.free), residual.numel()),
+        ranges=tuple((row, count + len(problem.free) + row) for row in _range_rows(problem)),
         silent=silent,
         silent_rows=silent_rows,
         needed=needed,
     )
 
 
+def _range_rows(problem: Problem) -> list[int]:
+    """Rows of the end conditions that have a finite bound: those rows come first, phase by phase."""
+    conditions = [c for phase in problem.phases for c in phase.end_conditions]
+    return [row for row, c in enumerate(conditions) if c.ranged]
+
+
 def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:
     """Costates with rate zero in every mode whose condition at the end is that they vanish."""
     half, p = extremal.half, ca.SX.sym("p", extremal.modes[0].size1_in(1))
     rates = [mode(zf, p) for mode in extremal.modes]
+    jumps = [event.jump(zf, p) - zf for event in extremal.events if event.jump is not None]
     return tuple(
         half + i
         for i in range(half)
-        if ca.substitute(transversality[i], zf[half + i], 0).is_zero() and all(r[half + i].is_zero() for r in rates)
+        if ca.substitute(transversality[i], zf[half + i], 0).is_zero()
+        and all(change[half + i].is_zero() for change in (*rates, *jumps))
     )
 
 
@@ -345,7 +407,7 @@ def _needed(
     for k, zf in enumerate(ends):
         wanted = set(ca.jacobian(ca.simplify(rows), zf).sparsity().get_triplet()[1])
         if k + 1 < len(phases):
-            wanted |= set(starts[k + 1].sparsity_out(3).get_triplet()[1])
+            wanted |= set(starts[k + 1].jac_sparsity(0, 1).get_triplet()[1])
         found.append(tuple(sorted(wanted - set(silent[k]))))
     return tuple(found)
 
@@ -382,8 +444,7 @@ def _starts(
         before = ca.SX.sym("before", 2 * phases[k - 1].half if k else 0)
         z0 = ca.vertcat(state(before), lam0[k])
         duration = getattr(p.record, phase.duration)
-        outputs = [z0, duration, ca.jacobian(z0, y), ca.jacobian(z0, before), ca.jacobian(duration, y)]
-        starts.append(ca.Function(f"start_{k}", [y, before, numbers], ca.cse([ca.SX(o) for o in outputs])))
+        starts.append(ca.Function(f"start_{k}", [y, before, numbers], ca.cse([z0, ca.SX(duration)])))
     return tuple(starts), states
 
 

@@ -73,7 +73,7 @@ def _check_start(problem: Problem) -> None:
 
 
 def _check_end(problem: Problem, phase: Phase) -> None:
-    """End conditions that are affine in one state, with known coefficients, fix that state."""
+    """End conditions that are affine in one state, with known coefficients, fix that state; ranges do not."""
     if not phase.end_conditions:
         return
     p = trace_parameters(problem)
@@ -83,7 +83,7 @@ def _check_end(problem: Problem, phase: Phase) -> None:
     for i, condition in enumerate(phase.end_conditions):
         slope = ca.jacobian(conditions[i], unknown)
         touched = slope.sparsity().get_triplet()[1]
-        if len(touched) != 1 or touched[0] >= x.numel() or ca.depends_on(slope, unknown):
+        if condition.ranged or len(touched) != 1 or touched[0] >= x.numel() or ca.depends_on(slope, unknown):
             continue
         j = touched[0]
         at_zero = ca.Function("end", [x, p.free, p.given], [conditions[i], slope[j]])

@@ -23,7 +23,7 @@ import numpy as np
 
 from perilune.direct.collocation import Mesh, Rule, Scheme, rule
 from perilune.problem.controls import directions
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.problem import Phase, Problem, Variable
 from perilune.problem.symbolic import (
     SYMBOLIC,
     Unnumbered,
@@ -161,7 +161,7 @@ class Program:
     ) -> Answer:
         """Solve from a first guess in canonical units.
 
-        With `nearest` the end conditions are not held; their sum of squares is minimised instead of J.
+        With `nearest` the end conditions are not held; the sum of squares of what they miss is minimised instead of J.
 
         Raises
         ------
@@ -174,7 +174,8 @@ class Program:
         low_rows, high_rows, is_end = self._row_bounds()
         slack = np.where(is_end, math.inf if nearest else 0.0, 0.0)
         out = solver(
-            x0=np.clip(first, lower, upper), p=canonical_given(self.problem), lbx=lower, ubx=upper,
+            x0=np.clip(first, lower, upper), lbx=lower, ubx=upper,
+            p=np.concatenate([canonical_given(self.problem), low_rows[is_end], high_rows[is_end]]),
             lbg=low_rows - slack, ubg=high_rows + slack,
         )  # fmt: skip
         stats = solver.stats()
@@ -208,10 +209,15 @@ class Program:
 
     def _row_bounds(self) -> tuple[Vector, Vector, Vector]:
         """Lower and upper bounds of the rows, and which of them are end conditions."""
-        sizes = [(kind, size) for layout in self.layouts for kind, size in layout.rows.items()]
-        lower = np.concatenate([np.zeros(size) for _, size in sizes])
-        upper = np.concatenate([np.full(size, math.inf if kind == "path" else 0.0) for kind, size in sizes])
-        return lower, upper, np.concatenate([np.full(size, kind == "end") for kind, size in sizes])
+        lower, upper, is_end = [], [], []
+        for phase, layout in zip(self.problem.phases, self.layouts, strict=True):
+            ranges = {"path": [(0.0, math.inf)], "end": [_end_range(self.problem, c) for c in phase.end_conditions]}
+            for kind, size in layout.rows.items():
+                pairs = np.resize(np.array(ranges.get(kind, [(0.0, 0.0)])), (size, 2))
+                lower.append(pairs[:, 0])
+                upper.append(pairs[:, 1])
+                is_end.append(np.full(size, kind == "end"))
+        return np.concatenate(lower), np.concatenate(upper), np.concatenate(is_end)
 
     def _unpack(self, w: Vector) -> list[PhaseValues]:
         at, found = len(self.problem.free), []
@@ -234,6 +240,12 @@ class Program:
                 found[k, kind] = values[at : at + size]
                 at += size
         return found
+
+
+def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
+    """Canonical bounds of an end condition's value."""
+    scale = problem.scales.of(condition.unit)
+    return (condition.lower / scale, condition.upper / scale) if condition.ranged else (0.0, 0.0)
 
 
 def _layout(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
@@ -306,10 +318,13 @@ def _solver(
         unknowns += own
         rows += conditions
         ends += conditions[-1:] if layout.end else []
-    J = ca.sumsqr(ca.vertcat(*ends)) if nearest else objective(before, free, given)
+    end = ca.vertcat(ca.MX(0, 1), *ends)
+    low, high = (ca.MX.sym(name, end.numel()) for name in ("low", "high"))
+    missed = ca.fmax(low - end, 0) + ca.fmax(end - high, 0)
+    J = ca.sumsqr(missed) if nearest else objective(before, free, given)
     program = {
         "x": ca.vertcat(*unknowns),
-        "p": given,
+        "p": ca.vertcat(given, low, high),
         "f": J,
         "g": ca.vertcat(*rows),
     }

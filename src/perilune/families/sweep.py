@@ -18,7 +18,7 @@ from perilune.problem.preflight import member, preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.continuation import Member, follow
-from perilune.shooting.rootfind import Root
+from perilune.shooting.function import Root
 from perilune.solve import prove
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
 from perilune.words.types import Vector
@@ -157,16 +157,11 @@ def _continue(problem: Problem, name: str, before: float, base: Member, search: 
         return p
 
     def correct(y: Vector, value: float) -> Root:
-        return search.correct(y, base.value, numbers(value))
+        return search.correct(y, base.root, numbers(value))
 
     def tangent(root: Root, value: float) -> Vector:
-        # Central difference of the residual; the Jacobian is the one Newton ended with.
-        step = 1e-6 * max(abs(value), abs(target - before))
-        plus, minus = (search.residual(root.y, base.value, numbers(value + s)) for s in (step, -step))
-        try:
-            return -np.linalg.solve(root.jacobian, (plus - minus) / (2 * step))
-        except np.linalg.LinAlgError:
-            return np.full(len(root.y), np.nan)
+        step = 1e-6 * max(abs(value), abs(target - before))  # a central difference of the residual
+        return search.shooting.shift(root, numbers(value + step), numbers(value - step)) / (2 * step)
 
     reached = next(iter(follow(Member(value=before, root=base.root), [target], correct, tangent)))
     return None if reached is None else Member(value=base.value, root=reached.root)

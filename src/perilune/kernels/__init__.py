@@ -2,7 +2,7 @@
 
 `algebra` makes programs of expressions, `code` makes machine code of programs, `flight` flies arcs with it; each knows
 those before it. `compile_arcs` makes an engine from a right-hand side, `compile_map` and `compile_single` evaluate a
-function, `prune` drops what decouples; `batch` solves boundary value problems by the thousand.
+function, `prune` drops what decouples.
 """
 
 from __future__ import annotations

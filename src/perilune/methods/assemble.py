@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
@@ -47,12 +49,12 @@ def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str
     return {n: float(v) * problem.scales.of(u) for n, v, (_, u) in zip(names, values, units, strict=True)}
 
 
-def fly(problem: Problem, conditions: Conditions, y: Vector) -> list[DenseArc]:
-    """Canonical z(t) of each phase, flown in one piece from the unknowns y."""
+def fly(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[DenseArc]:
+    """Canonical z(t) of each phase, flown in one piece from the unknowns y; settings as for `flight`."""
     p, before, flown = extremal_parameters(problem), np.zeros(0), []
     for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
-        z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p)[:2])
-        flown.append(flight(extremal, z0, p, float(duration[0]), **_FINE))
+        z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p))
+        flown.append(flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings}))
         before = flown[-1].z[-1]
     return flown
 
@@ -71,15 +73,26 @@ def controls(extremal: PhaseExtremal, arc: DenseArc, t: Vector, p: Vector) -> Ma
     out = np.zeros((len(t), extremal.reports[0].size1_out(0)))
     for mode in np.unique(modes):
         here = modes == mode
-        out[here] = _report(extremal, int(mode), z[here], p)[1]
+        points = z[here]
+        law = _mapped(extremal.reports[int(mode)], len(points), True)
+        out[here] = np.array(law(points.T, np.repeat(p[:, None], len(points), axis=1))).T
     return out
+
+
+@lru_cache(maxsize=256)
+def _mapped(function: ca.Function, count: int, first: bool = False) -> ca.Function:
+    """The function at so many points, all outputs or the first alone."""
+    if first:
+        symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
+        function = ca.Function("first", symbols, function.call(symbols)[:1])
+    return function.map(count)
 
 
 def _report(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
     """(z', u, u') at points z (n, nz) in one mode."""
     count, numbers = len(z), np.repeat(p[:, None], len(z), axis=1)
-    rate = np.array(extremal.modes[mode].map(count)(z.T, numbers)).T
-    u, u_rate, _ = (np.array(out).T for out in extremal.reports[mode].map(count)(z.T, numbers))
+    rate = np.array(_mapped(extremal.modes[mode], count)(z.T, numbers)).T
+    u, u_rate, _ = (np.array(out).T for out in _mapped(extremal.reports[mode], count)(z.T, numbers))
     return rate, u, u_rate
 
 

@@ -20,17 +20,18 @@ All in canonical units, in which J, the conditions and their multipliers are of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from perilune.conditions.pontryagin import derive, extremal_parameters
 from perilune.methods.assemble import free_values, multipliers, trajectories
 from perilune.problem.controls import control_scales
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.problem import Phase, Problem, Variable
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.symbolic import canonical_given, free_scales, state_scales
 from perilune.shooting.propagate import engine, equations
@@ -152,6 +153,7 @@ class ControlFitness:
         """How far the conditions of a phase are missed, (N,)."""
         size = states.shape[2]
         end = _stacked(phase.evaluate("end", list(states[-1]), (), p), size)
+        end = _missed(self.problem, phase.end_conditions, end)
         broken = []
         if phase.path is not None:
             along = list(np.moveaxis(states[1:], 0, 1)), list(np.moveaxis(controls[2::2], 0, 1))
@@ -209,9 +211,11 @@ class CostateFitness:
         y[:, :count] = genes[:, :count] / np.linalg.norm(genes[:, :count], axis=1, keepdims=True)
         y[:, c.free_at] = genes[:, count:]
         ends = self._ends(y)
-        h, h_y, h_z = (np.array(out) for out in self._over(c.residual, size)(y.T, ends, self._numbers(size)))
+        h, h_y, h_z = (np.array(out) for out in self._over(self._residual, size)(y.T, ends, self._numbers(size)))
         rows = h.shape[0]
         h = h.T
+        ends_of = [condition for phase in self.problem.phases for condition in phase.end_conditions]
+        h[:, : len(ends_of)] = _missed(self.problem, ends_of, h.T).T
         h_y = h_y.reshape(rows, size, -1).transpose(1, 0, 2)
         h_z = h_z.reshape(rows, size, -1).transpose(1, 0, 2)
         multiplied = np.where(self._is_costate, ends.T, 0.0)
@@ -227,6 +231,14 @@ class CostateFitness:
         return y, np.where(finite, fitness, np.inf)
 
     @cached_property
+    def _residual(self) -> ca.Function:
+        """(y, ends, p) -> residual, Jacobian by y, Jacobian by the ends."""
+        function = self.conditions.residual
+        y, ends, p = (ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(3))
+        h = function(y, ends, p)[0]
+        return ca.Function("residual", [y, ends, p], ca.cse([h, ca.jacobian(h, y), ca.jacobian(h, ends)]))
+
+    @cached_property
     def _is_costate(self) -> Vector:
         """Which components of the stacked ends are costates."""
         return np.concatenate([np.repeat([False, True], phase.half) for phase in self.conditions.phases])
@@ -235,11 +247,11 @@ class CostateFitness:
         """Ends of all phases, stacked: (nz, N); NaN where an arc was lost."""
         size, before, ends = len(y), np.zeros((0, len(y))), []
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
-            z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size))[:2])
+            z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size)))
             mode = np.array(self._over(extremal.mode, size)(z0, self._numbers(size))).ravel().astype(int)
             settings = {"rtol": TOLERANCE, "atol": TOLERANCE, "max_steps": MOST_STEPS, "mode": mode}
             whole = equations(extremal, (), ())
-            arcs = engine(whole, 0).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
+            arcs = engine(whole).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
             before = np.where(arcs.succeeded, arcs.z.T, np.nan)
             ends.append(before)
         return np.vstack(ends)
@@ -253,6 +265,13 @@ class CostateFitness:
 
     def _numbers(self, size: int) -> Matrix:
         return np.repeat(self.p[:, None], size, axis=1)
+
+
+def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
+    """By how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
+    scales = [problem.scales.of(c.unit) for c in conditions]
+    missed = [c.missed(v * scale) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
+    return np.array(missed).reshape(len(conditions), -1)
 
 
 def _flown(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:

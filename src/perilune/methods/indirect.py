@@ -14,19 +14,16 @@ and every extremal on it found (`perilune.shooting.extremals`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from perilune.methods.ladder import Ladder
 from perilune.methods.search import Search
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.watch import Watch, silent
 
-if TYPE_CHECKING:
-    from perilune.methods.pseudospectral import Pseudospectral
-
 
 @dataclass(frozen=True, kw_only=True)
-class Indirect:
+class Indirect(Ladder):
     """Settings of the indirect method.
 
     Parameters
@@ -42,14 +39,6 @@ class Indirect:
     transcription
         The direct method of the second rung; its mesh need not be fine. None: 40 nodes, not refined.
     """
-
-    starts: int = 24
-    seed: int = 0
-    scan_points: int = 33
-    segments: int = 6
-    transcription: Pseudospectral | None = None
-
-    name = "indirect"
 
     def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
         """Solve.
@@ -71,8 +60,9 @@ class Indirect:
         Raises
         ------
         NotConvergedError
-            If every rung failed.
+            If every rung failed; its `flight` is the direct method's, where one keeps every condition.
         InfeasibleError
-            If extremals were found and every one breaks a path condition.
+            If bounds and conditions contradict each other, or if every extremal found breaks a condition and the
+            direct method finds no flight either.
         """
         return Search(self, problem, watch or silent).solve(guess)

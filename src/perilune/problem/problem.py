@@ -56,8 +56,9 @@ def _in_si(name: str, text: str) -> None:
 class Variable:
     """A named component with its unit: a state, an end condition, a path condition or an output.
 
-    `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. `label`
-    is its name on the axis of a figure, where that is not `name` with blanks.
+    `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. An end
+    condition with one of them, then a number, is a range: its value has to lie between the bounds, and not to vanish.
+    `label` is its name on the axis of a figure, where that is not `name` with blanks.
     """
 
     name: str
@@ -81,6 +82,15 @@ class Variable:
     def limits(self, p: Any) -> tuple[Any, Any]:
         """Bounds in SI, where they are parameters those of the record p."""
         return limit_value(self.lower, p), limit_value(self.upper, p)
+
+    @property
+    def ranged(self) -> bool:
+        """Whether an end condition of this name is a range and no equality."""
+        return any(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
+
+    def missed(self, value: Any) -> Any:
+        """By how much an end condition of this value is not met, 0 where it is; a number, or an array of them."""
+        return value - NUMERIC.fmin(NUMERIC.fmax(value, self.lower), self.upper) if self.ranged else value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +137,8 @@ class Phase:
     duration
         Name of the parameter (given or free) that is the length of the phase in seconds.
     end, end_conditions
-        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition.
+        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition; one whose
+        condition has bounds has to lie between them instead.
     path, path_conditions
         ``path(x, u, p, m)`` returns values that must not be negative on the phase.
     outputs, output_variables
@@ -336,8 +347,11 @@ class Problem:
     @property
     def numbers(self) -> tuple[Any, ...]:
         """Every number of the problem, in order."""
-        bounded = [c for phase in self.phases for c in (*phase.states, *(c for _, c in scalars(phase.controls)))]
-        bounds = [(c.lower, c.upper) for c in bounded]
+        bounds = [
+            (c.lower, c.upper)
+            for phase in self.phases
+            for c in (*phase.states, *phase.end_conditions, *(c for _, c in scalars(phase.controls)))
+        ]
         given = sorted((name, g.value) for name, g in self.given.items())
         free = tuple((f.name, *_range(f)) for f in self.free)
         return (self.name, tuple(given), free, tuple(bounds), astuple(self.scales))

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,10 +19,16 @@ import numpy as np
 
 from perilune.problem.controls import scalars
 from perilune.problem.problem import Free, Phase, Problem
-from perilune.words.maths import NUMPY_NAMES
+from perilune.words.maths import NUMPY_NAMES, Table
+from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
-SYMBOLIC = SimpleNamespace(**{name: getattr(ca, name) for name in NUMPY_NAMES})
+
+def _read(table: Table, value: Any) -> Any:
+    return table.chosen(value, ca.if_else)
+
+
+SYMBOLIC = SimpleNamespace(**{name: getattr(ca, name) for name in NUMPY_NAMES}, where=ca.if_else, table=_read)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +55,13 @@ class Unnumbered:
             for _, c in scalars(phase.controls)
             for limit in (c.lower, c.upper)
         )
-        return (self.stated.form.digest, tuple(self.stated.given), self.stated.free_names, bounds)
+        # So does for an end condition whether it is a range, and to which sides.
+        ranges = tuple(
+            (math.isfinite(c.lower), math.isfinite(c.upper))
+            for phase in self.stated.phases
+            for c in phase.end_conditions
+        )
+        return (self.stated.form.digest, tuple(self.stated.given), self.stated.free_names, bounds, ranges)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Unnumbered) and self._key == other._key
@@ -90,6 +103,80 @@ def elements(vector: ca.SX) -> list[ca.SX]:
 def trace_rates(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> ca.SX:
     """The phase's dynamics as a column."""
     return column(phase.rates(elements(x), elements(u), p, SYMBOLIC))
+
+
+MOST_KINKS = 4  # of one phase: each doubles the modes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kinked:
+    """The dynamics of a phase side by side.
+
+    Parameters
+    ----------
+    margins
+        One expression of x for each condition of an ``m.where`` that changes in flight, positive where it holds.
+    sides
+        Each combination of conditions that hold (True) or do not.
+    rates
+        The rates on each of `sides`.
+    """
+
+    margins: tuple[ca.SX, ...]
+    sides: tuple[tuple[bool, ...], ...]
+    rates: tuple[ca.SX, ...]
+
+
+def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
+    """The phase's dynamics with each ``m.where`` decided one way and the other.
+
+    Raises
+    ------
+    PeriluneError
+        If a condition depends on a control, compares for equality, or there are too many.
+    """
+    margins: list[ca.SX] = []
+
+    def rates(sides: tuple[bool, ...]) -> ca.SX:
+        def where(condition: ca.SX, yes: Any, no: Any) -> Any:
+            number = _kink(phase, condition, x, u, margins)
+            if number is None:
+                return ca.if_else(condition, yes, no)
+            return yes if number >= len(sides) or sides[number] else no
+
+        namespace = SimpleNamespace(**{**vars(SYMBOLIC), "where": where})
+        return column(phase.rates(elements(x), elements(u), p, namespace))
+
+    rates(())
+    sides = tuple(product((True, False), repeat=len(margins)))
+    return Kinked(margins=tuple(margins), sides=sides, rates=tuple(rates(side) for side in sides))
+
+
+def _kink(phase: Phase, condition: Any, x: ca.SX, u: ca.SX, margins: list[ca.SX]) -> int | None:
+    """Number of the margin of a condition that may change in flight; None where it cannot."""
+    condition = ca.SX(condition)
+    if not ca.depends_on(condition, ca.vertcat(x, u)):
+        return None
+    order = condition.is_op(ca.OP_LT) or condition.is_op(ca.OP_LE)
+    if ca.depends_on(condition, u) or not order:
+        raise PeriluneError(
+            f"m.where in the dynamics of {phase.name} takes a condition that cannot be met in flight",
+            got="one that depends on a control" if order else "a condition that is no < or >",
+            expected="a comparison by < or > of functions of the states and parameters",
+            advice="m.where(x.h > p.h1, above, below); what depends on a control belongs into its bounds",
+        )
+    margin = condition.dep(1) - condition.dep(0)
+    for number, known in enumerate(margins):
+        if ca.is_equal(known, margin, 30):
+            return number
+    margins.append(margin)
+    if len(margins) > MOST_KINKS:
+        raise PeriluneError(
+            f"too many choices in the dynamics of {phase.name}",
+            got=f"more than {MOST_KINKS} different conditions in m.where",
+            advice="m.table for tabulated data; phases of their own for what follows in a known order",
+        )
+    return len(margins) - 1
 
 
 def trace_at_end(phase: Phase, x: ca.SX, p: SimpleNamespace) -> ca.SX:

@@ -14,14 +14,14 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from numbers import Real
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from perilune.words.maths import NUMPY_NAMES
+from perilune.words.maths import NUMPY_NAMES, Table
 from perilune.words.outcome import PeriluneError
 
 # Operations that Python writes with a sign, and those of the namespace `m`, each with its number of operands.
@@ -30,13 +30,16 @@ _SIGNS: dict[str, Callable[..., Any]] = {
     "neg": operator.neg, "lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne,
 }  # fmt: skip
 _BINARY = {"atan2", "fmin", "fmax"}
-ARITY = {**{name: 2 for name in _SIGNS}, "neg": 1, **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES}}
+ARITY = {
+    **{name: 2 for name in _SIGNS}, "neg": 1, "where": 3, "table": 1,
+    **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES},
+}  # fmt: skip
 # What physics takes: states, controls, parameters, the time since the first ignition, the first and the last state.
 ROLES = ("x", "u", "p", "t", "first", "last")
-MOST_INSTRUCTIONS = 50_000  # of one function in a file; the largest of the models has about 200
+MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the largest of the models has about 200
 
 # (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands
-# being indices before it.
+# being indices before it; ("table", operand, digest of the table).
 Instruction = tuple[Any, ...]
 
 
@@ -121,7 +124,9 @@ class Recorder:
     def __init__(self) -> None:
         self.instructions: list[Instruction] = []
         self._index: dict[Instruction, int] = {}
-        self.namespace = SimpleNamespace(**{name: self._function(name) for name in NUMPY_NAMES})
+        self.tables: dict[str, Table] = {}
+        names = (*NUMPY_NAMES, "where")
+        self.namespace = SimpleNamespace(**{name: self._function(name) for name in names}, table=self._table)
 
     def _function(self, name: str) -> Callable[..., Symbol]:
         def function(*operands: Any) -> Symbol:
@@ -133,6 +138,17 @@ class Recorder:
             return self.do(name, *operands)
 
         return function
+
+    def _table(self, table: Any, value: Any) -> Any:
+        if not isinstance(table, Table) or not _is_number(value):
+            raise NotAFormula(
+                f"m.table gets {type(table).__name__} and {type(value).__name__}",
+                "m.table(table, value) with a perilune.Table and a single value",
+            )
+        if not isinstance(value, Symbol):
+            return float(table(float(value)))
+        self.tables[table.digest] = table
+        return Symbol(self, self._append(("table", self.index_of(value), table.digest)))
 
     def input(self, role: str, name: str) -> Symbol:
         """The symbol of a component of a record, or of the time itself."""
@@ -166,12 +182,16 @@ class Recorder:
                 needed.update(_operands(self.instructions[number]))
         place = {number: k for k, number in enumerate(sorted(needed))}
         kept = [self.instructions[number] for number in place]
-        moved = tuple((op[0], *(place[i] for i in op[1:])) if _operands(op) else op for op in kept)
-        return Tape(moved, tuple(place[i] for i in outputs))
+        moved = tuple(
+            (op[0], *(place[i] for i in _operands(op)), *op[1 + ARITY[op[0]] :]) if _operands(op) else op for op in kept
+        )
+        used = {op[2] for op in kept if op[0] == "table"}
+        tables = tuple(table for digest, table in sorted(self.tables.items()) if digest in used)
+        return Tape(moved, tuple(place[i] for i in outputs), tables)
 
 
 def _operands(instruction: Instruction) -> tuple[int, ...]:
-    return () if instruction[0] in (*ROLES, "const") else instruction[1:]
+    return instruction[1 : 1 + ARITY.get(instruction[0], 0)]
 
 
 @dataclass(frozen=True)
@@ -184,14 +204,19 @@ class Tape:
         Value i is what instruction i makes of values before it.
     outputs
         The results, as indices into `instructions`.
+    tables
+        Those that it reads.
     """
 
     instructions: tuple[Instruction, ...]
     outputs: tuple[int, ...]
+    tables: tuple[Table, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """The tape for JSON."""
-        return {"instructions": [list(op) for op in self.instructions], "outputs": list(self.outputs)}
+        tables = [{"x": list(t.x), "y": list(t.y), "kind": t.kind} for t in self.tables]
+        found = {"instructions": [list(op) for op in self.instructions], "outputs": list(self.outputs)}
+        return {**found, "tables": tables} if tables else found
 
     @classmethod
     def read(cls, document: Any, names: Mapping[str, Sequence[str]], what: str) -> Tape:
@@ -208,12 +233,17 @@ class Tape:
             raise _unreadable(what, "no list of instructions and outputs")
         if max(len(entries), len(outputs)) > MOST_INSTRUCTIONS:
             raise _unreadable(what, f"more than {MOST_INSTRUCTIONS} instructions")
+        read = document.get("tables", [])
+        if not isinstance(read, list) or len(read) > MOST_TABLES:
+            raise _unreadable(what, f"tables {str(read)[:60]}")
+        tables = tuple(_table_of(entry, what) for entry in read)
+        names = {**names, "table": [table.digest for table in tables]}
         for number, entry in enumerate(entries):
             if not _sound(entry, number, names):
                 raise _unreadable(what, f"instruction {number}: {str(entry)[:60]}")
         if not all(_before(i, len(entries)) for i in outputs):
             raise _unreadable(what, f"outputs {str(outputs)[:60]}")
-        return cls(tuple(tuple(entry) for entry in entries), tuple(outputs))
+        return cls(tuple(tuple(entry) for entry in entries), tuple(outputs), tables)
 
 
 def _sound(entry: Any, number: int, names: Mapping[str, Sequence[str]]) -> bool:
@@ -224,7 +254,16 @@ def _sound(entry: Any, number: int, names: Mapping[str, Sequence[str]]) -> bool:
         return len(rest) == 1 and isinstance(rest[0], str) and rest[0] in names.get(word, ())
     if word == "const":
         return len(rest) == 1 and isinstance(rest[0], str) and len(rest[0]) < 40 and _is_repr(rest[0])
+    if word == "table":
+        return len(rest) == 2 and _before(rest[0], number) and rest[1] in names["table"]
     return len(rest) == ARITY.get(word) and all(_before(i, number) for i in rest)
+
+
+def _table_of(entry: Any, what: str) -> Table:
+    try:
+        return Table(entry["x"], entry["y"], entry["kind"])
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
+        raise _unreadable(what, f"a table: {str(error)[:60]}") from None
 
 
 def _before(index: Any, number: int) -> bool:
@@ -275,8 +314,13 @@ class Expression:
         values = [getattr(records[k], name) if name else records[k] for k, name in inputs]
         values += constants
         push = values.append
-        for arity, function, i, j in self._bound(m, place):
-            push(function(values[i]) if arity == 1 else function(values[i], values[j]))
+        for arity, function, i, j, k in self._bound(m, place):
+            if arity == 2:
+                push(function(values[i], values[j]))
+            elif arity == 1:
+                push(function(values[i]))
+            else:
+                push(function(values[i], values[j], values[k]))
         if self.scalar:
             return values[outputs[0]]
         return [values[k] for k in outputs]
@@ -285,7 +329,7 @@ class Expression:
         return {name: getattr(self, name) for name in ("tape", "roles", "scalar", "origin")}
 
     @cached_property
-    def _plan(self) -> tuple[list[tuple[int, str]], list[float], list[tuple[str, list[int]]], list[int]]:
+    def _plan(self) -> tuple[list[tuple[int, str]], list[float], list[tuple[Instruction, list[int]]], list[int]]:
         """Inputs and constants first, then the operations on them by where their operands will lie."""
         operations = self.tape.instructions
         inputs = [k for k, op in enumerate(operations) if op[0] in ROLES]
@@ -295,20 +339,27 @@ class Expression:
         return (
             [(self.roles.index(operations[k][0]), operations[k][1]) for k in inputs],
             [float(operations[k][1]) for k in constants],
-            [(operations[k][0], [place[i] for i in operations[k][1:]]) for k in rest],
+            [(operations[k], [place[i] for i in _operands(operations[k])]) for k in rest],
             [place[k] for k in self.tape.outputs],
         )
 
     @cached_property
-    def _steps(self) -> dict[int, tuple[Any, list[tuple[int, Any, int, int]]]]:
+    def _steps(self) -> dict[int, tuple[Any, list[tuple[int, Any, int, int, int]]]]:
         return {}
 
-    def _bound(self, m: Any, operations: Sequence[tuple[str, list[int]]]) -> list[tuple[int, Any, int, int]]:
+    def _bound(
+        self, m: Any, operations: Sequence[tuple[Instruction, list[int]]]
+    ) -> list[tuple[int, Any, int, int, int]]:
         """The operations with the functions of one namespace; the few namespaces that there are stay."""
         found = self._steps.get(id(m))
         if found is None or found[0] is not m:
-            steps = [(len(at), _SIGNS.get(op) or getattr(m, op), at[0], at[-1]) for op, at in operations]
+            steps = [(len(at), self._meaning(op, m), at[0], at[min(1, len(at) - 1)], at[-1]) for op, at in operations]
             if len(self._steps) > 8:
                 self._steps.clear()
             found = self._steps[id(m)] = (m, steps)
         return found[1]
+
+    def _meaning(self, operation: Instruction, m: Any) -> Callable[..., Any]:
+        if operation[0] == "table":
+            return partial(m.table, next(t for t in self.tape.tables if t.digest == operation[2]))
+        return _SIGNS.get(operation[0]) or getattr(m, operation[0])

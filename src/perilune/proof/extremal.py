@@ -11,7 +11,8 @@ has a multiplier of its own, which no method here returns: the check that says s
 
 A duration T is a parameter too, T H being the rate per unit of normalised time: its condition gives H its
 required value, which is 0 where nothing but the dynamics depends on T. For the free initial state of Cho et
-al. the same line is (19). At an active bound dJ/dp must point outwards (Karush-Kuhn-Tucker). Source: Bryson
+al. the same line is (19). At an active bound dJ/dp must point outwards, and so
+must -nu of an end condition on a bound of its range (Karush-Kuhn-Tucker). Source: Bryson
 and Ho (1975), sections 2.7, 3.
 """
 
@@ -33,7 +34,8 @@ from perilune.words.types import Matrix, Vector
 # In canonical units. Measured on good answers: costates 1.3e-10, derivatives in parameters 2e-11.
 COSTATE_LIMIT = 1e-9
 STATIONARY_LIMIT = 1e-9
-ACTIVE = 1e-9  # a free parameter this close to its bound, in canonical units, lies on it
+ACTIVE = 1e-9  # a free parameter or a range this close to its bound, in canonical units, lies on it
+INSIDE = 2  # of a range
 # A touchdown comes within TOUCHING of a height above ground for 0.6 % of the flight; an active arc stays longer. A
 # direct answer keeps a limit at its nodes and may leave it between them: by 30 times its mesh error, measured.
 TOUCHING, TOUCHING_MESH, TOUCHING_SHARE = 1e-6, 50.0, 0.02
@@ -57,9 +59,10 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         return
     arcs = [arc for arc, _ in flown]
     nu = [end_multipliers(arc) for arc in arcs]
-    for (arc, flight), (_, residual) in zip(flown, nu, strict=True):
+    for (arc, flight), (multipliers, residual) in zip(flown, nu, strict=True):
         yield from _costates(arc, flight)
         yield _transversality(arc, residual)
+        yield from _signs(arc, multipliers)
         yield _hamiltonian_constant(arc)
     yield from _multipliers(solution, arcs, [v for v, _ in nu])
     for free in solution.problem.free:
@@ -96,12 +99,41 @@ def end_gradients(arc: Arc) -> tuple[Matrix, Vector]:
 
 
 def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
-    """Multipliers nu [J per unit] by least squares, and what of lam(t_f) they leave (scaled)."""
+    """Multipliers nu [J per unit] by least squares, and what of lam(t_f) they leave (scaled).
+
+    That of a range is 0 where its value lies between the bounds.
+    """
     psi, ahead = end_gradients(arc)
     wanted = arc.costate(np.array([arc.duration]))[:, 0] * arc.state_scale - ahead
     size = np.array([arc.problem.scales.of(v.unit) for v in arc.phase.end_conditions])
-    nu = np.linalg.lstsq(psi.T / size, wanted, rcond=None)[0] / size if len(size) else np.zeros(0)
+    nu, met = np.zeros(len(size)), end_sides(arc) != INSIDE
+    if met.any():
+        nu[met] = np.linalg.lstsq(psi[met].T / size[met], wanted, rcond=None)[0] / size[met]
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
+
+
+def end_sides(arc: Arc) -> Vector:
+    """For each end condition 0 if it is an equality, -1 or 1 at the lower or upper bound of a range, INSIDE between."""
+    end = arc.state(np.array([arc.duration]))[:, 0].tolist()
+    sides = []
+    for condition, value in zip(arc.phase.end_conditions, arc.phase.evaluate("end", end, (), arc.p), strict=True):
+        near = ACTIVE * arc.problem.scales.of(condition.unit)
+        low, high = value <= condition.lower + near, value >= condition.upper - near
+        sides.append((-1 if low else 1 if high else INSIDE) if condition.ranged else 0)
+    return np.array(sides)
+
+
+def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
+    """At a bound of a range J must not fall into its interior: nu <= 0 at the lower one, >= 0 at the upper one."""
+    for condition, side, value in zip(arc.phase.end_conditions, end_sides(arc), nu, strict=True):
+        if condition.ranged:
+            size = arc.problem.scales.of(condition.unit) / arc.objective_scale
+            wrong = 0.0 if side == INSIDE else max(0.0, -float(side * value)) * size
+            yield Check(
+                name=f"{arc.prefix}range_{condition.name}", level=2, unit="1", limit=STATIONARY_LIMIT, value=wrong,
+                meaning=f"multiplier of {condition.name} on the wrong side: what J would gain if it left its bound "
+                "(scaled); inside the range it has none",
+            )  # fmt: skip
 
 
 def _transversality(arc: Arc, residual: Vector) -> Check:

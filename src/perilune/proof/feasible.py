@@ -90,10 +90,12 @@ def _times(arc: Arc) -> Iterator[Check]:
 def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
     residuals = arc.phase.evaluate("end", flight.end[: len(arc.phase.states)].tolist(), (), arc.p)
     for condition, residual in zip(arc.phase.end_conditions, residuals, strict=True):
+        what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
         yield Check(
-            name=f"{arc.prefix}{condition.name}", level=1, value=abs(float(residual)), unit=condition.unit,
+            name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
+            value=abs(float(condition.missed(float(residual)))),
             limit=END_LIMIT * arc.problem.scales.of(condition.unit),
-            meaning=f"{condition.name} left when the exported control is flown by another integrator",
+            meaning=f"{what} when the exported control is flown by another integrator",
         )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ import numpy as np
 from perilune.problem.controls import Bounded, normalised, placed, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.extremal import at_bound, end_multipliers
+from perilune.proof.extremal import INSIDE, at_bound, end_multipliers, end_sides
 from perilune.proof.numerics import COMPLEX, Arc, hessian, jacobian, stacked
 from perilune.proof.switching import control_rates, crossings, on_bounds, strictness, tangents
 from perilune.words.types import Matrix, Vector
@@ -346,4 +346,5 @@ def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matr
     x = arc.state(np.array([arc.duration]))[:, 0]
     first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
     size = np.array([arc.problem.scales.of(v.unit) for v in arc.phase.end_conditions])
-    return first[1:] / size[:, None], second
+    held = end_sides(arc) != INSIDE  # a range that is not at a bound is free to vary
+    return first[1:][held] / size[held, None], second

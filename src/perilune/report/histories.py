@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import Column, columns, flight_columns
+from perilune.io.columns import Column, flight_columns
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.views import History
@@ -63,25 +63,28 @@ def axis_text(problem: Problem, shown: list[Column]) -> tuple[str, float]:
 
 @styled
 def costates(solution: Solution) -> Figure:
-    """Each costate of the first phase against time, with its unit."""
-    t = np.linspace(0.0, solution.trajectories[0].duration, 601)
-    found = [c for c in columns(solution, 0, t).values() if c.name.startswith("lambda_")]
+    """Each costate against time, with its unit."""
+    states = dict.fromkeys(name for phase in solution.problem.phases for name in phase.state_names)
+    found = [flight_columns(solution, f"lambda_{name}") for name in states]
     figure, axes = new_figure(height=0.5 + 0.95 * len(found), rows=len(found))
-    for ax, column in zip(np.atleast_1d(axes), found, strict=True):
-        ax.plot(t, column.values, color=BLUE)
-        if np.ptp(column.values) == 0:
-            centre = column.values[0]
-            ax.set_ylim(centre - 1, centre + 1)
-        ax.set_ylabel(_costate_symbol(column) + f"\n({column.unit})")
+    axes = np.atleast_1d(axes)
+    for ax, parts in zip(axes, found, strict=True):
+        for time, column in parts:
+            ax.plot(time, column.values, color=BLUE)
+        values = np.concatenate([column.values for _, column in parts])
+        if np.ptp(values) <= 1e-9 * np.abs(values).max():  # constant: not the noise of its last digits
+            room = abs(values[0]) or 1.0
+            ax.set_ylim(values[0] - room, values[0] + room)
+        ax.set_ylabel(_costate_symbol(parts[0][1]) + f"\n({parts[0][1].unit})")
         ax.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
     figure.align_ylabels()
-    np.atleast_1d(axes)[-1].set(xlabel=TIME, xlim=(0, t[-1]))
+    axes[-1].set(xlabel=TIME, xlim=(0, sum(trajectory.duration for trajectory in solution.trajectories)))
     return figure
 
 
 def _costate_symbol(column: Column) -> str:
     state = column.name.removeprefix("lambda_")
-    return rf"$\lambda_{{\{state}}}$" if state in GREEK else rf"$\lambda_{{{state}}}$"
+    return rf"$\lambda_{{\{state}}}$" if state in GREEK else rf"$\lambda_{{{state.replace('_', ',')}}}$"
 
 
 @styled

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from perilune.io.export import extremals_document, results
+from perilune.io.export import extremals_document
 from perilune.problem.solution import Solution
 from perilune.problem.verification import LEVEL_NAMES, Verification
 
@@ -33,8 +33,8 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         f"  {solution.outcome.value}",
         "",
     ]
-    for name, entry in results(solution).items():
-        lines.append(f"  {name.replace('_', ' '):16}{quantity(entry['value'], entry['unit']):>16} {entry['unit']}")
+    for name, result in solution.results.items():
+        lines.append(f"  {name.replace('_', ' '):16}{quantity(result.value, result.unit):>16} {result.unit}")
     rows = _extremal_rows(solution)
     if len(rows) > 1:
         lines += ["", "extremals, best first" + (f" ({_CLAIMED})" if solution.statistics.claimed else "")]
@@ -66,10 +66,11 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     """
     title = solution.problem.title or solution.problem.name
     parts = [f"# {title}", f"**{_outcome(solution)}.** {_sentence(solution.outcome.value)}", "## Results"]
+    found = solution.results
     parts.append(
         table(
-            ["quantity", "value", "unit"],
-            [[n.replace("_", " "), quantity(e["value"], e["unit"]), e["unit"]] for n, e in results(solution).items()],
+            ["quantity", "value", "unit", ""],
+            [[n.replace("_", " "), quantity(r.value, r.unit), r.unit, r.description] for n, r in found.items()],
         )
     )
     rows = _extremal_rows(solution)
@@ -123,7 +124,7 @@ def _extremal_rows(solution: Solution) -> list[list[str]]:
     units = {name: result.unit for name, result in solution.results.items()}
     units.setdefault("objective", solution.problem.objective_unit)
     numbers = [key for key in documents[0] if key != "nature"] if documents else []
-    shown = [key for key in numbers if len({d[key] for d in documents}) > 1]
+    shown = [key for key in numbers if key == numbers[-1] or len({d[key] for d in documents}) > 1]
     heads = [f"{key.replace('_', ' ')} ({units[key]})".removesuffix(" (1)") for key in shown]
     return [[*heads, "nature"]] + [[*(quantity(d[k], units[k]) for k in shown), d["nature"]] for d in documents]
 

@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
 from matplotlib.figure import Figure
 
 from perilune.io.columns import flight_columns
+from perilune.io.export import versions
 from perilune.problem.solution import Solution
 from perilune.report.style import save
+from perilune.report.summary import table
 
 # Name: value, unit, place in the paper. For comparison, never for computing.
 Printed = MappingProxyType[str, tuple[float, str, str]]
-NUMBERS_HEAD = ["quantity", "where", "printed", "computed", "computed - printed", "unit"]
-CLAIMS_HEAD = ["claim", "where", "computed", "holds"]
 
 
-def number_rows(printed: Printed, computed: Mapping[str, float]) -> list[list[str]]:
-    """Rows of the table `NUMBERS_HEAD`; ours with two more decimals than the paper prints."""
+def numbers(printed: Printed, computed: Mapping[str, float]) -> str:
+    """Section with every printed number beside ours, which has two more decimals than the paper prints."""
     rows = []
     for name, (value, unit, where) in printed.items():
         decimals, ours = len(str(value).partition(".")[2]), computed[name]
         rows.append([name, where, f"{value:.{decimals}f}", f"{ours:.{decimals + 2}f}", f"{ours - value:+.1e}", unit])
-    return rows
+    head = ["quantity", "where", "printed", "computed", "computed - printed", "unit"]
+    return "## Numbers\n\n" + table(head, rows)
+
+
+def claims(rows: Iterable[Sequence[str]]) -> str:
+    """Section with the paper's claims: (claim, where, the number that decides it, `verdict`)."""
+    return "## Claims\n\n" + table(["claim", "where", "computed", "holds"], rows)
+
+
+def slips(rows: Iterable[Sequence[str]]) -> str:
+    """Section with what the paper prints or implies, and what is used here: (where, printed, used)."""
+    return "### Misprints, and what is easily missed\n\n" + table(["where", "printed or implied", "used here"], rows)
 
 
 def verdict(holds: bool) -> str:
-    """The last column of the table `CLAIMS_HEAD`."""
+    """The last column of `claims`."""
     return "yes" if holds else "**no**"
 
 
@@ -42,13 +53,16 @@ def illustrated(captions: Mapping[str, str]) -> list[str]:
     return [f"![{text}](figures/{name}.png)\n\n*{text}*" for name, text in captions.items()]
 
 
-def save_figures(figures: Mapping[str, Figure], directory: Path) -> None:
-    """Write all figures into ``figures/`` of a directory."""
+def versions_line() -> str:
+    """The last line of a report."""
+    return "Versions: " + ", ".join(f"{name} {version}" for name, version in versions().items()) + "."
+
+
+def write_report(directory: Path, text: str, figures: Mapping[str, Figure], data: Mapping[str, str]) -> None:
+    """Write ``report.md``, all figures into ``figures/``, and files of data by name, into a directory that exists."""
     (directory / "figures").mkdir()
     for name, figure in figures.items():
         save(figure, directory / "figures", name)
-
-
-def versions_line(versions: Mapping[str, str]) -> str:
-    """The last line of a report."""
-    return "Versions: " + ", ".join(f"{name} {version}" for name, version in versions.items()) + "."
+    for name, content in data.items():
+        (directory / name).write_text(content, encoding="utf-8", newline="")
+    (directory / "report.md").write_text(text, encoding="utf-8")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.shooting.rootfind import Root
+from perilune.shooting.function import Root
 from perilune.words.types import Vector
 
 Correct = Callable[[Vector, float], Root]  # (predicted Y, value) -> root

@@ -8,26 +8,23 @@ whether the bound itself is an extremal (Karush, Kuhn, Tucker).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from perilune.shooting.active import Limits, settle
 from perilune.shooting.continuation import Member, follow
-from perilune.shooting.function import Shooting
-from perilune.shooting.lanes import lanes
-from perilune.shooting.rootfind import Root, Watch
-from perilune.words.types import Vector
+from perilune.shooting.function import Root, Roots, Shooting
+from perilune.words.types import Matrix, Vector
 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """An extremal: its root, the value of q [canonical], its bound (-1, 0, +1), and whether J is least there."""
+    """An extremal: its root, which knows what it holds at a bound, and whether J is least there."""
 
     root: Root
-    value: float
-    bound: int
     minimum: bool
 
 
@@ -41,51 +38,45 @@ class HeldFamily:
         The shooting function and the given parameters, canonical.
     index
         Which free parameter is held.
+    limits
+        What the members keep; those of the held parameter are infinite.
     """
 
     shooting: Shooting
     p: Vector
     index: int
+    limits: Limits
 
-    def at_once(self, first: Member, values: Vector) -> list[tuple[float, Vector | None]]:
-        """(value, Y) for each value, all lanes started from `first`; None where a lane found no root."""
-        together = lanes(self.shooting.conditions, self.index)
-        if together is None or len(first.root.y) != len(self.shooting.conditions.unknowns):
-            return [(float(v), None) for v in values]
-        start = np.tile(first.root.y, (len(values), 1))
-        start[:, self.shooting.conditions.free_at.start + self.index] = values
-        Y, converged = together.solve(start, self.p, values)
-        return [(float(v), y if ok else None) for v, y, ok in zip(values, Y, converged, strict=True)]
+    def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
+        """Newton in lanes with q held at `values`, and what else is held to begin with as in `like`."""
+        choices = np.tile(like.choice, (len(values), 1))
+        choices[:, self.index], choices[:, self.shooting.plan.held + self.index] = 1.0, values
+        return settle(self.shooting, Y, self.p, choices, self.limits)
 
-    def correct(self, y: Vector, value: float, watch: Watch | None = None) -> Root:
-        """Newton with q held at `value`."""
-        return self.shooting.root(y, self.p, {self.index: value}, watch)
+    def released(self, Y: Matrix, like: Root) -> Roots:
+        """Newton in lanes with q free: the transversality condition (19) in place of the held value."""
+        choice = like.choice.copy()
+        choice[[self.index, self.shooting.plan.held + self.index]] = 0.0
+        return settle(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.limits)
 
-    def release(self, y: Vector, watch: Watch | None = None) -> Root:
-        """Newton with q free: the transversality condition (19) in place of the held value."""
-        return self.shooting.root(y, self.p, {}, watch)
-
-    def tangent(self, root: Root, value: float) -> Vector:
-        """dY/dq at a root with q held; NaN where the Jacobian is singular."""
-        unit = np.zeros(len(root.y))
-        unit[self.shooting.conditions.stationarity_at.start + self.index] = 1.0
-        try:
-            return np.linalg.solve(root.jacobian, unit)
-        except np.linalg.LinAlgError:
-            return np.full(len(root.y), np.nan)
+    def value(self, root: Root) -> float:
+        """q at a root."""
+        return float(root.y[self.shooting.conditions.free_at.start + self.index])
 
     def slope(self, root: Root) -> float:
         """dJ/dq at a root with q held."""
-        return float(self.shooting.stationarity(root.y, self.p)[self.index])
+        return float(root.slopes[self.index])
 
-    def curvature(self, root: Root) -> float:
-        """d2J/dq2 along the family at a root of the free system, from its Jacobian."""
-        row = self.shooting.conditions.stationarity_at.start + self.index
-        at = self.shooting.conditions.free_at.start + self.index
-        held = np.array(root.jacobian)
-        held[row] = 0.0
-        held[row, at] = 1.0
-        return float(root.jacobian[row] @ self.tangent(replace(root, jacobian=held), float(root.y[at])))
+    def reach(self, here: Member, target: float) -> Member | None:
+        """The member at another value, step by step."""
+
+        def correct(y: Vector, value: float) -> Root:
+            return self.held(y[None], np.array([value]), here.root)[0]
+
+        def tangent(root: Root, value: float) -> Vector:
+            return self.shooting.tangent(root, self.index)
+
+        return next(iter(follow(here, [target], correct, tangent)))
 
 
 def scan(
@@ -103,9 +94,10 @@ def scan(
     say
         Receives one line about a family that ends before a bound.
     """
-    tried = family.at_once(first, np.linspace(*bounds, points))
-    below = _chain(family, first, [(v, y) for v, y in tried[::-1] if v < first.value])
-    above = _chain(family, first, [(v, y) for v, y in tried if v > first.value])
+    values = np.linspace(*bounds, points)
+    tried = list(zip(values.tolist(), family.held(np.tile(first.root.y, (points, 1)), values, first.root), strict=True))
+    below = _chain(family, first, [pair for pair in tried[::-1] if pair[0] < first.value])
+    above = _chain(family, first, [pair for pair in tried if pair[0] > first.value])
     members = [*below[::-1], first, *above]
     slopes = [family.slope(m.root) for m in members]
     found = []
@@ -113,24 +105,27 @@ def scan(
         if members[end].value != limit:
             say(f"the family of extremals ends at {members[end].value:.6g}, before {limit:.6g} (canonical)")
         elif slopes[end] * bound < 0:  # J rises into the interior; otherwise the bound is no extremal at all
-            found.append(Found(root=members[end].root, value=limit, bound=bound, minimum=True))
-    for (a, slope_a), (b, slope_b) in pairwise(zip(members, slopes, strict=True)):
-        root = _between(family, a, b, slope_a, slope_b) if slope_a * slope_b < 0 else None
-        if root is not None:
-            value = float(root.y[family.shooting.conditions.free_at.start + family.index])
-            found.append(Found(root=root, value=value, bound=0, minimum=family.curvature(root) > 0))
-    return [*found, *_dips(family, members, slopes)], members
+            found.append(Found(root=members[end].root, minimum=True))
+    brackets = [
+        _Bracket(a, b, slope_a, slope_b)
+        for (a, slope_a), (b, slope_b) in pairwise(zip(members, slopes, strict=True))
+        if slope_a * slope_b < 0
+    ]
+    inner = [*_between(family, brackets), *_dips(family, members, slopes)]
+    for root in inner:
+        found.append(Found(root=root, minimum=family.shooting.curvature(root, family.index) > 0))
+    return found, members
 
 
-def _chain(family: HeldFamily, first: Member, tried: list[tuple[float, Vector | None]]) -> list[Member]:
+def _chain(family: HeldFamily, first: Member, tried: list[tuple[float, Root]]) -> list[Member]:
     """Members outwards from `first`: a lane's root where it continues the branch, else one reached step by step."""
     members, here, stride = [], first, np.inf
-    for value, y in tried:
-        if y is not None and np.linalg.norm(y - here.root.y) <= 3 * stride + 0.05 * (1 + np.linalg.norm(here.root.y)):
-            member = Member(value=value, root=replace(first.root, y=y))
+    for value, root in tried:
+        near = 3 * stride + 0.05 * (1 + np.linalg.norm(here.root.y))
+        if root.converged and np.linalg.norm(root.y - here.root.y) <= near:
+            member = Member(value=value, root=root)
         else:
-            origin = Member(value=here.value, root=family.correct(here.root.y, here.value))
-            member = next(iter(follow(origin, [value], family.correct, family.tangent)))
+            member = family.reach(here, value)
             if member is None:
                 break
         stride = float(np.linalg.norm(member.root.y - here.root.y))
@@ -139,30 +134,59 @@ def _chain(family: HeldFamily, first: Member, tried: list[tuple[float, Vector | 
     return members
 
 
-def _between(family: HeldFamily, a: Member, b: Member, slope_a: float, slope_b: float) -> Root | None:
-    """The extremal between two members of opposite slope: secant and bisection with q held, then Newton with q free."""
-    at = family.shooting.conditions.free_at.start + family.index
-    for attempt in range(12):
-        share = slope_a / (slope_a - slope_b) if attempt % 3 < 2 else 0.5
-        value = a.value + share * (b.value - a.value)
-        guess = a.root.y + share * (b.root.y - a.root.y)
-        root = family.release(guess)
-        if root.converged and a.value <= root.y[at] <= b.value:
-            return root
-        held = family.correct(guess, value)
-        if not held.converged:
-            return None
-        middle, slope = Member(value=value, root=held), family.slope(held)
-        if slope * slope_a > 0:
-            a, slope_a = middle, slope
+@dataclass
+class _Bracket:
+    """Two members of a family with slopes of opposite sign."""
+
+    a: Member
+    b: Member
+    slope_a: float
+    slope_b: float
+
+    def guess(self, share: float) -> tuple[Vector, float]:
+        """Y and the value a share of the way from a to b."""
+        y = self.a.root.y + share * (self.b.root.y - self.a.root.y)
+        return y, self.a.value + share * (self.b.value - self.a.value)
+
+    def narrow(self, middle: Member, slope: float) -> None:
+        """Put a member between into the place of the one whose sign it has."""
+        if slope * self.slope_a > 0:
+            self.a, self.slope_a = middle, slope
         else:
-            b, slope_b = middle, slope
-    return None
+            self.b, self.slope_b = middle, slope
 
 
-def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> Iterator[Found]:
+def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
+    """The extremals in brackets: secant and bisection with q held, then Newton with q free, all brackets at once."""
+    found: dict[int, Root] = {}
+    left = dict(enumerate(brackets))
+    for attempt in range(12):
+        if not left:
+            break
+        shares = [b.slope_a / (b.slope_a - b.slope_b) if attempt % 3 < 2 else 0.5 for b in left.values()]
+        guesses = [b.guess(share) for b, share in zip(left.values(), shares, strict=True)]
+        Y = np.array([y for y, _ in guesses])
+        free = family.released(Y, next(iter(left.values())).a.root)
+        held: Roots | None = None
+        for lane, (number, bracket) in enumerate(list(left.items())):
+            root = free[lane]
+            if root.converged and bracket.a.value <= family.value(root) <= bracket.b.value:
+                found[number] = root
+                del left[number]
+                continue
+            if held is None:
+                held = family.held(Y, np.array([value for _, value in guesses]), bracket.a.root)
+            middle = held[lane]
+            if not middle.converged:
+                del left[number]
+                continue
+            bracket.narrow(Member(value=guesses[lane][1], root=middle), family.slope(middle))
+    return [found[number] for number in sorted(found)]
+
+
+def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> list[Root]:
     """Pairs of extremals between grid points: where |dJ/dq| has a least value without a sign change, look closer."""
-    at = family.shooting.conditions.free_at.start + family.index
+    starts, ranges = [], []
     for i in range(1, len(members) - 1):
         left, here, right = (slopes[j] for j in (i - 1, i, i + 1))
         if left * here <= 0 or here * right <= 0 or not abs(left) > abs(here) < abs(right):
@@ -173,15 +197,12 @@ def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> Ite
         vertex = c[2] - c[1] ** 2 / (4 * c[0])
         if vertex * here > 0 and abs(vertex) > 0.5 * abs(here):
             continue
-        found: list[float] = []
-        for share in (-0.5, 0.5):
-            root = family.release(_towards(members, i, share))
-            if root.converged and x[0] <= root.y[at] <= x[2] and all(abs(root.y[at] - v) > 1e-7 for v in found):
-                found.append(float(root.y[at]))
-                yield Found(root=root, value=found[-1], bound=0, minimum=family.curvature(root) > 0)
-
-
-def _towards(members: list[Member], i: int, share: float) -> Vector:
-    """Y a share of the way from member i to its neighbour on that side."""
-    other = members[i + (1 if share > 0 else -1)].root.y
-    return members[i].root.y + abs(share) * (other - members[i].root.y)
+        starts += [0.5 * (members[i].root.y + members[j].root.y) for j in (i - 1, i + 1)]
+        ranges += [(x[0], x[2])] * 2
+    found: list[Root] = []
+    if starts:
+        for root, (low, high) in zip(family.released(np.array(starts), members[0].root), ranges, strict=True):
+            new = all(abs(family.value(root) - family.value(other)) > 1e-7 for other in found)
+            if root.converged and low <= family.value(root) <= high and new:
+                found.append(root)
+    return found

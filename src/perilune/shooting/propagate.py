@@ -41,7 +41,7 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     kept = list(range(size))
     if wanted:
         fixed = dict.fromkeys(silent, 0.0)
-        switching = [event.function for event in extremal.events]
+        switching = [f for event in extremal.events for f in (event.function, event.jump) if f is not None]
         parts = [prune(mode, [*wanted, *switching], fixed=fixed) for mode in extremal.modes]
         # What a mode holds constant may still be an unknown: it stays in z, for its columns.
         kept = sorted({i for part in parts for i in (*part.kept, *part.constant)} - set(silent))
@@ -50,25 +50,34 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     whole[kept] = z
     rates = [ca.simplify(mode(whole, p)[kept]) for mode in extremal.modes]
     crossings = [ca.simplify(event.function(whole, p)) for event in extremal.events]
-    known = [i for i in range(numbers) if ca.depends_on(ca.vertcat(*rates, *crossings), p[i])]
+    jumps = [None if event.jump is None else ca.simplify(event.jump(whole, p)[kept]) for event in extremal.events]
+    used = ca.vertcat(*rates, *crossings, *(jump for jump in jumps if jump is not None))
+    known = [i for i in range(numbers) if ca.depends_on(used, p[i])]
     modes = tuple(ca.Function("rhs", [z, p[known]], [ca.cse(rate)]) for rate in rates)
     switches = tuple(
-        replace(event, function=ca.Function("S", [z, p[known]], [S]))
-        for event, S in zip(extremal.events, crossings, strict=True)
+        replace(
+            event,
+            function=ca.Function("S", [z, p[known]], [S]),
+            jump=None if jump is None else ca.Function("jump", [z, p[known]], [jump]),
+        )
+        for event, S, jump in zip(extremal.events, crossings, jumps, strict=True)
     )
     return Equations(kept=np.array(kept), numbers=np.array(known, dtype=int), modes=modes, switches=switches)
 
 
+Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may be nonzero, row by row
+
+
 @lru_cache(maxsize=256)
-def engine(flown: Equations, columns: int) -> Engine:
-    """Engine with the given number of variational columns, made once."""
-    return compile_arcs(flown.modes, columns=columns, events=flown.switches)
+def engine(flown: Equations, seeds: Pattern = ()) -> Engine:
+    """Engine with the variational columns that such seeds need, made once."""
+    return compile_arcs(flown.modes, columns=np.array(seeds) if seeds else 0, events=flown.switches)
 
 
 def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
     """All of z along one arc, as a function of time; settings as for the engine's `dense`."""
     whole = equations(extremal, (), ())
-    return engine(whole, 0).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
+    return engine(whole).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
 
 
 def mode_at(extremal: PhaseExtremal, z: Vector, p: Vector) -> int:

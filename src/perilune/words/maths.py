@@ -2,13 +2,25 @@
 
 ``dynamics(x, u, p, m)`` uses ``m.sin``, ``m.sqrt``, ... and never imports a maths library itself, so that the same
 text flies in the verifier (numpy, real or complex) and is traced into symbols by `perilune.problem.symbolic`.
+
+``m.where(a < b, value, otherwise)`` chooses; where the choice changes in flight an arc ends and another begins.
+``m.table(table, x)`` reads a `Table`.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
+from typing import Any, Literal
 
 import numpy as np
+
+from perilune.words.outcome import PeriluneError
 
 # name in `m`: name in numpy. The symbolic twin takes the same keys.
 NUMPY_NAMES = {
@@ -30,4 +42,102 @@ NUMPY_NAMES = {
     "fmax": "maximum",
 }
 
-NUMERIC = SimpleNamespace(**{name: getattr(np, numpy_name) for name, numpy_name in NUMPY_NAMES.items()})
+MOST_KNOTS = 200  # each is a choice in machine code
+
+
+@dataclass(frozen=True)
+class Table:
+    """Tabulated data as a function of one number without a dimension.
+
+    Divide by given parameters: ``p.rho0 * m.table(density, x.h / p.H)``. Beyond its ends a table goes on along its last
+    slope.
+
+    Parameters
+    ----------
+    x, y
+        Knots in increasing order and the values there.
+    kind
+        ``"smooth"``: quintic spline, four times differentiable, so that steps of high order hardly see its knots (cubic
+        for less than six points); ``"monotone"``: once differentiable, and without a turn that
+        the data do not have (Fritsch, Carlson 1980); ``"linear"``.
+
+    Raises
+    ------
+    PeriluneError
+        If the data are not at least three finite points in increasing order.
+    """
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    kind: Literal["smooth", "monotone", "linear"] = "smooth"
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y"):
+            object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
+        good = 3 <= len(self.x) == len(self.y) <= MOST_KNOTS and np.isfinite([*self.x, *self.y]).all()
+        if not good or not (np.diff(self.x) > 0).all():
+            raise PeriluneError(
+                "a table needs as many finite values as knots, and the knots in increasing order",
+                got=f"{len(self.x)} knots and {len(self.y)} values",
+                expected=f"3 to {MOST_KNOTS} points",
+            )
+        if self.kind not in ("smooth", "monotone", "linear"):
+            raise PeriluneError("unknown kind of table", got=repr(self.kind), expected="smooth, monotone or linear")
+
+    @cached_property
+    def pieces(self) -> Any:
+        """Coefficients (powers, pieces) of polynomials in x less the left knot, highest power first; with the ends."""
+        from scipy.interpolate import PchipInterpolator, PPoly, make_interp_spline
+
+        x, y = np.array(self.x), np.array(self.y)
+        if self.kind == "linear":
+            inner = np.array([np.diff(y) / np.diff(x), y[:-1]])
+        elif self.kind == "monotone":
+            inner = np.asarray(PchipInterpolator(x, y).c)
+        else:
+            whole = PPoly.from_spline(make_interp_spline(x, y, k=5 if len(x) > 5 else 3 if len(x) > 3 else 2))
+            inner = np.array([whole(x[:-1], nu) / math.factorial(nu) for nu in range(len(whole.c) - 1, -1, -1)])
+        ends = np.zeros((len(inner), 2))
+        ends[-1] = y[0], y[-1]
+        ends[-2] = inner[-2, 0], np.polyval(np.polyder(inner[:, -1]), x[-1] - x[-2])
+        return np.column_stack([ends[:, 0], inner, ends[:, 1]])
+
+    @property
+    def knots(self) -> Any:
+        """Left knot of each of `pieces`; the first piece, before the table, counts from its first knot."""
+        return np.array([self.x[0], *self.x])
+
+    @cached_property
+    def digest(self) -> str:
+        """What the table is, in short."""
+        return hashlib.sha256(json.dumps([self.x, self.y, self.kind]).encode()).hexdigest()[:16]
+
+    def __call__(self, value: Any) -> Any:
+        """Values at numbers or arrays, real or complex."""
+        i = np.searchsorted(self.x, np.real(value), side="right")
+        return _horner(self.pieces[:, i], value - self.knots[i])
+
+    def chosen(self, value: Any, choose: Callable[[Any, Any, Any], Any]) -> Any:
+        """The same by choices between pieces, for symbols: ``choose(condition, yes, no)``."""
+        rows = [[float(v) for v in row] for row in (self.knots, *self.pieces)]
+        found = [row[0] for row in rows]
+        for k, knot in enumerate(self.x, 1):
+            beyond = value >= knot
+            found = [choose(beyond, row[k], before) for row, before in zip(rows, found, strict=True)]
+        return _horner(found[1:], value - found[0])
+
+
+def _horner(coefficients: Any, s: Any) -> Any:
+    total = coefficients[0]
+    for c in coefficients[1:]:
+        total = total * s + c
+    return total
+
+
+def _read(table: Table, value: Any) -> Any:
+    return table(value)
+
+
+NUMERIC = SimpleNamespace(
+    **{name: getattr(np, numpy_name) for name, numpy_name in NUMPY_NAMES.items()}, where=np.where, table=_read
+)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
+from typing import Any
 
 
 class Outcome(Enum):
@@ -59,9 +60,9 @@ class PeriluneError(ValueError):
 
 
 class InfeasibleError(PeriluneError):
-    """Physics forbids what was asked; the message says which limit and by how much.
+    """What was asked is refused; the message says which limit is missed and by how much.
 
-    `reason` names the ground of the refusal in a few words: by default a bound that holds for every flight.
+    `reason` is "cannot be flown", from a bound that holds for every flight, or "the best of n found misses it".
     """
 
     exit_code = 3
@@ -72,20 +73,33 @@ class InfeasibleError(PeriluneError):
         super().__init__(what, got=got, expected=expected, advice=advice)
         self.reason = reason
 
+    def __str__(self) -> str:
+        what, *parts = super().__str__().split("\n")
+        return "\n".join([what, f"  reason: {self.reason}", *parts])
+
 
 class NotConvergedError(PeriluneError):
     """Every rung of the ladder failed.
 
     `partial` carries what was computed before: the best iterate's residuals in physical units and the rungs tried.
+    `flight` is a Solution that keeps every condition where one was found, though no extremal: there is a way to fly it.
     """
 
     exit_code = 4
 
     def __init__(
-        self, what: str, *, got: str = "", expected: str = "", advice: str = "", partial: dict | None = None
+        self,
+        what: str,
+        *,
+        got: str = "",
+        expected: str = "",
+        advice: str = "",
+        partial: dict | None = None,
+        flight: Any = None,
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)
         self.partial = partial or {}
+        self.flight = flight
 
 
 def unknown_name(kind: str, got: str, known: Sequence[str]) -> PeriluneError:

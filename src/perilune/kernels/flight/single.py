@@ -51,6 +51,7 @@ class SingleArc:
         self._duration, self._mode, self._info = np.zeros(1), np.zeros(1), np.zeros(len(INFO))
         self._log = np.full((MAX_EVENTS if system.events else 0, 2), np.nan)
         self._modes = len(system.modes)
+        self._rtol, self._atol = np.array([rtol]), np.array([atol])
         held: dict[str, NDArray[Any]] = {
             "lanes": np.array(1),
             "order": np.zeros(1, dtype=np.int64),
@@ -59,8 +60,8 @@ class SingleArc:
             "p_stride": np.array(0),
             "duration": self._duration,
             "seeds": self._seeds,
-            "rtol": np.array([rtol]),
-            "atol": np.array([atol]),
+            "rtol": self._rtol,
+            "atol": self._atol,
             "mode": self._mode,
             "max_steps": np.array(max_steps),
             "fixed_steps": np.array(0),
@@ -72,6 +73,10 @@ class SingleArc:
         }
         self._held = held  # the machine code knows only their addresses
         self._fly = bind(held)
+
+    def demand(self, tolerance: float) -> None:
+        """Fly with this local error, relative and absolute, from the next call on."""
+        self._rtol[0] = self._atol[0] = tolerance
 
     def __call__(self, z0: Vector, p: Vector, duration: float, seeds: Matrix | None = None, mode: int = 0) -> int:
         """Fly one arc.

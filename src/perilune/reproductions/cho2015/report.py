@@ -1,36 +1,35 @@
-"""Report and figures of `perilune.reproductions.cho2015`: printed beside computed, claims, discrepancies."""
+"""Report and figures on Cho, Kim, Leeghim 2015: printed beside computed, claims, discrepancies."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
 from itertools import pairwise
+from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.io.columns import flight_columns
-from perilune.io.export import extremals_document, results
+from perilune.io.export import extremals_document
+from perilune.io.files import json_text
 from perilune.problem.solution import Solution
+from perilune.report.family import family_csv, family_document
 from perilune.report.figures import solution_figures
 from perilune.report.style import lines
 from perilune.report.summary import solution_summary, table
-from perilune.reproductions.cho2015 import (
-    CONSTANTS,
-    PRINTED,
-    PRINTED_NO_BENEFIT_BELOW,
-    Reproduction,
-    best_with_retro_burn,
-    computed_numbers,
-)
+from perilune.reproductions.cho2015.case import CONSTANTS, PRINTED, PRINTED_NO_BENEFIT_BELOW
+from perilune.reproductions.cho2015.compute import Reproduction, best_with_retro_burn, computed_numbers
 from perilune.reproductions.paper import (
-    CLAIMS_HEAD,
-    NUMBERS_HEAD,
+    claims,
     highest,
     illustrated,
-    number_rows,
+    numbers,
+    slips,
     verdict,
     versions_line,
+    write_report,
 )
 
 _CAPTIONS = {
@@ -68,6 +67,14 @@ _SLIPS = (
 )
 
 
+def write(made: Reproduction, directory: Path) -> None:
+    """Write ``report.md``, its data and its figures into a directory that exists."""
+    families = {"fig8": made.by_retro_burn, "fig9_fig10": made.by_impulse}
+    data = {f"{name}.csv": family_csv(family) for name, family in families.items()}
+    data |= {f"{name}.json": json_text(family_document(family)) for name, family in families.items()}
+    write_report(directory, markdown(made), figures(made), data)
+
+
 def figures(made: Reproduction) -> dict[str, Figure]:
     """All figures of the paper, and four that are not in it, by file name."""
     ours = solution_figures(made.hybrid, made.ordinary)
@@ -85,22 +92,18 @@ def figures(made: Reproduction) -> dict[str, Figure]:
     }
 
 
-def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
+def markdown(made: Reproduction) -> str:
     """Write the report."""
-    first_slips = [list(row) for row in _SLIPS]
     parts = [
         "# Optimal lunar landing with a hybrid engine: the paper and our numbers",
         "D.-H. Cho, D. Kim, H. Leeghim, *Optimal Lunar Landing Trajectory Design for Hybrid Engine*, "
         "Mathematical Problems in Engineering 2015, 462072. Columns *printed* hold what the paper prints. "
         "Everything else was computed when this report was made, without a guess.",
-        "## Numbers",
-        table(NUMBERS_HEAD, number_rows(PRINTED, computed_numbers(made))),
-        "## Claims",
-        table(CLAIMS_HEAD, _claim_rows(made)),
+        numbers(PRINTED, computed_numbers(made)),
+        claims(_claim_rows(made)),
         "## Discrepancies",
         _discrepancies(made),
-        "### Misprints, and what is easily missed",
-        table(["where", "printed or implied", "used here"], first_slips),
+        slips(_SLIPS),
         "## Figures",
         *illustrated(_CAPTIONS),
         "## Data",
@@ -115,7 +118,7 @@ def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
             ["constant (SI)", "value"],
             [[f.name.replace("_", " "), f"{getattr(CONSTANTS, f.name):.8g}"] for f in fields(CONSTANTS)],
         ),
-        versions_line(versions),
+        versions_line(),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -123,9 +126,9 @@ def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
 def _claim_rows(made: Reproduction) -> list[list[str]]:
     """Each claim of the paper, the number that decides it, and whether it holds."""
     hybrid, ordinary = made.hybrid, made.ordinary
-    ratio = results(hybrid)["flight_time"]["value"] / results(ordinary)["flight_time"]["value"]
-    saved = results(ordinary)["propellant"]["value"] - results(hybrid)["propellant"]["value"]
-    share = saved / results(ordinary)["propellant"]["value"]
+    ratio = hybrid.results["flight_time"].value / ordinary.results["flight_time"].value
+    saved = ordinary.results["propellant"].value - hybrid.results["propellant"].value
+    share = saved / ordinary.results["propellant"].value
     climb = highest(ordinary, "altitude") - CONSTANTS.perilune_altitude
     climbs = [highest(s, "altitude") - CONSTANTS.perilune_altitude for _, s in sorted(made.by_thrust.items())]
     rising, beta = highest(hybrid, "v"), highest(hybrid, "thrust_angle")
@@ -165,7 +168,7 @@ def _claim_rows(made: Reproduction) -> list[list[str]]:
 def _discrepancies(made: Reproduction) -> str:
     computed = computed_numbers(made)["optimal retro burn"]
     printed = PRINTED["optimal retro burn"][0]
-    lost = results(made.hybrid)["landed_mass"]["value"] - results(made.at_printed_burn)["landed_mass"]["value"]
+    lost = made.hybrid.results["landed_mass"].value - made.at_printed_burn.results["landed_mass"].value
     jump = best_with_retro_burn(made.at_break_even)
     rows = [
         [f"{e.get('delta_v', 0.0):.3f}", f"{e.get('landed_mass', 0.0):.6f}", e["nature"]]
@@ -210,10 +213,10 @@ def _altitudes(by_thrust: Mapping[float, Solution]) -> Figure:
 def _mass_by_burn(made: Reproduction) -> Figure:
     rows = np.array(_points(made, "by_retro_burn", "landed_mass"))
     marks = [
-        (e["delta_v"], e["landed_mass"], f"{e['nature']}\n{e['delta_v']:.1f} m/s", offset)
+        (e["delta_v"], e["landed_mass"], f"{fill(e['nature'], 15)}\n{e['delta_v']:.1f} m/s", offset)
         for e, offset in zip(
             sorted(extremals_document(made.hybrid), key=lambda e: e["delta_v"]),
-            ((44, 40), (14, -30), (-14, -58)),
+            ((40, 40), (14, -30), (-16, -86)),
             strict=False,
         )
     ]
@@ -241,7 +244,7 @@ def _by_impulse(made: Reproduction, quantity: str, text: str) -> Figure:
 def _points(made: Reproduction, family: str, quantity: str) -> list[tuple[float, float]]:
     """(value, result) of the members that were solved."""
     return [
-        (point.value, results(point.solution)[quantity]["value"])
+        (point.value, point.solution.results[quantity].value)
         for point in getattr(made, family).points
         if point.solution is not None
     ]

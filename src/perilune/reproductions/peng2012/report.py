@@ -1,41 +1,38 @@
-"""Report and figures of `perilune.reproductions.peng2012`: printed beside computed, claims, discrepancies."""
+"""Report and figures on Peng, Li, Shen, Tang 2012: printed beside computed, claims, discrepancies."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, fields
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.direct.collocation import rule
 from perilune.io.columns import hamiltonian, required_hamiltonian
-from perilune.io.export import results
 from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.histories import history
 from perilune.report.style import lines
 from perilune.report.summary import solution_summary, table
 from perilune.report.track import track
-from perilune.reproductions.paper import CLAIMS_HEAD, NUMBERS_HEAD, illustrated, number_rows, verdict, versions_line
-from perilune.reproductions.peng2012 import (
+from perilune.reproductions.paper import claims, illustrated, numbers, slips, verdict, versions_line, write_report
+from perilune.reproductions.peng2012.case import (
     CASE,
     PRINTED,
     PRINTED_AXES,
     PRINTED_GRAVITY,
     PRINTED_POINTS,
     PRINTED_TIME_LIMIT,
-    Convergence,
-    Reproduction,
-    Starts,
-    computed_numbers,
     implied_gravity,
     parking_altitude,
 )
+from perilune.reproductions.peng2012.compute import Convergence, Reproduction, Starts, computed_numbers
 
 _CAPTIONS = {
     "fig2": "Fig 2. The path from the side and from above. Both methods; the lines cover each other.",
@@ -83,6 +80,11 @@ different flight (table above).
 the paper never noticed; shooting and re-integration need coordinates without that point, and are Cartesian here."""
 
 
+def write(made: Reproduction, directory: Path) -> None:
+    """Write ``report.md``, its data and its figures into a directory that exists."""
+    write_report(directory, markdown(made), figures(made), {"convergence.csv": convergence_csv(made)})
+
+
 def figures(made: Reproduction) -> dict[str, Figure]:
     """All figures of the paper, and three that are not in it, by file name."""
     flights = {"indirect": made.indirect, f"{PRINTED_POINTS} Gauss points": made.direct}
@@ -116,25 +118,22 @@ def convergence_csv(made: Reproduction) -> str:
     return text.getvalue()
 
 
-def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
+def markdown(made: Reproduction) -> str:
     """Write the report."""
     parts = [
         "# Powered descent by Gauss points and a genetic search: the paper and our numbers",
         "Q. Peng, H. Li, H. Shen, G. Tang, *Genetic Algorithm for finite-thrust trajectory optimization*, in *Genetic "
         "Algorithms in Applications*, InTech 2012. Columns *printed* hold what the paper prints. Everything else was "
         "computed when this report was made, without a guess.",
-        "## Numbers",
-        table(NUMBERS_HEAD, number_rows(PRINTED, computed_numbers(made))),
-        "## Claims",
-        table(CLAIMS_HEAD, _claim_rows(made)),
+        numbers(PRINTED, computed_numbers(made)),
+        claims(_claim_rows(made)),
         "## One landing by every method",
         table(["method", "coordinates", "flight time (s)", "less the first (s)", "propellant (kg)"], _methods(made)),
         "## Discrepancies",
         _discrepancies(made),
         "### What was lost, and how it was found again",
         _DECODED,
-        "### Misprints, and what is easily missed",
-        table(["where", "printed or implied", "used here"], _SLIPS),
+        slips(_SLIPS),
         "## Gauss points against the indirect method",
         "Largest difference at the collocation points, each N solved from no guess on one segment in the paper's "
         "coordinates; processor time.",
@@ -152,7 +151,7 @@ def markdown(made: Reproduction, versions: Mapping[str, str]) -> str:
         f"```text\n{solution_summary(made.indirect)}\n```",
         "## Constants",
         table(["constant (SI, rad)", "value"], _constants()),
-        versions_line(versions),
+        versions_line(),
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
 
@@ -203,7 +202,7 @@ def _methods(made: Reproduction) -> list[list[str]]:
     direct = f"{PRINTED_POINTS} Gauss points"
     return [
         [name, where, f"{s.free['flight_time']:.9f}", f"{s.free['flight_time'] - first:+.1e}",
-         f"{results(s)['propellant']['value']:.6f}"]
+         f"{s.results['propellant'].value:.6f}"]
         for name, where, s in (
             ("indirect, J = -m(t_f)", "Cartesian", made.indirect),
             ("indirect, J = t_f", "Cartesian", made.fastest),
@@ -220,7 +219,7 @@ def _discrepancies(made: Reproduction) -> str:
     cases = {"as solved here": made.indirect, **made.readings}
     rows = []
     for name, solution in cases.items():
-        t, m = (results(solution)[key]["value"] for key in ("flight_time", "propellant"))
+        t, m = (solution.results[key].value for key in ("flight_time", "propellant"))
         rows.append([name, f"{t:.4f}", f"{t - time:+.3f}", f"{m:.3f}", f"{m - fuel:+.2f}"])
     nearest = min(cases, key=lambda name: abs(cases[name].free["flight_time"] - time))
     mu, fitting = CASE.body.gravitational_parameter, made.fitting_gravity

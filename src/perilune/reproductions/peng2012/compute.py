@@ -1,75 +1,38 @@
-"""Peng, Li, Shen, Tang 2012, reproduced: descent from over the pole by Gauss points, a genetic search and Pontryagin.
-
-`PRINTED` holds what the paper prints and is used for comparison only; every number in a column "computed" comes from
-a solution made while the report is. The paper does not print the Moon's gravitational parameter, and its g0 is not the
-one that its results were made with: `CASE` holds what serves.
-
-Source: Q. Peng, H. Li, H. Shen, G. Tang, Genetic Algorithm for finite-thrust trajectory optimization, in Genetic
-Algorithms in Applications, InTech 2012, section 4.
-"""
+"""Every case of Peng, Li, Shen, Tang 2012 solved: by Pontryagin, by Gauss points, from a genetic search."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from perilune.direct.collocation import rule
-from perilune.io.export import results, versions
-from perilune.io.files import fresh_directory
 from perilune.methods.fitness import ControlFitness
 from perilune.methods.genetic import Genetic
 from perilune.methods.hybrid import Hybrid
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.bodies import Body
-from perilune.models.descent import Ignition, Site, Steering, powered_descent
-from perilune.models.landing import Vehicle
 from perilune.models.rotating import combine, heading_axes, place
-from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.reproductions.paper import Printed
+from perilune.reproductions.peng2012.case import (
+    CASE,
+    PRINTED,
+    PRINTED_POINTS,
+    other_readings,
+    problem,
+    problem_of_the_paper,
+)
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """(25)-(27) as decoded; neither mu nor the g0 of the results is printed."""
-
-    body: Body
-    vehicle: Vehicle
-    start: Ignition
-    site: Site
-    steering: Steering
-
-
-CASE = Case(
-    body=Body(name="moon", gravitational_parameter=4902.8e9, radius=1738e3, rotation_rate=2.6617e-6),
-    vehicle=Vehicle(mass=15e3, thrust=45e3, specific_impulse=365.0, standard_gravity=9.80),
-    start=Ignition(
-        altitude=15e3, longitude=0.0, latitude=math.radians(90), heading=math.radians(180), forward_speed=1694.3
-    ),
-    site=Site(altitude=2e3, longitude=math.radians(5), latitude=math.radians(76)),
-    steering=Steering(
-        elevation=(math.radians(-50), math.radians(50)), azimuth=(math.radians(150), math.radians(220))
-    ),
-)  # fmt: skip
-
-PRINTED: Printed = Printed({"flight time": (472.74, "s", "text"), "fuel": (5947.2, "kg", "text")})
-PRINTED_GRAVITY = 9.81  # m/s^2, the appendix
-PRINTED_TIME_LIMIT = 120.0  # s, "less than 2 minutes" on a Pentium 4 with 3.0 GHz
-PRINTED_POINTS = 50  # Legendre-Gauss points
-# The axes of Fig 4 [deg], the only part of a figure that is legible.
-PRINTED_AXES = {"thrust_elevation": (-10.0, 30.0), "thrust_azimuth": (160.0, 190.0)}
 
 POINTS = (4, 5, 6, 7, 8, 9, 10, 12, 15, 20, 30, 40, 50, 60, 80)
 RANDOM_STARTS = 12  # most; some of them take a minute each, and the genetic search is what the paper is about
@@ -158,49 +121,26 @@ class Reproduction:
     @property
     def outcome(self) -> Outcome:
         """Of the solution that is proved."""
-        return self.indirect.outcome
+        return self.proved.outcome
 
-
-def problem(case: Case = CASE, **settings: Any) -> Problem:
-    """State the paper's descent in Cartesian coordinates; settings as of `powered_descent`."""
-    return powered_descent(case.vehicle, case.start, case.site, case.body, **settings)
-
-
-def problem_of_the_paper(**settings: Any) -> Problem:
-    """State it in the paper's coordinates, with bounded angles."""
-    return problem(coordinates="spherical", steering=CASE.steering, **settings)
-
-
-def reproduce(
-    out_dir: str | Path, force: bool = False, watch: Watch | None = None, level: int = 3, seeds: int = 3
-) -> Reproduction:
-    """Compute everything in the paper and write ``report.md``, its data and its figures.
-
-    Parameters
-    ----------
-    out_dir, force, watch, level
-        As `perilune.reproductions.cho2015.reproduce`.
-    seeds
-        Random starts of the genetic search; without it at most `RANDOM_STARTS` of them are tried.
-
-    Returns
-    -------
-    Reproduction
-        What was computed.
-    """
-    from perilune.reproductions.paper import save_figures
-    from perilune.reproductions.peng2012_report import convergence_csv, figures, markdown
-
-    with fresh_directory(out_dir, force) as work:
-        made = compute(watch or (lambda _: None), level, seeds)
-        save_figures(figures(made), work)
-        (work / "convergence.csv").write_text(convergence_csv(made), encoding="utf-8", newline="")
-        (work / "report.md").write_text(markdown(made, versions()), encoding="utf-8")
-    return made
+    @property
+    def proved(self) -> Solution:
+        """The solution that is proved."""
+        return self.indirect
 
 
 def compute(watch: Watch, level: int = 3, seeds: int = 3) -> Reproduction:
-    """Solve every case of the paper."""
+    """Solve every case of the paper.
+
+    Parameters
+    ----------
+    watch
+        Receives lines of text and iterations.
+    level
+        Verification level to prove of the indirect solution.
+    seeds
+        Random starts of the genetic search; without it at most `RANDOM_STARTS` of them are tried.
+    """
     watch("the indirect method: flight time, fuel, Figs 2-4")
     indirect = solve(problem(), level=level, watch=watch)
     fastest = solve(problem(minimise="flight_time"), level=0, watch=watch)
@@ -269,8 +209,6 @@ def missed_by_reintegration(direct: Solution) -> tuple[float, float]:
     tuple
         Distance from the site [m] and speed relative to it [m/s] at the end.
     """
-    from scipy.integrate import solve_ivp
-
     stated, duration = problem(), direct.free["flight_time"]
     phase, p = stated.phases[0], stated.parameters(direct.free)
     law = direct.trajectories[0].control
@@ -319,24 +257,8 @@ def from_random_values(seed: int) -> Solution:
     return AT_FIFTY.run(stated, guess)
 
 
-def other_readings() -> dict[str, Case]:
-    """Cases that differ in one thing that the paper leaves open or prints otherwise."""
-    start, site = CASE.start, CASE.site
-    return {
-        "a Moon that does not turn": replace(CASE, body=replace(CASE.body, rotation_rate=0.0)),
-        "g0 = 9.81 m/s², as the appendix prints": replace(
-            CASE, vehicle=replace(CASE.vehicle, standard_gravity=PRINTED_GRAVITY)
-        ),
-        "start at longitude 5°, site at 0°": replace(
-            CASE, start=replace(start, longitude=site.longitude), site=replace(site, longitude=start.longitude)
-        ),
-    }
-
-
 def fitting_gravity(indirect: Solution) -> float:
     """Gravitational parameter [m^3/s^2] at which the flight time is the printed one."""
-    from scipy.optimize import brentq
-
     printed, near = PRINTED["flight time"][0], CASE.body.gravitational_parameter
 
     def excess(mu: float) -> float:
@@ -349,21 +271,5 @@ def fitting_gravity(indirect: Solution) -> float:
 
 def computed_numbers(made: Reproduction) -> dict[str, float]:
     """Our value of every number in `PRINTED`, from the indirect solution."""
-    found = results(made.indirect)
-    return {"flight time": found["flight_time"]["value"], "fuel": found["propellant"]["value"]}
-
-
-def implied_gravity() -> float:
-    """g0 [m/s^2] with which the printed flight time burns the printed fuel."""
-    vehicle = CASE.vehicle
-    return vehicle.thrust * PRINTED["flight time"][0] / (vehicle.specific_impulse * PRINTED["fuel"][0])
-
-
-def parking_altitude() -> float:
-    """Altitude [m] of the circular orbit whose Hohmann descent has the printed speed at 15 km.
-
-    v^2 = 2 mu r_a/(r_p (r_a + r_p)), solved for r_a.
-    """
-    r, v = CASE.body.radius + CASE.start.altitude, CASE.start.forward_speed
-    excess = v * v * r / CASE.body.gravitational_parameter
-    return r * excess / (2.0 - excess) - CASE.body.radius
+    found = made.indirect.results
+    return {"flight time": found["flight_time"].value, "fuel": found["propellant"].value}

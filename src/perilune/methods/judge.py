@@ -1,0 +1,101 @@
+"""What makes an extremal an answer: it keeps the bounds and the path conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from perilune.conditions.pontryagin import Conditions, PhaseExtremal
+from perilune.kernels import DenseArc
+from perilune.methods.assemble import controls, fly, free_values, objective_scale
+from perilune.problem.problem import Phase, Problem
+from perilune.problem.symbolic import state_scales
+from perilune.shooting.function import Root
+from perilune.words.types import Vector
+
+_POINTS = 201  # of a phase, at which its conditions are looked at
+_SLACK = 1e-9  # canonical
+_ACCURACY = 1e-11  # of the flights that are looked at
+
+
+@dataclass(frozen=True, kw_only=True)
+class Breach:
+    """A condition or bound that a flight breaks.
+
+    Parameters
+    ----------
+    name, text
+        Of the condition, and what happens to it, in the user's words.
+    miss, unit
+        By how much it is broken, SI.
+    canonical
+        The same in canonical units, to compare breaches of different kinds.
+    """
+
+    name: str
+    text: str
+    miss: float
+    unit: str
+    canonical: float
+
+
+class Judge:
+    """Judges the roots of one problem; what it found of a root is kept.
+
+    Attributes
+    ----------
+    unit
+        SI size of the canonical unit of J.
+    """
+
+    def __init__(self, problem: Problem, conditions: Conditions, p: Vector) -> None:
+        self.problem, self.conditions, self.p = problem, conditions, p
+        self.unit = objective_scale(problem)
+        self._known: dict[bytes, Breach | None] = {}
+
+    def breach(self, root: Root) -> Breach | None:
+        """What the flight breaks first, or None."""
+        key = root.y.tobytes()
+        if key not in self._known:
+            self._known[key] = next(self._breaches(root.y), None)
+        return self._known[key]
+
+    def _breaches(self, y: Vector) -> Iterator[Breach]:
+        values = free_values(self.problem, self.conditions, y)
+        for free in self.problem.free:
+            # A flight does not end before it begins, whatever the bounds say.
+            lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
+            yield from self._outside(free.name, free.unit, np.array([values[free.name]]), lower, free.upper)
+        flights = fly(self.problem, self.conditions, y, rtol=_ACCURACY, atol=_ACCURACY)
+        for phase, extremal, arc in zip(self.problem.phases, self.conditions.phases, flights, strict=True):
+            yield from self._along(phase, extremal, arc, values)
+
+    def _along(
+        self, phase: Phase, extremal: PhaseExtremal, arc: DenseArc, values: dict[str, float]
+    ) -> Iterator[Breach]:
+        t, p = np.linspace(0.0, arc.t[-1], _POINTS), self.problem.parameters(values)
+        x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
+        for state, along in zip(phase.states, x, strict=True):
+            yield from self._outside(state.name, state.unit, along, *state.limits(p))
+        if not phase.path_conditions:
+            return
+        u = controls(extremal, arc, t, self.p).T
+        conditions = phase.evaluate("path", list(x), list(u), p)
+        for condition, along in zip(phase.path_conditions, conditions, strict=True):
+            least, scale = float(np.min(along)), self.problem.scales.of(condition.unit)
+            if not least >= -_SLACK * scale:
+                text = f"{condition.name} falls to {least:.6g} {condition.unit}"
+                yield Breach(name=condition.name, text=text, miss=-least, unit=condition.unit, canonical=-least / scale)
+
+    def _outside(self, name: str, unit: str, values: Vector, lower: float, upper: float) -> Iterator[Breach]:
+        scale = self.problem.scales.of(unit)
+        sides = (
+            ("below", lower, float(np.min(values)), lower - float(np.min(values))),
+            ("above", upper, float(np.max(values)), float(np.max(values)) - upper),
+        )
+        for side, limit, reached, miss in sides:
+            if np.isfinite(limit) and not miss <= _SLACK * scale:
+                text = f"{name} reaches {reached:.6g} {unit}, {side} its bound {limit:g}"
+                yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale)

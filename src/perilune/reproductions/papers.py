@@ -1,0 +1,52 @@
+"""The papers that are computed again. Each is a package of three files, one way: case, compute, report."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from perilune.words.outcome import unknown_name
+from perilune.words.watch import Watch, silent
+
+# Name on the command line: package in this room, loaded when asked for.
+PAPERS = {"cho-2015": "cho2015", "peng-2012": "peng2012"}
+
+
+def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch | None = None, **settings: Any) -> Any:
+    """Compute everything in a paper and write ``report.md``, its data and its figures.
+
+    Parameters
+    ----------
+    paper
+        A name of `PAPERS`.
+    out_dir
+        Directory; its files appear together when all are complete.
+    force
+        Whether files of the same names may be replaced.
+    watch
+        Receives lines of text and iterations.
+    settings
+        Of the paper's own ``compute``, the verification level (`level`) among them.
+
+    Returns
+    -------
+    Reproduction
+        What was computed; its `outcome` is that of the solution that was to be proved, `proved`.
+
+    Raises
+    ------
+    PeriluneError
+        If the paper is not known, or the directory cannot be written.
+    """
+    from perilune.io.files import fresh_directory
+
+    if paper not in PAPERS:
+        raise unknown_name("paper", paper, list(PAPERS))
+    compute, report = (
+        import_module(f"perilune.reproductions.{PAPERS[paper]}.{part}") for part in ("compute", "report")
+    )
+    with fresh_directory(out_dir, force) as work:
+        made = compute.compute(watch or silent, **settings)
+        report.write(made, work)
+    return made

@@ -1,0 +1,95 @@
+"""Which bounds an extremal sits on: Newton with an active set, for many extremals at once.
+
+A free parameter q between bounds and an end condition psi with a range are treated alike. Each has a value that must
+lie between its limits, and a multiplier, dJ/d(value) along the family in which the value is held: dJ/dq, and -nu where
+J + nu psi is stationary. An extremal holds none, or holds the value at a limit with J rising into the interior (Karush,
+Kuhn, Tucker). Start with what the caller holds; hold what is broken, release what would gain, a bounded number of
+times.
+
+Source: Nocedal & Wright, *Numerical Optimization*, 2nd ed., Springer 2006, sections 12.3 and 16.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.shooting.function import Roots, Shooting
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch
+
+_SLACK = 1e-9  # by which a limit may be missed, or a multiplier be on the wrong side; canonical
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Limits of the free parameters, then of the ranges, canonical; infinite where there is none."""
+
+    lower: Vector
+    upper: Vector
+
+    @cached_property
+    def any(self) -> bool:
+        """Whether there is a limit at all."""
+        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+
+    def without(self, index: int | None) -> Limits:
+        """The same without those of one free parameter."""
+        if index is None:
+            return self
+        lower, upper = self.lower.copy(), self.upper.copy()
+        lower[index], upper[index] = -np.inf, np.inf
+        return Limits(lower=lower, upper=upper)
+
+    def revised(self, shooting: Shooting, roots: Roots) -> Matrix:
+        """What should be held at each of the roots instead, (lanes, choice)."""
+        values, rises = shooting.held_values(roots)
+        count = len(self.lower)
+        if not roots.choice[:, :count].any() and ((values >= self.lower) & (values <= self.upper)).all():
+            return roots.choice
+        masks, held = roots.choice[:, :count] > 0, roots.choice[:, count:]
+        low, high = ~masks & (values < self.lower - _SLACK), ~masks & (values > self.upper + _SLACK)
+        free = masks & (held == self.lower) & (rises < -_SLACK) | masks & (held == self.upper) & (rises > _SLACK)
+        held = np.where(low, self.lower, np.where(high, self.upper, np.where(free, 0.0, held)))
+        return np.hstack([((masks & ~free) | low | high).astype(float), held])
+
+
+def settle(
+    shooting: Shooting,
+    Y: Matrix,
+    p: Matrix,
+    choice: Matrix,
+    limits: Limits,
+    watch: Watch | None = None,
+    **settings: Any,
+) -> Roots:
+    """Roots that keep the limits, each with its own choice of what is held.
+
+    Parameters
+    ----------
+    Y, p, choice, watch, **settings
+        As for `Shooting.solve`; `choice` is where the search for the active set begins.
+    limits
+        What the roots have to keep. A lane in which no active set is found counts as not converged.
+    """
+    roots = shooting.solve(Y, p, choice, watch, **settings)
+    if not limits.any:
+        return roots
+    rounds = 2 * int(np.isfinite(limits.lower).sum() + np.isfinite(limits.upper).sum())
+    for _ in range(rounds + 1):
+        wanted = limits.revised(shooting, roots)
+        changed = np.nonzero(roots.converged & (wanted != roots.choice).any(axis=1))[0]
+        if not len(changed):
+            return roots
+        lanes_p = p if np.ndim(p) == 1 or len(p) == 1 else p[changed]
+        again = shooting.solve(roots.y[changed], lanes_p, wanted[changed], watch, **settings)
+        roots = roots.replaced(changed, again)
+    return roots.failed(_broken(shooting, roots, limits))
+
+
+def _broken(shooting: Shooting, roots: Roots, limits: Limits) -> NDArray[np.bool_]:
+    return (limits.revised(shooting, roots) != roots.choice).any(axis=1)

@@ -1,0 +1,250 @@
+"""Newton's method for many systems at once, one in each lane: Cho et al. 2015 (23), (24), with alpha chosen.
+
+The step is dy = -J^-1 h. Damping alpha is accepted when the *simplified* correction |J^-1 h(y + alpha dy)| shrinks
+(natural monotonicity). That test does not change when rows of h are scaled, so metres and radians may stand side by
+side. Damping and outcome belong to the lane; a lane that has ended drops out.
+
+Early iterates are computed with a tolerance fitted to their residual (an inexact Newton method); none counts as
+converged before it is computed at the full one. Where no step improves a residual that is round-off, that is a root.
+
+Source: Deuflhard, *Newton Methods for Nonlinear Problems*, Springer 2011, sections 2.1 (inexact) and 3.3 (natural
+monotonicity).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Iteration, Watch
+
+Lanes = NDArray[np.int64]
+
+FINEST = 1e-12  # accuracy of the function at which an iterate may count as a root
+ROUGHEST = 1e-6  # accuracy of the first evaluations
+#: The largest residual that is the function's own error: arcs are flown with a local error of `FINEST`.
+ROUND_OFF = 1e-12
+_SETTLED = 1e-7  # a last undamped step below this, relative to |y|: its square is round-off
+_NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
+_FORCING = 1e-4  # accuracy of the next evaluation, in units of the residual squared
+_LEAST_DAMPING = 1e-4
+_ASTRAY = 1e200  # squares beyond this are of a lost iterate; a NaN compares as lost too
+
+
+@dataclass(frozen=True, kw_only=True)
+class Columns:
+    """Where the results of an evaluation lie in its row.
+
+    First four numbers: max|h|, |J_old^-1 h|^2 (the simplified correction), |J^-1 h|^2, |y|^2; then h, the step -J^-1 h,
+    J^-1 row by row, and `extra` numbers that Newton only carries along.
+    """
+
+    n: int
+    extra: int = 0
+
+    @cached_property
+    def residual(self) -> slice:
+        """The n entries of h."""
+        return slice(4, 4 + self.n)
+
+    @cached_property
+    def step(self) -> slice:
+        """The n entries of -J^-1 h."""
+        return slice(4 + self.n, 4 + 2 * self.n)
+
+    @cached_property
+    def inverse(self) -> slice:
+        """The n^2 entries of J^-1."""
+        return slice(4 + 2 * self.n, 4 + 2 * self.n + self.n**2)
+
+    @cached_property
+    def extras(self) -> slice:
+        """What Newton only carries along."""
+        return slice(4 + 2 * self.n + self.n**2, self.width)
+
+    @property
+    def width(self) -> int:
+        """Length of a row."""
+        return 4 + 2 * self.n + self.n**2 + self.extra
+
+
+#: (lanes, y (lanes, n), accuracy (lanes,), J_old^-1 (lanes, n^2)) -> rows (lanes, width); NaN where undefined.
+Evaluate = Callable[[Lanes, Matrix, Vector, Matrix], Matrix]
+
+
+def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matrix) -> Matrix:
+    """Rows of an evaluation from residual (lanes, n), Jacobian (lanes, n, n) and the inverse before, by LAPACK."""
+    lanes, n = h.shape
+    try:
+        inverse = np.linalg.inv(J)
+    except np.linalg.LinAlgError:  # one singular matrix stops them all
+        inverse = np.array([_inverse(matrix) for matrix in J])
+    step = -(inverse @ h[:, :, None])[:, :, 0]
+    simplified = (old.reshape(lanes, n, n) @ h[:, :, None])[:, :, 0]
+    squares = [(v * v).sum(axis=1) for v in (simplified, step, y)]
+    head = np.column_stack([np.abs(h).max(axis=1), *squares])
+    return np.hstack([head, h, step, inverse.reshape(lanes, n * n), extra])
+
+
+def _inverse(matrix: Matrix) -> Matrix:
+    try:
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.full_like(matrix, np.nan)
+
+
+@dataclass(kw_only=True)
+class Ends:
+    """How the lanes ended.
+
+    Attributes
+    ----------
+    y, rows
+        The last iterate that was accepted and its evaluation, (lanes, n) and (lanes, width).
+    converged
+        Which of them are roots, (lanes,).
+    evaluations
+        How often each lane was evaluated, (lanes,).
+    history
+        The iterations, where there is one lane only.
+    """
+
+    y: Matrix
+    rows: Matrix
+    converged: NDArray[np.bool_]
+    evaluations: NDArray[np.int64]
+    history: tuple[Iteration, ...] = ()
+
+    def keep(self, lanes: Lanes, y: Matrix, rows: Matrix, root: NDArray[np.bool_], number: int) -> None:
+        """Note where the lanes at work stand after evaluation `number`."""
+        if len(lanes) == len(self.y):
+            self.y, self.rows, self.converged = y, rows, root
+            self.evaluations[:] = number
+        else:
+            self.y[lanes], self.rows[lanes], self.converged[lanes] = y, rows, root
+            self.evaluations[lanes] = number
+
+
+def newton(
+    evaluate: Evaluate,
+    start: Matrix,
+    columns: Columns,
+    *,
+    tolerance: float = 1e-11,
+    accuracy: float = ROUGHEST,
+    limit: int = 100,
+    max_step: float = np.inf,
+    watch: Watch | None = None,
+) -> Ends:
+    """Find a root in each lane.
+
+    Parameters
+    ----------
+    evaluate
+        The function.
+    start
+        First guesses, (lanes, n).
+    columns
+        Where the results of `evaluate` lie.
+    tolerance
+        On the largest component of the residual.
+    accuracy
+        Of the first evaluation: `ROUGHEST` for a guess, `FINEST` for what may be a root already.
+    limit
+        Most evaluations of a lane.
+    max_step
+        Largest component of one step; keeps a far start from leaving where the function is defined.
+    watch
+        Called after each iteration of a single lane.
+    """
+    if len(start) == 1:
+        return _one(evaluate, start, columns, tolerance, accuracy, limit, max_step, watch)
+    y = np.array(start, dtype=float)
+    count = len(y)
+    lanes, flown = np.arange(count), np.full(count, accuracy)
+    row = evaluate(lanes, y, flown, np.zeros((count, columns.n**2)))
+    ends = Ends(y=y, rows=row, converged=np.zeros(count, dtype=bool), evaluations=np.ones(count, dtype=np.int64))
+    alpha = _limited(np.ones(count), row, columns, max_step)
+    active = row[:, 2] < _ASTRAY
+    for number in range(2, limit + 1):
+        if not active.all():
+            lanes, y, row, alpha, flown = (array[active] for array in (lanes, y, row, alpha, flown))
+            if not len(lanes):
+                break
+        trial = y + alpha[:, None] * row[:, columns.step]
+        finer = np.clip(_FORCING * row[:, 0] ** 2, FINEST, ROUGHEST)  # a full step squares the residual
+        new = evaluate(lanes, trial, finer, row[:, columns.inverse])
+        good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, tolerance)
+        better = good[:, None]
+        y, row, flown = np.where(better, trial, y), np.where(better, new, row), np.where(good, finer, flown)
+        alpha = _limited(np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha), row, columns, max_step)
+        active = ~root & (alpha > _LEAST_DAMPING)
+        ends.keep(lanes, y, row, root, number)
+    return ends
+
+
+def _one(
+    evaluate: Evaluate,
+    start: Matrix,
+    columns: Columns,
+    tolerance: float,
+    accuracy: float,
+    limit: int,
+    max_step: float,
+    watch: Watch | None,
+) -> Ends:
+    """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
+    lanes, history = np.zeros(1, dtype=np.int64), []
+    y, flown, alpha, root, number = np.array(start, dtype=float), accuracy, 1.0, False, 1
+    row = evaluate(lanes, y, np.array([flown]), np.zeros((1, columns.n**2)))
+    head = row[0, :4].tolist()
+    alpha = _limited(alpha, row, columns, max_step)
+    while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root:
+        trial = y + alpha * row[:, columns.step]
+        finer = min(max(_FORCING * head[0] ** 2, FINEST), ROUGHEST)
+        new = evaluate(lanes, trial, np.array([finer]), row[:, columns.inverse])
+        number, ahead = number + 1, new[0, :4].tolist()
+        good, root = _judged(head, ahead, alpha, flown, finer, tolerance)
+        if good:
+            history.append(
+                Iteration(number=len(history) + 1, residual=ahead[0], step=math.sqrt(head[2]), damping=float(alpha))
+            )
+            if watch is not None:
+                watch(history[-1])
+            y, row, head, flown = trial, new, ahead, finer
+        alpha = _limited(min(1.0, 2.0 * alpha) if good else 0.5 * alpha, row, columns, max_step)
+    return Ends(y=y, rows=row, converged=np.array([root]), evaluations=np.array([number]), history=tuple(history))
+
+
+def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, tolerance: float) -> tuple[Any, Any]:
+    """Whether a trial is accepted, and whether a root is reached by it: of numbers, or of arrays of lanes.
+
+    `row` and `new` are the first four columns before and after.
+    """
+    residual, _, length, size = row
+    left, simplified, ahead, _ = new
+    length, size = length**0.5, 1.0 + size**0.5
+    good = (simplified**0.5 <= (1.0 - 0.5 * alpha) * length) | (length < 1e-12 * size)
+    # Within the error of a rough evaluation nothing can be compared.
+    good |= (flown > FINEST) & (left <= _NOISE * flown) | (finer > FINEST) & (left <= _NOISE * finer)
+    good &= ahead < _ASTRAY
+    settled = length <= _SETTLED * size
+    root = good & settled & (alpha == 1.0) & (finer <= FINEST) & (left <= tolerance)
+    # At round-off no step is an improvement: that is a root, if the residual says so.
+    stuck = (flown <= FINEST) & ((residual <= ROUND_OFF) | settled & (residual <= tolerance))
+    return good, root | (good ^ True) & stuck
+
+
+def _limited(alpha: Any, row: Matrix, columns: Columns, max_step: float) -> Any:
+    """Damping that keeps the largest component of each step within `max_step`."""
+    if math.isinf(max_step):
+        return alpha
+    limited = np.minimum(alpha, max_step / np.maximum(np.abs(row[:, columns.step]).max(axis=1), 1e-300))
+    return limited if np.ndim(alpha) else float(limited[0])

@@ -1,0 +1,276 @@
+"""The flight plan of a boundary value problem: what is flown, leg by leg, and the algebra between the legs.
+
+A *leg* is one arc: a phase, or in multiple shooting a segment of one, whose start is then an unknown and whose gap to
+the leg before is a residual. The *opening* of a leg gives its start from the unknowns and the end of the leg before,
+with the derivative by the unknowns that can move it, by sparsity; the *closing* turns the ends of all legs into the
+residual and what Newton makes of it. A change of the unknowns moves the end of a leg by
+
+    dz(T) = S(T) dz(0) + z'(T) dT,
+
+which goes through the link into the seeds of the next leg, or into the residual's derivative.
+
+Free parameters and end conditions that are ranges may be *held*, each lane of a batch having its own choice: the
+row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
+
+Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out of all this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.conditions.pontryagin import Conditions
+from perilune.kernels import Engine
+from perilune.shooting.newton import Columns
+from perilune.shooting.propagate import Equations, engine, equations
+
+#: Up to so many coupled unknowns Newton's step is compiled with the residual; beyond, LAPACK takes over.
+COMPILED = 12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Leg:
+    """One arc of the plan.
+
+    Parameters
+    ----------
+    flown, arcs
+        What is integrated, and what integrates it with its columns.
+    opening
+        (Y, p) or (Y, p, end z, end rate, columns of the leg before) -> z0, duration, mode, seeds.
+    follows
+        Whether the opening takes the end of the leg before.
+    """
+
+    flown: Equations
+    arcs: Engine
+    opening: ca.Function
+    follows: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """Legs and closing of `conditions` with a number of `segments` for each phase.
+
+    Attributes
+    ----------
+    at_free
+        Where the free parameters begin among the unknowns that Newton moves.
+    size, active
+        Length of the whole vector of unknowns (y, then the states at the joints), and which of them Newton moves.
+    rows
+        Which rows of the whole residual are left, in the order of the closing's.
+    closing
+        (Y, choice, p, inverse, then z, rate and columns of each leg) -> what `columns` names, where `compiled`;
+        otherwise without `inverse` -> residual, Jacobian, and what follows the inverse in `columns`.
+    columns
+        Where the closing's results lie; after Newton's own dJ/dq of each free parameter, the value of each range,
+        and J.
+    free, held
+        Free parameters, and how many things can be held: these, then ranges.
+    """
+
+    conditions: Conditions
+    segments: int
+    legs: tuple[Leg, ...]
+    at_free: int
+    size: int
+    active: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    closing: ca.Function
+    columns: Columns
+    compiled: bool
+    free: int
+    held: int
+
+
+def plan(conditions: Conditions, segments: int) -> Plan:
+    """Derive the plan."""
+    return _Tracing(conditions, segments).plan()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _End:
+    """Symbols of a leg's end, and dz/dY there."""
+
+    z: ca.SX
+    rate: ca.SX
+    columns: ca.SX
+    slope: ca.SX
+
+    @property
+    def symbols(self) -> list[ca.SX]:
+        return [self.z, self.rate, self.columns]
+
+
+class _Tracing:
+    """Traces the legs in order of flight."""
+
+    def __init__(self, conditions: Conditions, segments: int) -> None:
+        self.conditions, self.segments = conditions, segments
+        self.flown = [
+            equations(phase, needed, silent)
+            for phase, needed, silent in zip(conditions.phases, conditions.needed, conditions.silent, strict=True)
+        ]
+        count, silent = len(conditions.unknowns), {unknown for _, unknown in conditions.silent_rows}
+        active, size = [i for i in range(count) if i not in silent], count
+        self.nodes: dict[tuple[int, int], list[int]] = {}  # where the start of a later segment lies in the whole Y
+        for k, (phase, flown) in enumerate(zip(conditions.phases, self.flown, strict=True)):
+            for j in range(1, segments):
+                self.nodes[k, j] = [size + i for i in flown.kept.tolist()]
+                active += self.nodes[k, j]
+                size += 2 * phase.half
+        self.size, self.active = size, active
+        self.Y = ca.SX.sym("Y", len(active))
+        self.whole = ca.SX.zeros(size, 1)
+        self.whole[active] = self.Y
+        self.y = self.whole[:count]
+        self.p = ca.SX.sym("p", conditions.residual.size1_in(2))
+
+    def plan(self) -> Plan:
+        """Trace legs and closing."""
+        legs, ends, gaps = [], [], []
+        before: _End | None = None
+        for k in range(len(self.flown)):
+            for j in range(self.segments):
+                leg, end = self._leg(k, j, before)
+                if j and before is not None:
+                    node = self.whole[self.nodes[k, j]]
+                    gaps.append((before.z - node, before.slope - ca.jacobian(node, self.Y)))
+                legs.append(leg)
+                ends.append(end)
+                before = end
+        closing, columns, compiled = self._closing(ends, gaps)
+        c = self.conditions
+        count, silent = len(c.residuals), {row for row, _ in c.silent_rows}
+        rows = [i for i in range(count) if i not in silent] + [i for at in self.nodes.values() for i in at]
+        return Plan(
+            conditions=c,
+            segments=self.segments,
+            legs=tuple(legs),
+            at_free=self.active.index(c.free_at.start) if c.free_at.stop > c.free_at.start else 0,
+            size=self.size,
+            active=np.array(self.active),
+            rows=np.array(rows),
+            closing=closing,
+            columns=columns,
+            compiled=compiled,
+            free=c.free_at.stop - c.free_at.start,
+            held=c.free_at.stop - c.free_at.start + len(c.ranges),
+        )
+
+    def _leg(self, k: int, j: int, before: _End | None) -> tuple[Leg, _End]:
+        extremal, flown = self.conditions.phases[k], self.flown[k]
+        kept = flown.kept.tolist()
+        whole_before = self._whole(k - 1, before) if before is not None and k else ca.SX(0, 1)
+        z0, duration = self.conditions.starts[k](self.y, whole_before, self.p)
+        if j:
+            z0 = ca.SX.zeros(*z0.shape)
+            z0[kept] = self.whole[self.nodes[k, j]]
+        start, duration = z0[kept], duration / self.segments
+        slope = ca.jacobian(start, self.Y)
+        follows = before is not None and k > 0 and j == 0
+        if follows and before is not None:
+            slope += ca.mtimes(ca.jacobian(start, before.z), before.slope)
+        slope = ca.sparsify(slope)
+        moving = sorted(set(slope.sparsity().get_triplet()[1]))
+        seeds = slope[:, moving]
+        symbols = [self.Y, self.p, *(before.symbols if follows and before is not None else [])]
+        results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(seeds)]
+        pattern = np.array(ca.DM.ones(seeds.sparsity()).full(), dtype=bool)
+        arcs = engine(flown, tuple(tuple(row) for row in pattern.tolist()))
+        leg = Leg(
+            flown=flown,
+            arcs=arcs,
+            opening=ca.Function("opening", symbols, ca.cse([ca.SX(r) for r in results])),
+            follows=follows,
+        )
+        return leg, self._end(flown, moving, arcs.system.pattern, duration)
+
+    def _end(self, flown: Equations, moving: list[int], pattern: ca.Sparsity, duration: ca.SX) -> _End:
+        size = len(flown.kept)
+        z, rate = ca.SX.sym("z", size), ca.SX.sym("rate", size)
+        columns = ca.SX.sym("S", size * len(moving))
+        slope = ca.SX(size, len(self.active))
+        slope[:, moving] = ca.project(ca.reshape(columns, len(moving), size).T, pattern)
+        slope = ca.sparsify(slope) + ca.mtimes(rate, ca.sparsify(ca.jacobian(duration, self.Y)))
+        return _End(z=z, rate=rate, columns=columns, slope=slope)
+
+    def _whole(self, k: int, end: _End) -> ca.SX:
+        """All of z at the end of phase k: zero where it is not flown."""
+        z = ca.SX.zeros(2 * self.conditions.phases[k].half, 1)
+        z[self.flown[k].kept.tolist()] = end.z
+        return z
+
+    def _closing(self, ends: list[_End], gaps: list[tuple[ca.SX, ca.SX]]) -> tuple[ca.Function, Columns, bool]:
+        c, Y, n = self.conditions, self.Y, len(self.active)
+        last = ends[self.segments - 1 :: self.segments]
+        zf = ca.vertcat(*(self._whole(k, end) for k, end in enumerate(last)))
+        plain, cost = c.residual(self.y, zf, self.p)
+        free = list(range(c.free_at.start, c.free_at.stop))
+        masks, values = (ca.SX.sym(name, len(free) + len(c.ranges)) for name in ("mask", "value"))
+        held = [(c.stationarity_at.start + i, self.y[at]) for i, at in enumerate(free)]
+        residual = ca.SX(plain)
+        for i, (row, value) in enumerate(held):
+            residual[row] = masks[i] * (value - values[i]) + (1 - masks[i]) * plain[row]
+        for i, (row, nu) in enumerate(c.ranges, start=len(free)):
+            residual[row] = masks[i] * (plain[row] - values[i]) + (1 - masks[i]) * self.y[nu]
+        silent = {row for row, _ in c.silent_rows}
+        residual = ca.simplify(residual[[i for i in range(residual.numel()) if i not in silent]])
+        slope = ca.jacobian(residual, Y)
+        for end in last:
+            slope += ca.mtimes(ca.jacobian(residual, end.z), end.slope)
+        h = ca.densify(ca.vertcat(residual, *(gap for gap, _ in gaps)))
+        J = ca.sparsify(ca.vertcat(slope, *(gap_slope for _, gap_slope in gaps)))
+        extra = ca.vertcat(plain[c.stationarity_at], plain[[row for row, _ in c.ranges]], cost)
+        columns = Columns(n=n, extra=extra.numel())
+        order = _peeled(J)
+        compiled = n - len(order) <= COMPILED
+        arguments = [Y, ca.vertcat(masks, values), self.p]
+        flights = [s for end in ends for s in end.symbols]
+        if not compiled:
+            results = ca.densify(ca.vertcat(h, ca.vec(ca.densify(J).T), extra))
+            return ca.Function("closing", [*arguments, *flights], [ca.cse(results)]), columns, False
+        old = ca.SX.sym("inverse", n * n)
+        inverse = _inverse(J, order)
+        step = -ca.mtimes(inverse, h)
+        simplified = ca.mtimes(ca.reshape(old, n, n).T, h)
+        size = ca.fabs(h[0])
+        for i in range(1, n):
+            size = ca.fmax(size, ca.fabs(h[i]))
+        head = ca.vertcat(size, ca.sumsqr(simplified), ca.sumsqr(step), ca.sumsqr(Y))
+        results = ca.vertcat(head, h, step, ca.vec(ca.densify(inverse).T), extra)
+        closing = ca.Function("closing", [*arguments, old, *flights], [ca.cse(ca.densify(results))])
+        return closing, columns, True
+
+
+def _peeled(J: ca.SX) -> list[tuple[int, int]]:
+    """(row, column) of the unknowns that stand in one row only, then of those that do so once these are gone, ..."""
+    pattern = np.array(ca.DM.ones(J.sparsity()).full(), dtype=bool)
+    rows, found = np.ones(len(pattern), dtype=bool), []
+    left = set(range(pattern.shape[1]))
+    while alone := [c for c in sorted(left) if pattern[rows, c].sum() == 1]:
+        row = int(np.nonzero(pattern[:, alone[0]] & rows)[0][0])
+        found.append((row, alone[0]))
+        rows[row] = False
+        left.discard(alone[0])
+    return found
+
+
+def _inverse(J: ca.SX, peeled: list[tuple[int, int]]) -> ca.SX:
+    """J^-1: of the coupled core by an orthogonal factorisation, then row by row what was peeled off it."""
+    n = J.size1()
+    rows = [i for i in range(n) if i not in {row for row, _ in peeled}]
+    known = [i for i in range(n) if i not in {column for _, column in peeled}]
+    inverse, unit = ca.SX(n, n), ca.SX.eye(n)
+    if rows:
+        inverse[known, rows] = ca.inv(ca.densify(J[rows, known]))
+    for row, column in reversed(peeled):
+        rest = ca.sparsify(ca.mtimes(J[row, known], inverse[known, :])) if known else ca.SX(1, n)
+        inverse[column, :] = (unit[row, :] - rest) / J[row, column]
+        known.append(column)
+    return ca.sparsify(inverse)

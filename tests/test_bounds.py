@@ -1,0 +1,239 @@
+"""What may sit on a bound: ranges at ends, free parameters, durations. Closed forms, both methods, proved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from perilune.methods.genetic import Genetic
+from perilune.methods.hybrid import Hybrid
+from perilune.methods.indirect import Indirect
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.problem.controls import Bounded
+from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.solution import Nature
+from perilune.problem.verification import Check
+from perilune.scenario import load_text
+from perilune.solve import solve, verify
+from perilune.words.outcome import Outcome, PeriluneError
+
+Method = Indirect | Pseudospectral
+METHODS: list[Method] = [Indirect(), Pseudospectral()]
+
+
+def push(lower: float = -math.inf, upper: float = math.inf, **given: float) -> Problem:
+    """Least energy, the integral of u^2/2, over 1 m in 1 s from rest; the end speed within a range."""
+    phase = Phase(
+        name="push",
+        states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s"), Variable(name="cost", unit="m^2/s^3")),
+        controls=(Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.length, x.v),
+        end_conditions=(
+            Variable(name="place", unit="m"),
+            Variable(name="speed", unit="m/s", lower=lower, upper=upper),
+        ),
+        typical_end=lambda p, m: (p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
+    )
+    numbers = {"T": (1.0, "s"), "length": (1.0, "m")}
+    return Problem(
+        name="push",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given={name: Given(value=given.get(name, v), unit=unit) for name, (v, unit) in numbers.items()},
+        objective=lambda x, p, m: x.cost,
+        objective_unit="m^2/s^3",
+    )
+
+
+def energy(distance: float, start_speed: float, end_speed: float, time: float = 1.0) -> float:
+    """Least integral of u^2/2 between speeds over a distance: u = a + b t meets both conditions."""
+    matrix = np.array([[time, time**2 / 2], [time**2 / 2, time**3 / 6]])
+    a, b = np.linalg.solve(matrix, [end_speed - start_speed, distance - start_speed * time])
+    return 0.5 * (a * a * time + a * b * time**2 + b * b * time**3 / 3)
+
+
+# -- ranges at ends. Left free, the end speed is 1.5 m/s: the costate of the speed vanishes there.
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize(
+    ("lower", "upper", "speed", "sign"),
+    [(0.0, 2.0, 1.5, 0), (0.0, 1.0, 1.0, 1), (1.8, math.inf, 1.8, -1), (-math.inf, 1.2, 1.2, 1)],
+    ids=["inside", "at the upper bound", "at the lower bound", "with one bound"],
+)
+def test_a_range_at_the_end(
+    method: Indirect | Pseudospectral, lower: float, upper: float, speed: float, sign: int
+) -> None:
+    problem = push(lower, upper)
+    solution = solve(problem, method)
+    assert solution.outcome is Outcome.PROVED and solution.verification.level == 3
+    assert solution.objective == pytest.approx(energy(1.0, 0.0, speed), rel=1e-9)
+    assert solution.trajectories[0].state.values[-1, 1] == pytest.approx(speed, abs=1e-9)
+    # dJ*/d(speed) = -nu, which pulls towards 1.5 m/s from either side.
+    slope = (energy(1.0, 0.0, speed + 1e-4) - energy(1.0, 0.0, speed - 1e-4)) / 2e-4
+    assert solution.multipliers["push.speed"] == pytest.approx(-slope, abs=1e-8)
+    assert np.sign(round(solution.multipliers["push.speed"], 6)) == sign
+    for other in METHODS:  # and from there and back
+        assert other.run(problem, guess=solution).objective == pytest.approx(solution.objective, rel=1e-9)
+
+
+@pytest.mark.parametrize("upper", [1.0, 2.0])
+def test_a_range_between_phases(upper: float) -> None:
+    """The first half must end slower than that: one that binds, and one that does not."""
+    base = push()
+    half = base.phases[0]
+
+    def phase(name: str, duration: str, where: float, conditions: tuple[Variable, ...]) -> Phase:
+        return replace(
+            half, name=name, duration=duration, end_conditions=conditions,
+            end=lambda x, p, m: (x.x - where * p.length, x.v)[: len(conditions)],
+            typical_end=lambda p, m: (where * p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
+        )  # fmt: skip
+
+    place, speed = half.end_conditions[0], Variable(name="speed", unit="m/s", upper=upper)
+    problem = replace(
+        base,
+        phases=(phase("first", "T", 0.5, (place, speed)), phase("second", "T2", 1.0, (place,))),
+        links=(lambda x, p, m: (x.x, x.v, x.cost),),
+        given={**base.given, "T2": Given(value=1.0, unit="s")},
+    )
+    speeds = np.linspace(0.0, upper, 20001)
+    # Over the second half the end speed is free: u ends at zero, and the energy is 3/2 (distance - v)^2.
+    best = min(energy(0.5, 0.0, v) + 1.5 * (0.5 - v) ** 2 for v in speeds.tolist())
+    solution = solve(problem)
+    assert solution.outcome is Outcome.PROVED
+    assert solution.objective == pytest.approx(best, rel=1e-7)
+    binding = speeds[-1] < 0.7
+    assert (solution.multipliers["first.speed"] > 1e-6) == binding
+
+
+def failed(checks: Sequence[Check]) -> set[str]:
+    return {c.name for c in checks if not c.passed}
+
+
+def test_the_proof_sees_a_range_that_is_left_and_a_wrong_sign() -> None:
+    """The free optimum, sold as that of a range it lies outside of; and that of an equality as that of a range."""
+    free, fixed = solve(push(0.0, 2.0), level=0), solve(push(0.0, 1.0), level=0)
+    assert "speed" in failed(verify(replace(free, problem=push(0.0, 1.0))).checks)
+    assert "range_speed" in failed(verify(replace(fixed, problem=push(1.0, 2.0))).checks)
+    inside = failed(verify(replace(fixed, problem=push(0.0, 2.0))).checks)
+    assert {"transversality", "multipliers"} <= inside
+
+
+def test_an_empty_range_is_refused() -> None:
+    with pytest.raises(PeriluneError, match="bounds of speed are empty"):
+        push(2.0, 1.0)
+
+
+def test_a_population_knows_ranges() -> None:
+    found = Hybrid(Genetic(population=32, generations=10), Indirect()).run(push(0.0, 1.0))
+    assert found.objective == pytest.approx(energy(1.0, 0.0, 1.0), rel=1e-9)
+
+
+# -- any number of bounded free parameters
+
+
+def shove(place: tuple[float, float], speed: tuple[float, float], time: tuple[float, float]) -> Problem:
+    """Where to start, how fast, and how long, each within bounds and at a price: J is quadratic in the first two."""
+    base = push(1.0, 1.5)
+    return replace(
+        base,
+        start=lambda p, m: (p.a, p.b, 0.0 * p.price_a * p.a * p.a),
+        given={
+            "length": Given(value=1.0, unit="m"),
+            "price_a": Given(value=4.0, unit="1/s^3"),
+            "price_b": Given(value=1.0, unit="1/s"),
+            "price_T": Given(value=1.5, unit="m^2/s^4"),
+        },
+        free=(
+            Free(name="a", unit="m", lower=place[0], upper=place[1], typical=0.1),
+            Free(name="b", unit="m/s", lower=speed[0], upper=speed[1], typical=0.1),
+            Free(name="T", unit="s", lower=time[0], upper=time[1], typical=1.0),
+        ),
+        objective=lambda x, p, m: x.cost + p.price_a * p.a * p.a + p.price_b * p.b * p.b + p.price_T * p.T,
+    )
+
+
+def least(place: tuple[float, float], speed: tuple[float, float], time: tuple[float, float]) -> float:
+    """The same by SciPy, from many starts."""
+    from scipy.optimize import minimize
+
+    def cost(z: np.ndarray) -> float:
+        a, b, end, t = z
+        return energy(1.0 - a, b, end, t) + 4.0 * a * a + b * b + 1.5 * t
+
+    bounds = [place, speed, (1.0, 1.5), time]
+    starts = product(*[(low + 0.2 * (high - low), low + 0.7 * (high - low)) for low, high in bounds])
+    return min(float(minimize(cost, start, bounds=bounds, tol=1e-15).fun) for start in starts)
+
+
+BOUNDED = [
+    ((-1.0, 1.0), (-1.0, 2.0), (0.2, 5.0)),
+    ((-1.0, 0.05), (-1.0, 2.0), (0.2, 5.0)),
+    ((-1.0, 1.0), (-1.0, 0.3), (0.2, 5.0)),
+    ((-1.0, 0.05), (-1.0, 0.3), (0.2, 5.0)),
+    ((-1.0, 0.05), (-1.0, 0.3), (0.2, 0.9)),
+    ((0.6, 1.0), (1.2, 2.0), (1.4, 5.0)),
+]
+
+
+@pytest.mark.parametrize("bounds", BOUNDED, ids=str)
+def test_which_parameters_sit_on_a_bound_is_found(bounds: tuple[tuple[float, float], ...]) -> None:
+    problem = shove(*bounds)
+    best = least(*bounds)
+    for method in METHODS:
+        solution = solve(problem, method)
+        assert solution.objective == pytest.approx(best, rel=1e-8)
+        assert solution.outcome is Outcome.PROVED
+    solution = solve(problem, level=0)
+    held = [
+        name for name, pair in zip(("a", "b", "T"), bounds, strict=True)
+        if any(solution.free[name] == pytest.approx(limit, abs=1e-9) for limit in pair)
+    ]  # fmt: skip
+    assert (solution.extremals[0].nature is Nature.BEST_AT_BOUND) == bool(held)
+    again = solve(problem, guess=solution, level=0)
+    assert again.objective == pytest.approx(best, rel=1e-8)
+    assert again.free == pytest.approx(solution.free, abs=1e-9)
+
+
+def test_a_guess_is_held_at_the_bound_it_runs_into() -> None:
+    """From the answer between wide bounds to that between narrow ones, and back."""
+    wide, narrow = (solve(shove(*bounds), level=0) for bounds in (BOUNDED[0], BOUNDED[4]))
+    there = solve(shove(*BOUNDED[4]), guess=wide, level=0)
+    back = solve(shove(*BOUNDED[0]), guess=narrow, level=0)
+    assert (there.objective, back.objective) == pytest.approx((narrow.objective, wide.objective), rel=1e-9)
+
+
+# -- what is no answer
+
+SMALL_BODY = """
+[body]
+name = "ceres"
+[vehicle]
+mass = "300 kg"
+thrust = "300 N"
+specific_impulse = "440 s"
+[retro]
+specific_impulse = "320 s"
+[orbit]
+parking_altitude = "60 km"
+perilune_altitude = "5 km"
+[landing]
+altitude = "4.9 km"
+"""
+
+
+def test_a_negative_flight_time_is_no_answer() -> None:
+    """100 m above the site the equations have an extremal that ends 296 s before it begins, with 320.6 of 300 kg."""
+    solution = solve(load_text(SMALL_BODY))
+    assert solution.outcome is Outcome.PROVED
+    assert solution.free["flight_time"] == pytest.approx(276.294515538, rel=1e-9)
+    assert all(extremal.free["flight_time"] > 0 for extremal in solution.extremals)
+    assert len(solution.extremals) == 1  # and none is listed twice

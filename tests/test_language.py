@@ -1,0 +1,205 @@
+"""The language of physics: choices that end an arc, tables, fractional powers, in both methods and in the proof."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+import perilune as pl
+from perilune.problem.tape import Tape
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from test_control_law import given, variables
+
+
+def refraction(slow: float = 0.5) -> pl.Problem:
+    """Least time from (0, 1) to (1, -1): speed 1 above y = 0, slower below. Snell's law."""
+    phase = pl.Phase(
+        name="ray",
+        states=variables(x="m", y="m"),
+        controls=(pl.Direction(names=("cx", "cy")),),
+        dynamics=lambda x, u, p, m: (
+            m.where(x.y > p.border, p.fast, p.slow) * u.cx,
+            m.where(x.y > p.border, p.fast, p.slow) * u.cy,
+        ),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far, x.y + p.far),
+        end_conditions=variables(across="m", down="m"),
+    )
+    return pl.Problem(
+        name="refraction",
+        phases=(phase,),
+        start=lambda p, m: (0.0, p.far),
+        given=given(fast=(1.0, "m/s"), slow=(slow, "m/s"), far=(1.0, "m"), border=(0.0, "m")),
+        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
+        objective=lambda x, p, m: p.T,
+        objective_unit="s",
+    )
+
+
+def test_light_bends_at_a_choice() -> None:
+    """The costate along the surface is kept, the other jumps; sin(a)/sin(b) is the ratio of speeds."""
+    from scipy.optimize import minimize_scalar
+
+    best = minimize_scalar(lambda c: math.hypot(c, 1) + 2 * math.hypot(1 - c, 1), bounds=(0, 1), method="bounded",
+                           options={"xatol": 1e-12})  # fmt: skip
+    solution = pl.solve(refraction(), level=0)
+    assert solution.objective == pytest.approx(best.fun, abs=1e-10)
+    path = solution.trajectories[0]
+    lam = path.costate
+    assert lam is not None
+    before, after = lam(0.0), lam(path.duration)
+    assert before[0] == pytest.approx(after[0], abs=1e-10)
+    assert np.linalg.norm(before) == pytest.approx(1.0, abs=1e-10)
+    assert np.linalg.norm(after) == pytest.approx(2.0, abs=1e-10)
+
+
+def layered(kind: str) -> pl.Problem:
+    """A fall with drag through air of two layers, its density continuous; the landing speed is known by quadrature."""
+
+    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
+        if kind == "where":
+            density = m.where(x.h > p.H, 0.5 * m.exp(-(x.h - p.H) / p.H), 1.0 - 0.5 * x.h / p.H)
+        else:
+            density = m.table(AIR, x.h / p.H)
+        return (x.v, -p.g + p.k * density * x.v * x.v)
+
+    phase = pl.Phase(
+        name="fall", states=variables(h="m", v="m/s"), dynamics=dynamics, duration="T",
+        end=lambda x, p, m: (x.h,), end_conditions=variables(ground="m"),
+    )  # fmt: skip
+    return pl.Problem(
+        name="layers",
+        phases=(phase,),
+        start=lambda p, m: (p.h0, 0.0),
+        given=given(h0=(3.0, "m"), H=(1.0, "m"), g=(1.0, "m/s^2"), k=(0.4, "1/m")),
+        free=(pl.Free(name="T", unit="s", lower=0.1, upper=20.0, typical=3.0),),
+        objective=lambda x, p, m: p.T,
+        objective_unit="s",
+    )
+
+
+HEIGHTS = np.linspace(0.0, 4.0, 21)
+AIR = pl.Table(tuple(HEIGHTS), tuple(np.exp(-HEIGHTS)))
+
+
+@pytest.mark.parametrize("kind", ["where", "table"])
+def test_air_in_layers_and_in_a_table(kind: str) -> None:
+    """d(v^2)/dh = -2 g + 2 k rho(h) v^2 backwards from rest, by SciPy."""
+    from scipy.integrate import solve_ivp
+
+    spline = make_interp_spline(AIR.x, AIR.y, k=5)
+
+    def density(h: float) -> float:
+        if kind == "table":
+            return float(spline(h))
+        return 0.5 * math.exp(1 - h) if h > 1 else 1 - 0.5 * h
+
+    flown = solve_ivp(
+        lambda h, w: -2.0 + 0.8 * density(h) * w, (3.0, 0.0), [0.0], rtol=1e-11, atol=1e-13, max_step=0.05
+    )
+    solution = pl.solve(layered(kind), level=1)
+    assert solution.outcome is pl.Outcome.PROVED
+    end = solution.trajectories[0].state.values[-1]
+    assert end[1] == pytest.approx(-math.sqrt(flown.y[0, -1]), abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["smooth", "monotone", "linear"])
+def test_a_table_is_its_data_everywhere(kind: Any) -> None:
+    import casadi as ca
+
+    from perilune.problem.symbolic import SYMBOLIC
+
+    table = pl.Table((0.0, 1.0, 2.0, 4.0), (1.0, 3.0, 3.5, 3.6), kind)
+    x = np.array([-0.5, 0.0, 0.3, 1.0, 1.7, 2.0, 3.9, 4.0, 5.0])
+    s = ca.SX.sym("s")
+    symbolic = np.array(ca.Function("t", [s], [SYMBOLIC.table(table, s)]).map(len(x))(x)).ravel()
+    assert symbolic == pytest.approx(table(x), abs=1e-13)
+    assert table(np.array(table.x)) == pytest.approx(table.y, abs=1e-14)
+    slope = np.imag(table(x + 1e-30j)) / 1e-30
+    assert slope[0] == pytest.approx((table(0.0) - table(-0.5)) / 0.5)
+    if kind == "monotone":
+        assert (np.diff(table(np.linspace(0, 4, 200))) >= 0).all()
+    with pytest.raises(PeriluneError, match="increasing order"):
+        pl.Table((0.0, 2.0, 1.0), (1.0, 2.0, 3.0), kind)
+    with pytest.raises(PeriluneError, match="finite"):
+        pl.Table((0.0, 1.0, 2.0), (1.0, math.nan, 3.0), kind)
+
+
+def test_choices_and_tables_travel() -> None:
+    """A tape that reads a table and chooses, written as JSON and read back, computes the same."""
+    for kind in ("where", "table"):
+        expression = layered(kind).form.expressions[0, "dynamics"]
+        names = {"x": ("h", "v"), "u": (), "p": ("T", "h0", "H", "g", "k")}
+        back = replace(expression, tape=Tape.read(expression.tape.document(), names, "fall"))
+        phase = layered(kind).phases[0]
+        p = layered(kind).parameters({"T": 3.0})
+        for h in (0.3, 1.0, 2.7):
+            at = phase.state_record(h, -0.5), phase.control_record(), p
+            assert back(*at, NUMERIC) == pytest.approx(phase.dynamics(*at, NUMERIC), rel=1e-15)
+
+
+def test_a_choice_by_a_control_is_refused_by_the_indirect_method() -> None:
+    base = refraction()
+    by_control = replace(
+        base.phases[0], dynamics=lambda x, u, p, m: (m.where(u.cx > u.cy, p.fast, p.slow) * u.cx, p.fast * u.cy)
+    )
+    with pytest.raises(PeriluneError, match="depends on a control"):
+        pl.solve(replace(base, phases=(by_control,)), level=0)
+
+
+def reentry() -> pl.Problem:
+    """The Apollo re-entry of Stoer and Bulirsch, 7.3.7, lengths in 1e5 ft taken for metres: least heating."""
+
+    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
+        density = p.rho0 * m.exp(-p.beta * x.h)
+        drag, lift = 1.174 - 0.9 * m.cos(u.u), 0.6 * m.sin(u.u)
+        far = 1 + x.h / p.R
+        push = 0.5 * p.area_per_mass * density * x.v
+        return (
+            -push * x.v * drag - p.g * m.sin(x.gamma) / (far * far),
+            push * lift + x.v * m.cos(x.gamma) / (p.R * far) - p.g * m.cos(x.gamma) / (x.v * far * far),
+            x.v * m.sin(x.gamma),
+            p.heating * x.v * x.v * x.v * m.sqrt(density),
+        )
+
+    phase = pl.Phase(
+        name="entry",
+        states=variables(v="m/s", gamma="rad", h="m", J="kg^0.5*m^1.5/s^3"),
+        controls=(pl.Bounded(name="u", unit="rad"),),
+        dynamics=dynamics,
+        duration="T",
+        end=lambda x, p, m: (x.v - p.v1, x.gamma, x.h - p.h1),
+        end_conditions=variables(speed="m/s", level="rad", height="m"),
+        typical_end=lambda p, m: (p.v1, 0.0, p.h1, 0.03 * p.heating * p.v1 * p.v1 * p.v1 * m.sqrt(p.rho0) * p.T),
+    )
+    return pl.Problem(
+        name="reentry",
+        phases=(phase,),
+        start=lambda p, m: (p.v0, p.gamma0, p.h0, 0.0 * p.heating * p.v0**3 * m.sqrt(p.rho0) * p.T),
+        given=given(
+            R=(209.0, "m"), beta=(4.26, "1/m"), rho0=(2.704e-3, "kg/m^3"), g=(3.2172e-4, "m/s^2"),
+            area_per_mass=(53200.0, "m^2/kg"), heating=(10.0, "1/s"), v0=(0.36, "m/s"), v1=(0.27, "m/s"),
+            gamma0=(math.radians(-8.1), "rad"), h0=(4.0, "m"), h1=(2.5, "m"),
+        ),
+        free=(pl.Free(name="T", unit="s", lower=100.0, upper=400.0, typical=135.0),),
+        objective=lambda x, p, m: x.J,
+        objective_unit="kg^0.5*m^1.5/s^3",
+        scales=pl.Scales(length=4.0, time=10.0, mass=1.0),
+    )  # fmt: skip
+
+
+def test_the_re_entry_of_stoer_and_bulirsch() -> None:
+    """An angle in lift and drag; T = 224.900756, J = 0.027782408828, u from 68.2206 to -67.3773 degrees."""
+    rough = pl.solve(reentry(), pl.Pseudospectral(segments=3, refine=0), level=0)
+    solution = pl.solve(reentry(), guess=rough, level=0)
+    assert solution.objective == pytest.approx(0.027782408828, abs=1e-11)
+    assert solution.free["T"] == pytest.approx(224.900756, abs=1e-5)
+    control = solution.trajectories[0].control
+    assert np.degrees(control(0.0))[0] == pytest.approx(68.2206, abs=1e-3)
+    assert np.degrees(control(solution.free["T"]))[0] == pytest.approx(-67.3773, abs=1e-3)

@@ -1,0 +1,112 @@
+"""Newton in lanes on functions whose roots are known: damping, outcomes, round-off; one lane and many."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from newton_toys import toy
+from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, newton, rows
+from perilune.words.watch import Iteration
+
+ONE = Columns(n=1)
+ATAN = toy(np.arctan, lambda y: 1 / (1 + y**2))
+
+
+def run(function: Evaluate, *starts: float, **settings: Any) -> Ends:
+    return newton(function, np.array(starts)[:, None], ONE, **settings)
+
+
+@pytest.mark.parametrize("starts", [(3.0,), (3.0, -2.0, 0.5, 40.0)], ids=["one", "many"])
+def test_damping_brings_back_what_full_steps_lose(starts: tuple[float, ...]) -> None:
+    """The arctangent: beyond 1.39 undamped Newton leaves for infinity."""
+    ends = run(ATAN, *starts)
+    assert ends.converged.all()
+    assert ends.y == pytest.approx(0.0, abs=1e-11)
+
+
+def test_a_lane_of_many_does_what_it_does_alone() -> None:
+    together = run(ATAN, 3.0, -2.0, 0.5)
+    for i, start in enumerate((3.0, -2.0, 0.5)):
+        alone = run(ATAN, start)
+        assert (together.y[i], together.evaluations[i]) == (alone.y[0], alone.evaluations[0])
+
+
+def test_iterations_of_one_lane_are_shown() -> None:
+    seen: list[Iteration | str] = []
+    ends = newton(ATAN, np.array([[3.0]]), ONE, watch=seen.append)
+    assert tuple(seen) == ends.history
+    assert [i.number for i in ends.history] == list(range(1, len(ends.history) + 1))
+    assert ends.history[0].damping < 1.0 == ends.history[-1].damping
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+def test_it_stops_honestly(copies: int) -> None:
+    """No root, a singular derivative, and NaN: each ends without convergence."""
+    for function, start in (
+        (toy(lambda y: y**2 + 1, lambda y: 2 * y), 0.7),
+        (toy(lambda y: y - 1, np.zeros_like), 0.0),
+        (toy(lambda y: np.full_like(y, np.nan), np.ones_like), 0.0),
+    ):
+        ends = run(function, *[start] * copies)
+        assert not ends.converged.any()
+        assert ends.evaluations.max() <= 100
+
+
+def test_one_singular_lane_does_not_stop_the_others() -> None:
+    flat = toy(lambda y: np.where(y > 5, 1.0, y - 1), lambda y: np.where(y > 5, 0.0, 1.0))
+    ends = run(flat, 0.0, 9.0, 2.0)
+    assert ends.converged.tolist() == [True, False, True]
+    assert ends.y[[0, 2], 0].tolist() == [1.0, 1.0]
+
+
+def test_evaluations_are_limited_and_counted() -> None:
+    ends = run(ATAN, 40.0, 0.1, limit=4)
+    assert ends.converged.tolist() == [False, True]
+    assert ends.evaluations[0] == 4
+
+
+def test_steps_are_limited() -> None:
+    """No component of y moves by more than asked."""
+    at: list[float] = []
+
+    def noted(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+        at.append(float(y[0, 0]))
+        return rows(y, y - 10, np.ones((1, 1, 1)), inverse, np.zeros((1, 0)))
+
+    assert run(noted, 0.0, max_step=3.0).converged.all()
+    assert np.abs(np.diff(at)).max() <= 3.0
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_a_residual_that_is_round_off_is_a_root(copies: int) -> None:
+    """A function that is only known to 3e-13, and so steep an inverse that its noise is a long step.
+
+    Beside it the same noise a thousand times larger: that is no root.
+    """
+
+    def noisy(size: float) -> Evaluate:
+        def evaluate(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+            return rows(y, np.full_like(y, size), np.full((len(y), 1, 1), 1e-8), inverse, np.zeros((len(y), 0)))
+
+        return evaluate
+
+    assert run(noisy(3e-13), *[0.0] * copies, accuracy=FINEST).converged.all()
+    assert not run(noisy(3e-10), *[0.0] * copies, accuracy=FINEST).converged.any()
+
+
+@pytest.mark.parametrize("copies", [1, 4])
+def test_no_root_is_claimed_from_a_rough_evaluation(copies: int) -> None:
+    """h = y - 1 with an error of the accuracy that was asked for: the root is found to the finest."""
+    asked: list[float] = []
+
+    def rough(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+        asked.append(float(accuracy.max()))
+        return rows(y, y - 1 + accuracy[:, None], np.ones((len(y), 1, 1)), inverse, np.zeros((len(y), 0)))
+
+    ends = run(rough, *[0.0] * copies)
+    assert ends.converged.all()
+    assert ends.y == pytest.approx(1.0, abs=2 * FINEST)
+    assert asked[0] > 1e3 * FINEST and asked[-1] == FINEST
