@@ -63,7 +63,7 @@ def sweep_answer(order: SweepOrder) -> Answer:
     from perilune.report.family import family_csv, family_document, write_family
 
     with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, _workers(order.workers) as executor:
-        family = sweep(problem, over, level=order.level, watch=watch, **options, **executor)
+        family = sweep(problem, over, level=order.level, watch=watch, executor=executor, **options)
     if family.points and all(p.outcome is Outcome.INFEASIBLE for p in family.points):
         first, names = family.points[0].message, " and ".join(family.parameters)
         raise InfeasibleError(f"no value of {names} is possible", got=first, advice="try another range")
@@ -82,17 +82,17 @@ def sweep_answer(order: SweepOrder) -> Answer:
 
 
 @contextmanager
-def _workers(count: int) -> Iterator[dict[str, Executor]]:
+def _workers(count: int) -> Iterator[Executor | None]:
     """Processes to compute in, where more than one is asked for."""
     if count < 2:
-        yield {}
+        yield None
         return
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
     # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_leave_interrupts) as pool:
-        yield {"executor": pool}
+        yield pool
 
 
 def _leave_interrupts() -> None:
