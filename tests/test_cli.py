@@ -86,7 +86,7 @@ def test_a_refusal_has_its_code_and_its_parts(
     told = capsys.readouterr()
     document = read_json(told.out)
     assert document["outcome"] == outcome
-    assert set(document["error"]) == {"what", "got", "expected", "try"}
+    assert set(document["error"]) == {"what", "got", "expected", "try"} | ({"reason"} if code == 3 else set())
     assert document["error"]["what"] in told.err
     assert run(arguments) == code
     told = capsys.readouterr()
@@ -216,11 +216,24 @@ def test_what_solve_writes_can_be_verified_again(
     assert read_json(capsys.readouterr().out)["outcome"] == "NOT_PROVED"
 
 
-def test_a_landing_below_the_dry_mass_is_infeasible(capsys: pytest.CaptureFixture[str], solved: list[Problem]) -> None:
-    # 154.54 kg land, more than the rocket equation alone forbids.
-    assert run(["solve", ORDINARY, "--json", "--set", "vehicle.dry_mass=160 kg"]) == 3
-    assert "not enough propellant" in read_json(capsys.readouterr().out)["error"]["what"]
-    assert len(solved) == 1
+def test_a_landing_below_the_dry_mass_is_infeasible(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    # 160.62 kg land at best, more than the rocket equation alone forbids; what is left says nothing but the refusal.
+    out = tmp_path / "out"
+    arguments = ["solve", HYBRID, "--set", "vehicle.dry_mass=161 kg", "--out", str(out), "--json"]
+    assert run(arguments) == 3
+    document = read_json(capsys.readouterr().out)
+    assert "m reaches" in document["error"]["got"]
+    assert snapshot(out).keys() == {"failure.json"}
+    assert "PROVED" not in (out / "failure.json").read_text(encoding="utf-8")
+
+
+def test_what_cannot_be_flown_leaves_its_refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(["solve", HYBRID, "--set", "vehicle.thrust=4 N", "--out", str(out), "--json"]) == 3
+    error = read_json(capsys.readouterr().out)["error"]
+    assert error["reason"] == "cannot be flown"
+    assert snapshot(out).keys() == {"failure.json"}
+    assert read_json((out / "failure.json").read_text(encoding="utf-8"))["error"] == error
 
 
 def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None:
@@ -240,23 +253,21 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
 ) -> None:
     module = importlib.import_module("perilune.families.sweep")
-    asked: list[list[float]] = []
 
-    def sweep(problem: Problem, over: dict[str, list[float]], *, level: int, watch: Any) -> Any:
-        ((name, values),) = over.items()
-        asked.append(values)
-        points = [module.FamilyPoint(value=values[0], solution=ordinary)]
-        points += [module.FamilyPoint(value=v, solution=None, message="did not\nconverge") for v in values[1:]]
-        return module.Family(problem=problem, parameter=name, unit="N", points=tuple(points))
+    def solve_one(problem: Problem, *_: Any) -> Any:
+        if problem.given["vehicle_thrust"].value < 440.0:
+            raise NotConvergedError("did not\nconverge")
+        return ordinary, None
 
-    monkeypatch.setattr(module, "sweep", sweep)
+    monkeypatch.setattr(module, "_solve_one", solve_one)
     out = tmp_path / "family"
     arguments = ["sweep", ORDINARY, "--vary", "vehicle.thrust=440:0.4:-219.8 N", "--out", str(out)]
     assert run([*arguments, "--json"]) == 4
     document = read_json(capsys.readouterr().out)
-    assert asked == [[440.0, pytest.approx(220.2)]]
     assert [p["value"] for p in document["points"]] == pytest.approx([440.0, 220.2, 0.4])
+    assert "did not" in document["points"][1]["message"]
     assert "too weak" in document["points"][2]["message"]
+    assert [p["outcome"] for p in document["points"]] == ["SOLVED", "NOT_CONVERGED", "INFEASIBLE"]
     assert {"family.csv", "family.json", "family.png", "family.svg"} == set(snapshot(out))
     assert run([*arguments, "--force"]) == 4
     assert capsys.readouterr().out == (out / "family.csv").read_text(encoding="utf-8")

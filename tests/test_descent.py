@@ -20,6 +20,7 @@ from perilune.models.descent import Ignition, Site, Steering, powered_descent
 from perilune.models.landing import Vehicle
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.rotating import gravity, heading_axes, local_axes, place, potential
+from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.maths import NUMERIC
@@ -371,7 +372,8 @@ def test_bad_input_is_named(make: Callable[[], object], text: str) -> None:
         (lambda: approach(throttle=(0.1, 0.2)), "cannot stop the descent"),
     ],
 )  # fmt: skip
-def test_the_impossible_is_refused(make: Callable[[], object], text: str) -> None:
-    """By the limit and by how much it is missed."""
+def test_the_impossible_is_refused(make: Callable[[], Problem], text: str) -> None:
+    """By the limit and by how much it is missed; the problem itself may be stated."""
+    problem = make()
     with pytest.raises(InfeasibleError, match=text):
-        make()
+        refuse_impossible(preflight(problem))

@@ -149,16 +149,14 @@ def test_impossible_vehicles(change: dict[str, float], words: str) -> None:
 
 def test_impossible_orbits() -> None:
     """Perilune above the parking orbit, or below the site."""
-    with pytest.raises(PeriluneError, match="perilune lies above the parking orbit"):
-        Orbit(parking_altitude=15e3, perilune_altitude=100e3)
-    with pytest.raises(PeriluneError, match="perilune lies below the landing site"):
-        hybrid_landing(
-            Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0),
-            None,
-            Orbit(parking_altitude=100e3, perilune_altitude=5e3),
-            CHO_MOON,
-            landing_altitude=6e3,
-        )
+    lander = Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0)
+    for parking, perilune, site, words in (
+        (15e3, 100e3, 0.0, "perilune lies above the parking orbit"),
+        (100e3, 5e3, 6e3, "perilune lies below the landing site"),
+    ):
+        orbit = Orbit(parking_altitude=parking, perilune_altitude=perilune)
+        with pytest.raises(InfeasibleError, match=words):
+            solve(hybrid_landing(lander, None, orbit, CHO_MOON, landing_altitude=site))
 
 
 def test_too_weak_a_lander_is_refused() -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from perilune.models.bodies import MOON
+from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text, template, values_of
 from perilune.scenario.text import LARGEST_FILE
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -98,7 +99,7 @@ def test_a_change_may_add_a_section() -> None:
         ("vehicle.mass=nan kg", "vehicle.mass - this is not a quantity", ""),
         ("vehicle.mass=-300 kg", "vehicle.mass is out of range", ""),
         ("vehicle.mass=0 kg", "vehicle.mass is out of range", ""),
-        ("vehicle.mass=300 lb", "vehicle.mass - this is not a unit", ""),
+        ("vehicle.mass=300 stone", "vehicle.mass - this is not a unit", ""),
         ("vehicle.mass=9**9**9 m", "vehicle.mass - this is not a unit", ""),
         ("vehicle.mass=300 g", "vehicle.thrust is more than a lander withstands", "g in place of kg"),
         ("vehicle.thrust=440 kN", "vehicle.thrust is more than a lander withstands", "kN in place of N"),
@@ -142,9 +143,8 @@ def test_a_slip_is_named_with_what_to_try(change: str, what: str, advice: str) -
     ],
 )
 def test_an_impossible_orbit_is_infeasible(change: str, what: str) -> None:
-    error = refused(change)
-    assert isinstance(error, InfeasibleError)
-    assert what in error.what
+    with pytest.raises(InfeasibleError, match=what):
+        refuse_impossible(preflight(load_file(HYBRID, [change]).problem))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from perilune.cli.methods import NAMES, method_of
 from perilune.reproductions.peng2012.case import CASE, problem
 from perilune.scenario import load_file, load_text
 from perilune.scenario.sections import DOCUMENTS, sections_of
+from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
 POLAR = ROOT / "examples" / "polar_descent.toml"
@@ -41,7 +42,7 @@ def test_choices_reach_the_model() -> None:
     assert phase.state_names == ("r", "theta", "phi", "u", "v", "w", "m")
     assert len(phase.end_conditions) == 4
     assert stated.objective_unit == "s"
-    bounds = {c.names[0]: (getattr(c, "lower", None), getattr(c, "upper", None)) for c in phase.controls}
+    bounds = {c.names[0]: stated.bounds(c) for c in phase.controls}
     assert bounds["throttle"] == (0.2, 0.9)
     assert bounds["beta"] == pytest.approx((math.radians(150), math.radians(220)))
     assert stated.given["body_j2"].value == 2.03e-4
@@ -54,15 +55,16 @@ def test_the_precision_landing_is_the_file_s() -> None:
     assert given["corridor_pad_radius"] == 10.0
     assert given["site_altitude"] == 0.0
     assert given["vehicle_dry_mass"] == 1200.0
-    controls = load_file(PRECISION).problem.phases[0].controls
-    assert (controls[1].lower, controls[1].upper) == (0.3, 0.9)  # type: ignore[union-attr]
+    problem = load_file(PRECISION).problem
+    assert problem.bounds(problem.phases[0].controls[1]) == (0.3, 0.9)
+    assert problem.bounds(problem.phases[0].states[-1])[0] == 1200.0
 
 
 def test_a_share_may_be_written_with_and_without_quotes() -> None:
     """There is no unit that could be guessed wrongly."""
     text = PRECISION.read_text(encoding="utf-8")
     quoted = text.replace("lower = 0.3", 'lower = "0.3"').replace("upper = 0.9", "upper = 1")
-    assert load_text(quoted).phases[0].controls[1].upper == 1.0  # type: ignore[union-attr]
+    assert load_text(quoted).given["throttle_upper"].value == 1.0
 
 
 def test_every_kind_is_stated_by_an_example() -> None:
@@ -123,11 +125,16 @@ def test_a_slip_is_named(file: Path, change: str, what: str, also: str) -> None:
         (PRECISION, "corridor.slope=60 deg", "begins below the glide slope"),
         (PRECISION, "throttle.lower=0.85", "hovers or climbs"),
         (PRECISION, "vehicle.thrust=2 kN", "cannot stop the descent"),
+        (PRECISION, "approach.up_speed=-300 m/s", "descent is too fast"),
+        (POLAR, "start.vertical_speed=-400 m/s", "descent is too fast"),
     ],
 )
-def test_the_impossible_is_infeasible(file: Path, change: str, what: str) -> None:
-    with pytest.raises(InfeasibleError, match=what):
-        load_file(file, [change])
+def test_the_impossible_is_infeasible(file: Path, change: str, what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InfeasibleError, match=what) as caught:
+        solve(load_file(file, [change]).problem)
+    assert caught.value.reason == "cannot be flown"
+    assert run(["check", str(file), "--set", change, "--json"]) == 3
+    assert read_json(capsys.readouterr().out)["error"]["what"] == caught.value.what
 
 
 @pytest.mark.parametrize(
@@ -193,7 +200,7 @@ def test_the_direct_method_starts_at_the_pole_of_the_papers_coordinates(capsys: 
     ("arguments", "what"),
     [
         (["solve", str(POLAR), "--method", "shooting"], "no method of this name"),
-        (["sweep", str(PRECISION), "--vary", "throttle.lower=0.1:0.3:0.1"], "throttle.lower cannot be varied"),
+        (["sweep", str(PRECISION), "--vary", "problem.kind=0.1:0.3:0.1"], "no key with a quantity of this name"),
         (["reproduce", "peng-2013", "--out", "x"], "no paper of this name"),
     ],
 )

@@ -20,6 +20,7 @@ _EXPORTS = {
     "Free": "perilune.problem.problem",
     "Scales": "perilune.words.units",
     "Table": "perilune.words.maths",
+    "Finding": "perilune.problem.preflight",
     "Solution": "perilune.problem.solution",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
@@ -34,6 +35,7 @@ _EXPORTS = {
     "MOON": "perilune.models.bodies",
     "load": "perilune.io.reload",
     "save": "perilune.io.export",
+    "preflight": "perilune.problem.preflight",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
     "verify": "perilune.solve",
@@ -45,6 +47,7 @@ __all__ = [
     "Bounded",
     "Check",
     "Direction",
+    "Finding",
     "Free",
     "Genetic",
     "Given",
@@ -64,6 +67,7 @@ __all__ = [
     "Verification",
     "load",
     "models",
+    "preflight",
     "save",
     "solve",
     "sweep",
@@ -81,6 +85,7 @@ if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Free, Given, Phase, Problem, Variable
     from perilune.problem.solution import Solution
     from perilune.problem.verification import Check, Verification

@@ -1,4 +1,4 @@
-"""The main verb: check the problem, run a method, prove the answer."""
+"""The main verb: compare the problem with what physics allows, run a method, prove the answer."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
+from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.outcome import Outcome
@@ -47,9 +48,12 @@ def solve(
 
     Raises
     ------
-    NotConvergedError, InfeasibleError
+    InfeasibleError
+        If a binding comparison of `perilune.problem.preflight` is missed, or as the method says.
+    NotConvergedError
         As the method says.
     """
+    refuse_impossible(preflight(problem))
     return prove((method or Indirect()).run(problem, guess, watch), level)
 
 
@@ -72,7 +76,7 @@ def verify(
     solution, level
         What to check, and how far.
     resolve
-        Solves the neighbouring problems of level 3; by default `solve`, from the solution and unverified.
+        Solves the neighbouring problems of level 3; by default ``Indirect()``, from the solution.
     other
         The other method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
     """
@@ -82,4 +86,4 @@ def verify(
 
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:
-    return solve(problem, guess=guess, level=0)
+    return Indirect().run(problem, guess)

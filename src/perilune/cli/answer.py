@@ -63,7 +63,7 @@ def refusal(error: PeriluneError, code: int) -> Answer:
     parts = {"what": error.what, "got": error.got, "expected": error.expected, "try": error.advice}
     document: dict[str, Any] = {"outcome": OUTCOME_OF_CODE.get(code, "REFUSED"), "error": parts}
     if isinstance(error, InfeasibleError):
-        document["error"]["reason"] = error.reason
+        parts["reason"] = error.reason
     if isinstance(error, NotConvergedError):
         document["partial"] = error.partial
     return Answer(text=f"perilune: {error}", document=document, exit_code=code)

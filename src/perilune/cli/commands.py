@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +17,9 @@ from perilune.cli.answer import INTERRUPTED, Answer, deliver, forsake_stdout, re
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, note, progress, refuse_used, warn
 from perilune.reproductions.papers import PAPERS
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 if TYPE_CHECKING:
-    from perilune.families.sweep import Family
     from perilune.problem.problem import Problem
     from perilune.problem.solution import Solution
 
@@ -118,24 +117,23 @@ def _solve(
     file: Path, changes: list[str], out: Path | None, verbose: bool, force: bool, level: int, method: str
 ) -> Answer:
     from perilune.cli.methods import method_of
-    from perilune.models.preflight import check_propellant, preflight
+    from perilune.problem.preflight import preflight
     from perilune.scenario import load_file
 
     chosen = method_of(method)
     scenario = load_file(file, changes)
-    found = preflight(scenario.problem)
     refuse_used(out, force)
-    warn(found)
-    from perilune.report import write_all
+    warn(preflight(scenario.problem))
     from perilune.solve import solve as solve_problem
 
     log: deque[str] = deque(maxlen=LONGEST_LOG)
     with progress(verbose, log) as watch, failure_kept(scenario, out, force, log):
         solution = solve_problem(scenario.problem, chosen, level=level, watch=watch)
         if out is not None:
+            from perilune.report import write_all
+
             watch("writing files and figures")
             write_all(solution, out, scenario_text=scenario.text, ordinary=_beside(solution), force=force)
-    check_propellant(solution)
     return _solution_answer(solution, verbose, out)
 
 
@@ -190,8 +188,13 @@ def _sweep(
     values = values_of(key.strip(), text)
     problem = _varied(file, changes, key.strip(), values)
     refuse_used(out, force)
+    from perilune.families.sweep import sweep as sweep_problem
+
     with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        family = _family(problem, key.strip().replace(".", "_"), values, level, watch)
+        family = sweep_problem(problem, {key.strip(): values}, level=level, watch=watch)
+    if family.points and all(p.outcome is Outcome.INFEASIBLE for p in family.points):
+        first = family.points[0].message
+        raise InfeasibleError(f"no value of {family.parameter} is possible", got=first, advice="try another range")
     from perilune.report.family import family_csv, family_document, write_family
 
     if out is not None:
@@ -224,33 +227,6 @@ def _varied(file: Path, changes: list[str], key: str, values: list[float]) -> Pr
     return problem
 
 
-def _family(problem: Problem, name: str, values: list[float], level: int, watch: Callable[..., None]) -> Family:
-    """The family, in which values that pre-flight refuses, or that burn more than there is, say so."""
-    from perilune.families.sweep import failed_point, sweep as sweep_problem
-    from perilune.models.preflight import check_propellant, preflight
-
-    refused = {}
-    for value in values:
-        try:
-            preflight(problem.with_given(**{name: value}))
-        except PeriluneError as error:
-            refused[value] = failed_point(value, error)
-    possible = [value for value in values if value not in refused]
-    if not possible:
-        raise InfeasibleError(
-            f"no value of {name} is possible", got=refused[values[0]].message, advice="try another range"
-        )
-    family = sweep_problem(problem, {name: possible}, level=level, watch=watch)
-    solved = {point.value: point for point in family.points}
-    for value, point in solved.items():
-        try:
-            if point.solution is not None:
-                check_propellant(point.solution)
-        except InfeasibleError as error:
-            solved[value] = failed_point(value, error)
-    return replace(family, points=tuple({**refused, **solved}[v] for v in values if v in refused or v in solved))
-
-
 @app.command()
 def check(file: ScenarioFile, changes: Changes = None, as_json: Json = False) -> None:
     """Validate a scenario and compare it with what physics allows, without solving."""
@@ -258,11 +234,11 @@ def check(file: ScenarioFile, changes: Changes = None, as_json: Json = False) ->
 
 
 def _check(file: Path, changes: list[str]) -> Answer:
-    from perilune.models.preflight import findings, refuse_impossible
+    from perilune.problem.preflight import preflight, refuse_impossible
     from perilune.scenario import load_file
 
     problem = load_file(file, changes).problem
-    found = findings(problem)
+    found = preflight(problem)
     rows = [
         {
             "name": f.name,
@@ -303,12 +279,9 @@ def verify(
 
     def work() -> Answer:
         from perilune.io.reload import load
-        from perilune.models.preflight import check_propellant
         from perilune.solve import prove
 
-        solution = prove(load(directory), level)
-        check_propellant(solution)
-        return _solution_answer(solution, verbose)
+        return _solution_answer(prove(load(directory), level), verbose)
 
     deliver(as_json, work)
 

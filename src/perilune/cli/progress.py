@@ -16,7 +16,7 @@ from perilune.cli.answer import INTERRUPTED, refusal, stopped
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
-    from perilune.models.preflight import Finding
+    from perilune.problem.preflight import Finding
     from perilune.scenario import Scenario
     from perilune.words.watch import Iteration
 
@@ -52,9 +52,9 @@ def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | s
 
 
 def warn(found: Sequence[Finding]) -> None:
-    """Print every comparison that did not pass."""
+    """Print every comparison that warns; one that forbids the flight is the refusal's to say."""
     for f in found:
-        if not f.passed:
+        if f.verdict == "warning":
             limit = f"{f.limit:.4g} {f.unit}".removesuffix(" 1")
             print(f"warning: {f.meaning} ({f.name} {f.value:.4g}, limit {limit})", file=sys.stderr)
 

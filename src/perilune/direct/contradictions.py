@@ -69,7 +69,7 @@ def _check_start(problem: Problem) -> None:
     for state, value, scale in zip(phase.states, values, state_scales(problem, phase), strict=True):
         # The free parameters were NaN: what is a number does not depend on them.
         if not math.isnan(value):
-            _check_inside(f"the start puts {state.name}", state, value * scale, scale)
+            _check_inside(f"the start puts {state.name}", state, problem.bounds(state), value * scale, scale)
 
 
 def _check_end(problem: Problem, phase: Phase) -> None:
@@ -90,16 +90,17 @@ def _check_end(problem: Problem, phase: Phase) -> None:
         value, gradient = (float(v) for v in at_zero(0.0, 0.0, canonical_given(problem)))
         state, scale = phase.states[j], state_scales(problem, phase)[j]
         what = f"the end condition {condition.name} of {phase.name} puts {state.name}"
-        _check_inside(what, state, -value / gradient * scale, scale)
+        _check_inside(what, state, problem.bounds(state), -value / gradient * scale, scale)
 
 
-def _check_inside(what: str, state: Variable, value: float, scale: float) -> None:
-    over = max(state.lower - value, value - state.upper)
+def _check_inside(what: str, state: Variable, bounds: tuple[float, float], value: float, scale: float) -> None:
+    lower, upper = bounds
+    over = max(lower - value, value - upper)
     if over > SLACK * scale:
         raise InfeasibleError(
             f"{what} outside its bounds",
             got=f"{value:.9g} {state.unit}, which is {over:.3g} {state.unit} outside",
-            expected=f"between {state.lower:g} and {state.upper:g} {state.unit}",
+            expected=f"between {lower:g} and {upper:g} {state.unit}",
             advice="widen the bound, or change the condition",
         )
 

@@ -54,7 +54,7 @@ def segment_error(phase: Phase, segment: Segment, p: Any, tolerance: float) -> V
     """
     at = np.union1d(segment.state.points, np.linspace(-1.0, 1.0, 3 * len(segment.state.points)))
     x, u = segment.state(at), admissible(phase.controls, segment.control(at).T, p).T
-    lower, upper = (np.array([getattr(s, side) for s in phase.states]) for side in ("lower", "upper"))
+    lower, upper = np.array([s.limits(p) for s in phase.states]).T
     outside = np.maximum(0.0, np.maximum(lower - x, x - upper)).max(axis=0)
     path = [np.maximum(0.0, -np.asarray(value)).max() for value in phase.evaluate("path", list(x.T), list(u.T), p)]
     return np.concatenate([np.maximum(_simulated(phase, segment, p, tolerance, at, x), outside), path])
@@ -121,7 +121,7 @@ def switches(phase: Phase, flown: Sequence[Segment], p: Any) -> list[float]:
     fraction = (time - flown[0].begin) / (flown[-1].end - flown[0].begin)
     control = np.concatenate([s.control.values for s in flown])
     state = np.concatenate([s.state(s.control.points) for s in flown])
-    found = _met(state, [(s.lower, s.upper) for s in phase.states], STATE_AT_BOUND)
+    found = _met(state, [s.limits(p) for s in phase.states], STATE_AT_BOUND)
     for at, bounded in scalars(phase.controls):
         if bounded.bounded:
             share = bounded.share(control[:, [at]], p)

@@ -197,11 +197,12 @@ class Program:
     def _bounds(self) -> tuple[Vector, Vector]:
         problem, scales = self.problem, free_scales(self.problem.free, self.problem)
         ends: list[list[Any]] = [[], []]
+        p = problem.parameters({})
         for side, sign, name in ((0, -1.0, "lower"), (1, 1.0, "upper")):
             ends[side].append(np.array([getattr(f, name) for f in problem.free], dtype=float) / scales)
             for phase, mesh, layout in zip(problem.phases, self.meshes, self.layouts, strict=True):
                 ends[side].append(np.array(mesh.joints[1:-1]) + sign * np.array(mesh.free))
-                state = np.array([getattr(s, name) for s in phase.states], dtype=float) / state_scales(problem, phase)
+                state = np.array([s.limits(p)[side] for s in phase.states], dtype=float) / state_scales(problem, phase)
                 ends[side].append(np.tile(state, layout.starts[-1] + 1))
                 ends[side].append(_control_bounds(problem, phase, mesh, sign).ravel())
         return np.concatenate(ends[0]), np.concatenate(ends[1])
@@ -244,7 +245,8 @@ class Program:
 def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
     """Canonical bounds of an end condition's value."""
     scale = problem.scales.of(condition.unit)
-    return (condition.lower / scale, condition.upper / scale) if condition.ranged else (0.0, 0.0)
+    lower, upper = condition.limits(problem.parameters({}))
+    return (lower / scale, upper / scale) if condition.ranged else (0.0, 0.0)
 
 
 def _layout(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:

@@ -14,6 +14,7 @@ import numpy as np
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
+from perilune.problem.preflight import member, preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.continuation import Member, follow
@@ -84,12 +85,14 @@ def sweep(
     points: list[FamilyPoint] = []
     base: Member | None = None
     interrupted = False
+    found = preflight(problem, {name: values})  # of all members at once
     try:
-        for value in values:
+        for i, value in enumerate(values):
             say(f"{name} = {value:g} {problem.unit_of(name)}")
             before = points[-1].value if points else None
             try:
                 here = problem.with_given(**{name: value})
+                refuse_impossible(member(found, i))
                 solution, base = _solve_one(here, name, before, base, settings, level, say)
                 points.append(FamilyPoint(value=value, solution=solution))
             except PeriluneError as error:

@@ -195,7 +195,8 @@ def beyond_shooting(rough: Solution, conditions: Conditions) -> tuple[str, str] 
         for state, values, scale in zip(
             phase.states, flown.state(t).T, state_scales(rough.problem, phase), strict=True
         ):
-            if min(np.min(values) - state.lower, state.upper - np.max(values)) <= 1e-6 * scale:
+            lower, upper = rough.problem.bounds(state)
+            if min(np.min(values) - lower, upper - np.max(values)) <= 1e-6 * scale:
                 return (
                     f"in the direct solution {state.name} of {phase.name} reaches its bound",
                     "Pseudospectral(), or an end condition in place of the bound",

@@ -162,7 +162,8 @@ class ControlFitness:
         scales = state_scales(self.problem, phase)
         for i, (state, scale) in enumerate(zip(phase.states, scales, strict=True)):
             x = states[1:, i]
-            broken.append(np.maximum(np.maximum(state.lower / scale - x, x - state.upper / scale), 0.0))
+            lower, upper = self.problem.bounds(state)
+            broken.append(np.maximum(np.maximum(lower / scale - x, x - upper / scale), 0.0))
         return np.linalg.norm(end, axis=0) + np.sqrt(np.mean(np.square(broken), axis=1).sum(axis=0))
 
 
@@ -269,7 +270,8 @@ class CostateFitness:
 def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
     """By how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
     scales = [problem.scales.of(c.unit) for c in conditions]
-    missed = [c.missed(v * scale) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
+    p = problem.parameters({})
+    missed = [c.missed(v * scale, p) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
     return np.array(missed).reshape(len(conditions), -1)
 
 

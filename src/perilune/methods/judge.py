@@ -78,7 +78,7 @@ class Judge:
         t = np.linspace(0.0, arc.t[-1], _POINTS)
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
         for state, along in zip(phase.states, x, strict=True):
-            yield from self._outside(state.name, state.unit, along, state.lower, state.upper)
+            yield from self._outside(state.name, state.unit, along, *state.limits(self.problem.parameters(values)))
         if not phase.path_conditions:
             return
         u, p = controls(extremal, arc, t, self.p).T, self.problem.parameters(values)

@@ -10,26 +10,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, Literal
 
 from perilune.models.bodies import MOON, Body
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing
-from perilune.models.descent_frames import CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
-from perilune.models.landing import Vehicle
+from perilune.models.descent_frames import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
+from perilune.models.landing import Vehicle, mass_state
+from perilune.models.limits import (
+    SLACK,
+    braking,
+    engine_holds_dry_mass,
+    longest_burn,
+    propellant_stops,
+    speed_of_ground,
+    speed_to_lose,
+    stopping_distance,
+    thrust_against_weight,
+    velocity_change,
+)
 from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
 from perilune.problem.controls import Bounded, Control, Direction
+from perilune.problem.preflight import Finding
 from perilune.problem.problem import Free, Given, Phase, Problem
 from perilune.problem.views import History, Views
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 from perilune.words.units import Scales
 
-# Of the rocket-equation bounds, for the rotation and J2 that they leave out.
-_SLACK = 1.02
 _FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
 _START_UNITS = {
     **dict.fromkeys(("altitude",), "m"),
@@ -144,119 +155,109 @@ def _check_given(p: Any) -> None:
         thrust=p.vehicle_thrust,
         specific_impulse=p.vehicle_specific_impulse,
         standard_gravity=p.vehicle_standard_gravity,
+        dry_mass=getattr(p, "vehicle_dry_mass", None),
     )
     start = {name: getattr(p, f"start_{name}") for name in Ignition.__dataclass_fields__}
     site = {name: getattr(p, f"site_{name}") for name in Site.__dataclass_fields__}
     Ignition(**start)
     Site(**site)
+    if hasattr(p, "throttle_lower"):
+        check_throttle(p)
+    if hasattr(p, "steering_azimuth_lower"):
+        Steering(
+            elevation=(p.steering_elevation_lower, p.steering_elevation_upper),
+            azimuth=(p.steering_azimuth_lower, p.steering_azimuth_upper),
+        )
     if not -p.body_radius < p.site_altitude < p.start_altitude:
         raise PeriluneError(
             "the descent begins below the landing site",
             got=f"start {p.start_altitude / 1e3:g} km, site {p.site_altitude / 1e3:g} km",
             expected="start altitude > site altitude",
         )
-    if not 0 < propellant(p) <= p.vehicle_mass:
-        raise PeriluneError(
-            "the vehicle's dry mass leaves no propellant",
-            got=f"dry mass {p.vehicle_dry_mass:g} kg of {p.vehicle_mass:g} kg",
-            expected="0 <= dry_mass < mass",
-        )
 
 
-def propellant(p: Any) -> float:
-    """Mass that may be burnt [kg]; all of it where no dry mass is given."""
-    return p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)
+def _preflight(p: Any, m: Any, *, to_site: bool) -> tuple[Finding, ...]:
+    """Bounds of `perilune.models.limits`, and how far the propellant reaches."""
+    r_site = p.body_radius + p.site_altitude
+    position, velocity = CARTESIAN.start(p, m)[:3], CARTESIAN.start(p, m)[3:6]
+    found = [thrust_against_weight(p.site_altitude, p)]
+    found += engine_holds_dry_mass(r_site, p, m)
+    found.append(stopping_distance(position, velocity, AXIS, r_site, p, m))
+    if hasattr(p, "vehicle_dry_mass"):
+        found.append(propellant_stops(position, velocity, AXIS, r_site, p, m))
+        if to_site and not hasattr(p, "throttle_lower"):
+            found.append(_reach(position, velocity, r_site, p, m))
+    return tuple(found)
 
 
-def _check_speed(p: Any) -> tuple[float, float]:
-    """Return the speed to lose and the velocity change to be had [m/s], or refuse.
+def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding:
+    """Whether a burn at full thrust, which ends with the propellant, can fly as far as the site.
 
-    The speed that a fall to the site's level would give, s^2 = |v|^2 + 2 (U(site) - U(r)) with U = -mu/r, is
-    changed by thrust acceleration a by at most a. So s at the start must not exceed the velocity change B
-    that all propellant gives. Rotation and J2 are left out; `_SLACK` allows for them.
+    The speed w of `perilune.models.limits` gains and loses at most the velocity change B that all propellant gives,
+    and ends at the speed of the ground, so that it never exceeds (w(0) + w(t_f) + B)/2; the ground moves as well.
     """
-    r_start, r_site = p.body_radius + p.start_altitude, p.body_radius + p.site_altitude
-    fall = 2 * p.body_gravitational_parameter * (1 / r_site - 1 / r_start)
-    speed = math.hypot(p.start_forward_speed, p.start_sideways_speed, p.start_vertical_speed)
-    to_lose = math.sqrt(speed * speed + fall)
-    burnt = propellant(p)
-    exhaust_speed = p.vehicle_specific_impulse * p.vehicle_standard_gravity
-    budget = math.inf
-    if burnt < p.vehicle_mass:
-        budget = exhaust_speed * math.log(p.vehicle_mass / (p.vehicle_mass - burnt))
-    if to_lose > _SLACK * budget:
-        raise InfeasibleError(
-            "the propellant cannot take away the speed of the start and of the fall to the site",
-            got=f"{to_lose:.1f} m/s to lose",
-            expected=f"at most {budget:.1f} m/s, by the rocket equation with {burnt:g} kg of propellant",
-            advice="more propellant, a higher specific impulse, or a slower start",
-        )
-    return to_lose, budget
+    start, site = (local_axes(*where, m)[0] for where in (
+        (p.start_longitude, p.start_latitude), (p.site_longitude, p.site_latitude)
+    ))  # fmt: skip
+    way = r_site * m.acos(m.fmin(1.0, m.fmax(-1.0, dot(start, site))))
+    to_lose, ground = speed_to_lose(position, velocity, AXIS, r_site, p, m), speed_of_ground(r_site, p, m)
+    fastest = 0.5 * (to_lose + 2 * ground + velocity_change(p, m)) + ground
+    return Finding(
+        name="way to the site",
+        value=way / 1e3,
+        limit=SLACK * longest_burn(p) * fastest / 1e3,
+        at_least=False,
+        unit="km",
+        binding=True,
+        meaning="the site cannot be reached with this propellant",
+        advice="a nearer site, more propellant, or the target 'downrange' or 'anywhere'",
+    )
 
 
-def _check_reach(p: Any, to_lose: float, budget: float) -> None:
-    """Refuse a site beyond what a burn at full thrust can fly.
-
-    The speed s of `_check_speed` must come back to 0, so that it never exceeds (s(0) + B)/2.
-    """
-    places = ((p.start_longitude, p.start_latitude), (p.site_longitude, p.site_latitude))
-    above_start, above_site = (local_axes(*where, NUMERIC)[0] for where in places)
-    cosine = min(1.0, max(-1.0, float(dot(above_start, above_site))))
-    way = (p.body_radius + p.site_altitude) * math.acos(cosine)
-    reach = _SLACK * _longest_burn(p) * 0.5 * (to_lose + budget)
-    if way > reach:
-        raise InfeasibleError(
-            "the site cannot be reached with this propellant",
-            got=f"{way / 1e3:.1f} km from the point under the start",
-            expected=f"at most {reach / 1e3:.1f} km",
-            advice="a nearer site, more propellant, or the target 'downrange' or 'anywhere'",
-        )
-
-
-def _longest_burn(p: Any) -> float:
-    """Time in which full thrust burns all propellant [s]."""
-    return propellant(p) * p.vehicle_specific_impulse * p.vehicle_standard_gravity / p.vehicle_thrust
-
-
-def _ranges(p: Any, m: Any, *, to_site: bool, throttled: bool) -> dict[str, tuple[float, float, float]]:
-    """Bounds and order of magnitude of the flight time; refuses given values that are no descent."""
+def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+    """Bounds and order of magnitude of the flight time; refuses given values that make no sense together."""
     _check_given(p)
-    to_lose, budget = _check_speed(p)
-    if to_site and not throttled:
-        _check_reach(p, to_lose, budget)
-    exhaust_speed = p.vehicle_specific_impulse * p.vehicle_standard_gravity
-    exhausted = p.vehicle_mass * exhaust_speed / p.vehicle_thrust
     speed = m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
     # To stop the whole speed (rocket equation), and part of the time to drop the height by burns down and up.
-    stop = exhausted * (1 - m.exp(-speed / exhaust_speed))
+    _, stop = braking(speed, p, m)
     drop = m.sqrt((p.start_altitude - p.site_altitude) * p.vehicle_mass / p.vehicle_thrust)
-    longest = math.inf if throttled else _longest_burn(p)
-    return {"flight_time": (0.0, longest, m.fmin(stop + drop, 0.9 * _longest_burn(p)))}
+    longest = math.inf if hasattr(p, "throttle_lower") else longest_burn(p)
+    return {"flight_time": (0.0, longest, m.fmin(stop + drop, 0.9 * longest_burn(p)))}
 
 
-def _controls(coordinates: str, steering: Steering | None, throttle: tuple[float, float] | None) -> tuple[Control, ...]:
+def _controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
     controls: tuple[Control, ...] = (Direction(names=("toward_x", "toward_y", "toward_z")),)
     if coordinates == "spherical":
-        bounds = steering or Steering()
         controls = tuple(
-            Bounded(name=name, unit="rad", lower=lower, upper=upper)
-            for name, (lower, upper) in (("alpha", bounds.elevation), ("beta", bounds.azimuth))
+            Bounded(name=name, unit="rad", lower=f"steering_{angle}_lower", upper=f"steering_{angle}_upper")
+            for name, angle in (("alpha", "elevation"), ("beta", "azimuth"))
         )
-    return controls if throttle is None else (*controls, throttle_control(*throttle))
+    return (*controls, THROTTLE) if throttled else controls
 
 
-def throttle_control(lower: float, upper: float) -> Bounded:
-    """Return the control `throttle`, the share of full thrust."""
-    if not 0 <= lower < upper <= 1:
+THROTTLE = Bounded(name="throttle", lower="throttle_lower", upper="throttle_upper")  # share of full thrust
+
+
+def throttle_limits(throttle: tuple[float, float] | None) -> dict[str, Given]:
+    """Given parameters of the bounds of the throttle; none where thrust is constant."""
+    if throttle is None:
+        return {}
+    return {f"throttle_{side}": Given(value=value) for side, value in zip(("lower", "upper"), throttle, strict=True)}
+
+
+def check_throttle(p: Any) -> None:
+    """Refuse bounds that are no range of shares of full thrust."""
+    if not 0 <= p.throttle_lower < p.throttle_upper <= 1:
         raise PeriluneError(
             "the throttle's bounds are no range of shares of full thrust",
-            got=f"{lower:g} to {upper:g}",
+            got=f"{p.throttle_lower:g} to {p.throttle_upper:g}",
             expected="0 <= lower < upper <= 1",
         )
-    return Bounded(name="throttle", lower=lower, upper=upper)
 
 
-def _phase(coordinates: str, target: str, steering: Steering | None, controls: tuple[Control, ...]) -> Phase:
+def _phase(
+    coordinates: str, target: str, steering: Steering | None, controls: tuple[Control, ...], *, dry: bool
+) -> Phase:
     frame = _FRAMES[coordinates]
     end, end_conditions = frame.ends[target]
     path, path_conditions = frame.path, variables("m", "height_above_site")
@@ -270,7 +271,7 @@ def _phase(coordinates: str, target: str, steering: Steering | None, controls: t
         path, path_conditions = steered_path, (*path_conditions, *variables("rad", *margins))
     return Phase(
         name="descent",
-        states=frame.states,
+        states=(*frame.states, mass_state(dry)),
         controls=controls,
         dynamics=frame.dynamics,
         duration="flight_time",
@@ -288,7 +289,12 @@ def _phase(coordinates: str, target: str, steering: Steering | None, controls: t
     )
 
 
-def body_and_vehicle(body: Body, vehicle: Vehicle, dry_mass: float | None, j2: float) -> dict[str, Given]:
+def with_dry_mass(vehicle: Vehicle, dry_mass: float | None) -> Vehicle:
+    """The vehicle, with the dry mass that was stated beside it, if it was."""
+    return vehicle if dry_mass is None else replace(vehicle, dry_mass=dry_mass)
+
+
+def body_and_vehicle(body: Body, vehicle: Vehicle, j2: float) -> dict[str, Given]:
     """Given parameters of a body and a vehicle."""
     given = {
         "body_gravitational_parameter": Given(value=body.gravitational_parameter, unit="m^3/s^2"),
@@ -300,7 +306,9 @@ def body_and_vehicle(body: Body, vehicle: Vehicle, dry_mass: float | None, j2: f
         "vehicle_specific_impulse": Given(value=vehicle.specific_impulse, unit="s"),
         "vehicle_standard_gravity": Given(value=vehicle.standard_gravity, unit="m/s^2"),
     }
-    return given if dry_mass is None else {**given, "vehicle_dry_mass": Given(value=dry_mass, unit="kg")}
+    if vehicle.dry_mass is not None:
+        given["vehicle_dry_mass"] = Given(value=vehicle.dry_mass, unit="kg")
+    return given
 
 
 def section(name: str, record: Any, units: Mapping[str, str]) -> dict[str, Given]:
@@ -374,8 +382,10 @@ def powered_descent(
         Least and greatest share of full thrust; None is constant full thrust.
     minimise
         ``"propellant"``: J = -m(t_f) (29); ``"flight_time"``: J = t_f (19).
-    dry_mass, j2
-        What cannot be burnt [kg], None leaving that open; second zonal harmonic of the body, unnormalised.
+    dry_mass
+        The vehicle's dry mass [kg], where it is not stated in its record.
+    j2
+        Second zonal harmonic of the body, unnormalised.
 
     Returns
     -------
@@ -385,17 +395,18 @@ def powered_descent(
 
     Raises
     ------
-    PeriluneError, InfeasibleError
-        If the given values are no descent, or the rocket equation forbids it.
+    PeriluneError
+        If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
     _check_choices(coordinates, target, minimise)
-    given = body_and_vehicle(body, vehicle, dry_mass, j2) | _places(start, site)
-    given |= _steering_limits(steering if coordinates == "cartesian" else None)
-    ranges = partial(_ranges, to_site=target == "site", throttled=throttle is not None)
+    given = body_and_vehicle(body, with_dry_mass(vehicle, dry_mass), j2) | _places(start, site)
+    given |= _steering_limits(steering if coordinates == "cartesian" else steering or Steering())
+    given |= throttle_limits(throttle)
+    controls = _controls(coordinates, throttle is not None)
     return Problem(
         name="powered_descent",
         title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over the {body.name}",
-        phases=(_phase(coordinates, target, steering, _controls(coordinates, steering, throttle)),),
+        phases=(_phase(coordinates, target, steering, controls, dry="vehicle_dry_mass" in given),),
         start=_FRAMES[coordinates].start,
         given=given,
         free=(Free(name="flight_time", unit="s"),),
@@ -405,6 +416,7 @@ def powered_descent(
         result_variables=LANDING,
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
         views=_VIEWS,
-        ranges=ranges,
-        scales=_scales(start, vehicle, _at(given, ranges)),
+        ranges=_ranges,
+        preflight=partial(_preflight, to_site=target == "site"),
+        scales=_scales(start, vehicle, _at(given, _ranges)),
     )

@@ -44,7 +44,7 @@ from perilune.models.rotating import (
 from perilune.problem.problem import Variable
 from perilune.words.types import Physics
 
-_AXIS = (0.0, 0.0, 1.0)
+AXIS = (0.0, 0.0, 1.0)  # of the rotation, in the Cartesian frame
 
 
 # -- what both coordinate systems share
@@ -122,7 +122,7 @@ OUTPUTS = (
 def _cartesian_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     velocity = (x.vx, x.vy, x.vz)
     acceleration = combine(
-        (1, free_acceleration((x.x, x.y, x.z), velocity, _AXIS, p, m)),
+        (1, free_acceleration((x.x, x.y, x.z), velocity, AXIS, p, m)),
         (thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)),
     )
     return (*velocity, *acceleration, mass_rate(u, p))
@@ -174,7 +174,7 @@ def _cartesian_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _cartesian_spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    pull = apparent_gravity((x.x, x.y, x.z), _AXIS, p, m)
+    pull = apparent_gravity((x.x, x.y, x.z), AXIS, p, m)
     return spent((x.vx, x.vy, x.vz), thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
 
 
@@ -262,7 +262,7 @@ def _spherical_vectors(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
 
 def _spherical_spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     position, velocity, direction = _spherical_vectors(x, u, p, m)
-    return spent(velocity, thrust(u, p) / x.m, direction, apparent_gravity(position, _AXIS, p, m), m)
+    return spent(velocity, thrust(u, p) / x.m, direction, apparent_gravity(position, AXIS, p, m), m)
 
 
 def _spherical_inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
@@ -288,13 +288,12 @@ def variables(unit: str, *names: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name, unit=unit) for name in names)
 
 
-MASS = Variable(name="m", unit="kg", lower=0.0, description="mass", label="mass")
 _HEIGHT = Variable(name="touchdown_height", unit="m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
-    """A coordinate system: its states and the functions of a `Phase`; `ends` by the kind of target."""
+    """A coordinate system: its states but the mass, and the functions of a `Phase`; `ends` by the kind of target."""
 
     states: tuple[Variable, ...]
     dynamics: Physics
@@ -309,7 +308,7 @@ class Coordinates:
 
 
 CARTESIAN = Coordinates(
-    states=(*variables("m", "x", "y", "z"), *variables("m/s", "vx", "vy", "vz"), MASS),
+    states=(*variables("m", "x", "y", "z"), *variables("m/s", "vx", "vy", "vz")),
     dynamics=_cartesian_dynamics,
     start=_cartesian_start,
     ends={
@@ -331,7 +330,7 @@ CARTESIAN = Coordinates(
     typical_end=_cartesian_typical_end,
 )
 SPHERICAL = Coordinates(
-    states=(*variables("m", "r"), *variables("rad", "theta", "phi"), *variables("m/s", "u", "v", "w"), MASS),
+    states=(*variables("m", "r"), *variables("rad", "theta", "phi"), *variables("m/s", "u", "v", "w")),
     dynamics=_spherical_dynamics,
     start=_spherical_start,
     ends={

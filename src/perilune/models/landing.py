@@ -6,6 +6,11 @@ direction is the unit vector (cos beta, sin beta) on (transverse, radial), so th
 
 The retro burn is not a phase: it only moves the *free initial state* along the rocket equation (8),
 u0 = V0 - delta_v, m0 = M exp(-delta_v / c_imp); (9) of the paper prints m for M there.
+
+Before solving, the bounds of `perilune.models.limits` are compared with the least mass that must land. An ideal
+vehicle can burn all of its mass, so without such a mass nothing is fatal. It is `vehicle_dry_mass` where that is given,
+and else 10 % of the mass: that much propellant is found in the first stages of launchers, which do not carry it to
+another body. Stating the dry mass replaces this judgement by a fact.
 """
 
 from __future__ import annotations
@@ -20,7 +25,16 @@ import numpy as np
 
 from perilune.models.bodies import MOON, Body
 from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, spent
+from perilune.models.limits import (
+    braking,
+    exhaust_speed,
+    mass_held,
+    speed_of_ground,
+    speed_with_fall,
+    thrust_against_weight,
+)
 from perilune.problem.controls import Direction
+from perilune.problem.preflight import Finding
 from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
@@ -30,19 +44,30 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact: 3rd CGPM (1901); the paper uses 9.81
+LEAST_LANDED_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """A lander at the end of the Hohmann coast: mass [kg], constant thrust [N], specific impulse [s]."""
+    """A lander at the end of the Hohmann coast: mass [kg], constant thrust [N], specific impulse [s].
+
+    `dry_mass` [kg] cannot be burnt; None leaves open how much can.
+    """
 
     mass: float
     thrust: float
     specific_impulse: float
     standard_gravity: float = STANDARD_GRAVITY
+    dry_mass: float | None = None
 
     def __post_init__(self) -> None:
         _positive("vehicle", self, "mass", "thrust", "specific_impulse", "standard_gravity")
+        if self.dry_mass is not None and not 0 <= self.dry_mass < self.mass:
+            raise PeriluneError(
+                "the vehicle's dry mass leaves no propellant",
+                got=f"dry mass {self.dry_mass:g} kg of {self.mass:g} kg",
+                expected="0 <= dry_mass < mass",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,16 +89,6 @@ class Orbit:
 
     parking_altitude: float
     perilune_altitude: float
-
-    def __post_init__(self) -> None:
-        _positive("orbit", self, "parking_altitude", "perilune_altitude")
-        if self.perilune_altitude > self.parking_altitude:
-            raise PeriluneError(
-                "the perilune lies above the parking orbit",
-                got=f"perilune {self.perilune_altitude / 1e3:g} km, parking orbit {self.parking_altitude / 1e3:g} km",
-                expected="perilune_altitude <= parking_altitude",
-                advice="exchange the two, or raise the parking orbit",
-            )
 
 
 def _positive(section: str, record: Any, *names: str) -> None:
@@ -179,43 +194,172 @@ def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
     return -x.m
 
 
+def mass_state(dry: bool) -> Variable:
+    """The mass as a state: not below the dry mass where there is one."""
+    return Variable(name="m", unit="kg", lower="vehicle_dry_mass" if dry else 0.0, description="mass")
+
+
 def _typical_end(p: Any, m: Any) -> Sequence[Any]:
     r_ground = p.body_radius + p.landing_altitude
     return (r_ground, math.pi + 0.3, r_ground * p.body_rotation_rate, 0.0, 0.5 * p.vehicle_mass)
 
 
 def _check_given(p: Any) -> None:
-    """The records' own checks, for values that a sweep sets, and what no record can see alone."""
+    """The records' own checks, for values that a sweep sets; what physics forbids is for `_preflight` to say."""
     Vehicle(
         mass=p.vehicle_mass,
         thrust=p.vehicle_thrust,
         specific_impulse=p.vehicle_specific_impulse,
         standard_gravity=p.vehicle_standard_gravity,
+        dry_mass=getattr(p, "vehicle_dry_mass", None),
     )
     Retro(specific_impulse=p.retro_specific_impulse, delta_v=getattr(p, "retro_delta_v", None))
-    Orbit(parking_altitude=p.orbit_parking_altitude, perilune_altitude=p.orbit_perilune_altitude)
-    if not -p.body_radius < p.landing_altitude < p.orbit_perilune_altitude:
-        raise PeriluneError(
-            "the perilune lies below the landing site",
-            got=f"perilune {p.orbit_perilune_altitude / 1e3:g} km, landing site {p.landing_altitude / 1e3:g} km",
-            expected="perilune_altitude > landing altitude",
-            advice="raise the perilune or lower the site",
-        )
+    if not -p.body_radius < min(p.landing_altitude, p.orbit_perilune_altitude, p.orbit_parking_altitude):
+        raise PeriluneError("an altitude lies below the centre of the body", expected=f"above {-p.body_radius:g} m")
 
 
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
-    """Bounds and orders of magnitude of the free parameters; refuses given values that are no landing."""
+    """Bounds and orders of magnitude of the free parameters; refuses given values that make no sense together."""
     _check_given(p)
     speed = perilune_speed(p, m)
-    exhaust_speed = p.vehicle_specific_impulse * p.vehicle_standard_gravity
-    exhausted = p.vehicle_mass * exhaust_speed / p.vehicle_thrust  # all propellant gone: the longest burn there can be
+    exhausted = p.vehicle_mass * exhaust_speed(p) / p.vehicle_thrust  # all mass gone: the longest burn there can be
     # To stop the whole speed (rocket equation), and to drop the height by a burn down and a burn up.
-    stop = exhausted * (1 - m.exp(-speed / exhaust_speed))
-    drop = 2 * m.sqrt((p.orbit_perilune_altitude - p.landing_altitude) * p.vehicle_mass / p.vehicle_thrust)
+    _, stop = braking(speed, p, m)
+    height = m.fmax(p.orbit_perilune_altitude - p.landing_altitude, 0.0)
+    drop = 2 * m.sqrt(height * p.vehicle_mass / p.vehicle_thrust)
     return {
         "retro_delta_v": (0.0, speed, 0.5 * speed),
         "flight_time": (0.0, exhausted, m.fmin(stop + drop, 0.9 * exhausted)),
     }
+
+
+def _preflight(p: Any, m: Any) -> tuple[Finding, ...]:
+    return (*_geometry(p), *_burns(p, m), *_warnings(p, m))
+
+
+def _geometry(p: Any) -> tuple[Finding, ...]:
+    """Comparisons of the three altitudes above the body's radius, all binding."""
+
+    def at_least(name: str, value: Any, limit: float, meaning: str, advice: str) -> Finding:
+        return Finding(
+            name=name, value=value, limit=limit, at_least=True, unit="m", binding=True, meaning=meaning, advice=advice
+        )
+
+    perilune, parking, site = p.orbit_perilune_altitude, p.orbit_parking_altitude, p.landing_altitude
+    # A millimetre stands for "strictly above".
+    return (
+        at_least(
+            "perilune above the surface", perilune, 1e-3,
+            "the perilune lies below the surface: the orbit hits the ground", "raise orbit.perilune_altitude",
+        ),
+        at_least(
+            "perilune above the landing site", perilune - site, 1e-3,
+            "the perilune lies below the landing site: the orbit hits the ground",
+            "raise orbit.perilune_altitude or lower landing.altitude",
+        ),
+        at_least(
+            "perilune below the parking orbit", parking - perilune, 0.0,
+            "the perilune lies above the parking orbit", "exchange the two, or look for km in place of m",
+        ),
+    )  # fmt: skip
+
+
+def _burns(p: Any, m: Any) -> tuple[Finding, ...]:
+    """Comparisons of velocity changes and masses, all binding."""
+    speed, least = perilune_speed(p, m), LEAST_LANDED_SHARE * p.vehicle_mass
+    said = f"{LEAST_LANDED_SHARE:.0%} of vehicle.mass (assumed: no vehicle.dry_mass is stated)"
+    if hasattr(p, "vehicle_dry_mass"):
+        least, said = p.vehicle_dry_mass, "vehicle.dry_mass"
+    found = []
+    if hasattr(p, "retro_delta_v"):
+        impulsive = p.retro_specific_impulse * p.vehicle_standard_gravity
+        # Whatever follows, the impulsive burn alone must leave the least mass.
+        for limit, meaning in (
+            (speed, "the retro burn exceeds the speed at the perilune: the lander would fly backwards"),
+            (impulsive * m.log(p.vehicle_mass / least),
+             f"the retro burn needs more propellant than there is above {said}"),
+        ):  # fmt: skip
+            found.append(
+                Finding(
+                    name="retro.delta_v",
+                    value=p.retro_delta_v,
+                    limit=limit,
+                    at_least=False,
+                    unit="m/s",
+                    binding=True,
+                    meaning=meaning,
+                    advice="lower retro.delta_v, or leave it out and the best one is found",
+                )
+            )
+    for name, value, meaning, advice in (
+        (
+            "landed mass that the thrust can hold", mass_held(p.body_radius + p.landing_altitude, p, m),
+            f"the lander is too weak: its thrust cannot carry {said} at touchdown",
+            "raise vehicle.thrust, lower vehicle.mass, or state what must land as vehicle.dry_mass",
+        ),
+        (
+            "landed mass by the rocket equation", _mass_by_rocket_equation(p, m, speed),
+            f"there is not enough propellant: even an ideal landing leaves less than {said}",
+            "raise the specific impulse, or state what must land as vehicle.dry_mass",
+        ),
+    ):  # fmt: skip
+        found.append(
+            Finding(
+                name=name,
+                value=value,
+                limit=least,
+                at_least=True,
+                unit="kg",
+                binding=True,
+                meaning=meaning,
+                advice=advice,
+            )
+        )
+    return tuple(found)
+
+
+def _mass_by_rocket_equation(p: Any, m: Any, speed: Any) -> Any:
+    """Upper bound of the landed mass [kg] from the least ideal velocity change."""
+    r_site, r_start = p.body_radius + p.landing_altitude, p.body_radius + p.orbit_perilune_altitude
+    ground = speed_of_ground(r_site, p, m)
+    main, impulsive = exhaust_speed(p), p.retro_specific_impulse * p.vehicle_standard_gravity
+    if not hasattr(p, "retro_delta_v"):
+        change = m.fmax(speed_with_fall(speed, r_start, r_site, p, m) - ground, 0.0)
+        return p.vehicle_mass * m.exp(-change / m.fmax(main, impulsive))
+    rest = m.fmax(speed_with_fall(speed - p.retro_delta_v, r_start, r_site, p, m) - ground, 0.0)
+    return p.vehicle_mass * m.exp(-p.retro_delta_v / impulsive - rest / main)
+
+
+def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
+    """Comparisons that make a landing hard or look like a slip, none binding."""
+
+    def at_most(name: str, unit: str, value: Any, limit: Any, meaning: str, advice: str) -> Finding:
+        return Finding(
+            name=name, value=value, limit=limit, at_least=False, unit=unit, binding=False, meaning=meaning,
+            advice=advice,
+        )  # fmt: skip
+
+    r = p.body_radius + p.landing_altitude
+    return (
+        thrust_against_weight(p.landing_altitude, p),
+        at_most(
+            "braking distance without gravity", "km",
+            braking(perilune_speed(p, m), p, m)[0] / 1e3, math.pi * p.body_radius / 1e3,
+            "braking takes more than half a revolution: expect a long spiral that is hard to solve",
+            "raise vehicle.thrust",
+        ),
+        at_most(
+            "speed of the ground", "m/s",
+            speed_of_ground(r, p, m), 0.1 * m.sqrt(p.body_gravitational_parameter / r),
+            "the ground moves at more than a tenth of orbital speed",
+            "check that body.rotation_rate is in rad/s and not in deg/s",
+        ),
+        at_most(
+            "perilune altitude", "km", p.orbit_perilune_altitude / 1e3, 0.2 * p.body_radius / 1e3,
+            "the perilune is very high for a landing",
+            "altitudes are above the surface, not distances from the centre",
+        ),
+    )  # fmt: skip
 
 
 def hybrid_landing(
@@ -249,6 +393,8 @@ def hybrid_landing(
         "orbit_perilune_altitude": Given(value=orbit.perilune_altitude, unit="m"),
         "landing_altitude": Given(value=landing_altitude, unit="m"),
     }
+    if vehicle.dry_mass is not None:
+        given["vehicle_dry_mass"] = Given(value=vehicle.dry_mass, unit="kg")
     descent = Phase(
         name="descent",
         states=(
@@ -256,7 +402,7 @@ def hybrid_landing(
             Variable(name="phi", unit="rad", description="position angle"),
             Variable(name="u", unit="m/s", description="transverse velocity", label="horizontal velocity"),
             Variable(name="v", unit="m/s", description="radial velocity", label="vertical velocity"),
-            Variable(name="m", unit="kg", lower=0.0, description="mass", label="mass"),
+            mass_state("vehicle_dry_mass" in given),
         ),
         controls=(Direction(names=("transverse", "radial")),),
         dynamics=_dynamics,
@@ -307,6 +453,7 @@ def hybrid_landing(
         ),
         maximised=LANDED_MASS.name,
         ranges=_ranges,
+        preflight=_preflight,
         bookkeeping=bookkeeping,
         views=_VIEWS,
         scales=Scales(length=speed * time, time=time, mass=vehicle.mass),

@@ -16,16 +16,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 from perilune.models.bodies import MOON, Body
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
-from perilune.models.descent import Site, body_and_vehicle, section, throttle_control
-from perilune.models.descent_frames import MASS, mass_rate, thrust, variables
-from perilune.models.landing import Vehicle
+from perilune.models.descent import (
+    THROTTLE,
+    Site,
+    body_and_vehicle,
+    check_throttle,
+    section,
+    throttle_limits,
+    with_dry_mass,
+)
+from perilune.models.descent_frames import mass_rate, thrust, variables
+from perilune.models.landing import Vehicle, mass_state
+from perilune.models.limits import (
+    engine_holds_dry_mass,
+    propellant_stops,
+    stopping_distance,
+    thrust_against_weight,
+)
 from perilune.models.rotating import (
     INERTIAL_AXES,
     apparent_gravity,
@@ -35,10 +48,11 @@ from perilune.models.rotating import (
     seen_inertially,
 )
 from perilune.problem.controls import Direction
+from perilune.problem.preflight import Finding
 from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.problem.views import History, Views
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
 
 
@@ -174,62 +188,72 @@ def _typical_end(p: Any, m: Any) -> Sequence[Any]:
     return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
 
 
-def _check_throttle(p: Any, lower: float, upper: float) -> None:
-    """Refuse an engine that cannot hold the vehicle, or cannot let it down."""
+def _preflight(p: Any, m: Any) -> tuple[Finding, ...]:
+    """Bounds of `perilune.models.limits`, the glide slope at the start, and the throttle's floor."""
+    r_site, axis = p.body_radius + p.site_altitude, _axis(p, m)
+    start = SimpleNamespace(east=p.approach_east, north=p.approach_north, up=p.approach_up)
+    position, velocity = _centre_to(start, p), (p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
+    found = [thrust_against_weight(p.site_altitude, p), *engine_holds_dry_mass(r_site, p, m)]
+    found.append(_throttle_floor(p, m))
+    found.append(
+        Finding(
+            name="height above the glide slope",
+            value=_above_slope(start, p, m),
+            limit=0.0,
+            at_least=True,
+            unit="m",
+            binding=True,
+            meaning="the approach begins below the glide slope",
+            advice="a higher or nearer start, or a flatter corridor.slope",
+        )
+    )
+    found.append(stopping_distance(position, velocity, axis, r_site, p, m))
+    if hasattr(p, "vehicle_dry_mass"):
+        found.append(propellant_stops(position, velocity, axis, r_site, p, m))
+    return tuple(found)
+
+
+def _throttle_floor(p: Any, m: Any) -> Finding:
+    """Whether the engine can let the vehicle down.
+
+    Within the pointing limit the throttle's floor lifts by at least this much, more on a lighter vehicle and more
+    higher up, and ends the descent on the way v^2/(2 a). A hundredth is left to the Coriolis acceleration.
+    """
     centre = (0.0, 0.0, p.body_radius + p.site_altitude)
-    weight = -float(free_acceleration(centre, (0.0, 0.0, 0.0), _axis(p, NUMERIC), p, NUMERIC)[2])
-    lightest = getattr(p, "vehicle_dry_mass", 0.0)
-    if upper * p.vehicle_thrust < weight * lightest:
-        raise InfeasibleError(
-            "even at its greatest throttle the engine cannot stop the descent",
-            got=f"{upper * p.vehicle_thrust:.1f} N under an empty vehicle of {weight * lightest:.1f} N",
-            expected="thrust above weight",
-            advice="more thrust, or a lighter vehicle",
-        )
-    # Within the pointing limit the throttle floor lifts by at least this much, more on a lighter vehicle and
-    # more higher up. A hundredth is left to the Coriolis acceleration.
-    lift = lower * p.vehicle_thrust * math.cos(p.corridor_tilt) / p.vehicle_mass - weight
-    down = max(-p.approach_up_speed, 0.0)
-    if lift > 0 and down * down < 2 * lift * p.approach_up * 0.99:
-        raise InfeasibleError(
-            "the throttle floor hovers or climbs: the vehicle cannot come down to the site",
-            got=f"at least {lift:.3f} m/s^2 upward ends {down:.1f} m/s of descent after "
-            f"{down * down / (2 * lift):.0f} m of {p.approach_up:g} m",
-            expected=f"a throttle floor below {weight * p.vehicle_mass / p.vehicle_thrust:.3f}",
-            advice="a lower throttle floor, or a heavier vehicle",
-        )
+    weight = -free_acceleration(centre, (0.0, 0.0, 0.0), _axis(p, m), p, m)[2]
+    lift = p.throttle_lower * p.vehicle_thrust * m.cos(p.corridor_tilt) / p.vehicle_mass - weight
+    return Finding(
+        name="speed of descent against the lift of the throttle floor",
+        value=m.fmax(-p.approach_up_speed, 0.0),
+        limit=m.sqrt(2 * m.fmax(lift, 0.0) * p.approach_up * 0.99),
+        at_least=True,
+        unit="m/s",
+        binding=True,
+        meaning="the throttle floor hovers or climbs: the vehicle cannot come down to the site",
+        advice="a lower throttle floor, or a heavier vehicle",
+    )
 
 
 def _given(
-    vehicle: Vehicle, approach: Approach, site: Site, corridor: Corridor, body: Body, dry_mass: float | None, j2: float
+    vehicle: Vehicle, approach: Approach, site: Site, corridor: Corridor, body: Body, j2: float
 ) -> dict[str, Given]:
     place = {"altitude": "m", "longitude": "rad", "latitude": "rad"}
     units = {name: "m/s" if name.endswith("speed") else "m" for name in vars(approach)}
     return {
-        **body_and_vehicle(body, vehicle, dry_mass, j2),
+        **body_and_vehicle(body, vehicle, j2),
         **section("site", site, place),
         **section("approach", approach, units),
         **section("corridor", corridor, {"tilt": "rad", "slope": "rad", "pad_radius": "m"}),
     }
 
 
-def _ranges(p: Any, m: Any, *, throttle: tuple[float, float]) -> dict[str, tuple[float, float, float]]:
-    """Order of magnitude of the flight time; refuses given values that are no landing."""
-    throttle_control(*throttle)
-    _check_throttle(p, *throttle)
-    start = SimpleNamespace(east=p.approach_east, north=p.approach_north, up=p.approach_up)
-    margin = float(_above_slope(start, p, m))
-    if margin < 0:
-        raise InfeasibleError(
-            "the approach begins below the glide slope",
-            got=f"{-margin:.1f} m below",
-            expected="on it or above",
-            advice="a higher or nearer start, or a flatter corridor.slope",
-        )
+def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+    """Order of magnitude of the flight time; refuses given values that make no sense together."""
+    check_throttle(p)
     return {"flight_time": (0.0, math.inf, _typical_time(p))}
 
 
-def _phase(throttle: tuple[float, float], dry_mass: float | None) -> Phase:
+def _phase(*, dry: bool) -> Phase:
     return Phase(
         name="landing",
         states=(
@@ -237,9 +261,9 @@ def _phase(throttle: tuple[float, float], dry_mass: float | None) -> Phase:
             Variable(name="v_east", unit="m/s", label="east"),
             Variable(name="v_north", unit="m/s", label="north"),
             Variable(name="v_up", unit="m/s", label="up"),
-            replace(MASS, lower=dry_mass or 0.0),
+            mass_state(dry),
         ),
-        controls=(Direction(names=("toward_east", "toward_north", "toward_up")), throttle_control(*throttle)),
+        controls=(Direction(names=("toward_east", "toward_north", "toward_up")), THROTTLE),
         dynamics=_dynamics,
         duration="flight_time",
         end=_touchdown,
@@ -282,7 +306,7 @@ def precision_landing(
     throttle
         Least and greatest share of full thrust.
     dry_mass
-        What cannot be burnt [kg]; None leaves that open.
+        The vehicle's dry mass [kg], where it is not stated in its record.
     j2
         Second zonal harmonic of the body, unnormalised.
 
@@ -294,17 +318,16 @@ def precision_landing(
 
     Raises
     ------
-    PeriluneError, InfeasibleError
-        If the given values are no landing: below the glide slope, too weak, or too strong to come down.
+    PeriluneError
+        If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
-    given = _given(vehicle, approach, site, corridor, body, dry_mass, j2)
-    ranges = partial(_ranges, throttle=throttle)
-    time = ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)["flight_time"][2]
+    given = _given(with_dry_mass(vehicle, dry_mass), approach, site, corridor, body, j2) | throttle_limits(throttle)
+    time = _ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)["flight_time"][2]
     way = math.hypot(approach.east, approach.north, approach.up)
     return Problem(
         name="precision_landing",
         title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on the {body.name}",
-        phases=(_phase(throttle, dry_mass),),
+        phases=(_phase(dry="vehicle_dry_mass" in given),),
         start=_start,
         given=given,
         free=(Free(name="flight_time", unit="s"),),
@@ -313,7 +336,8 @@ def precision_landing(
         results=landing,
         result_variables=LANDING,
         maximised=LANDED_MASS.name,
-        ranges=ranges,
+        ranges=_ranges,
+        preflight=_preflight,
         views=_VIEWS,
         scales=Scales(length=way, time=time, mass=vehicle.mass),
     )

@@ -35,6 +35,10 @@ def check_structure(problem: Any) -> None:
     for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
+    for state in (v for phase in problem.phases for v in (*phase.states, *phase.end_conditions)):
+        for name in (limit for limit in (state.lower, state.upper) if isinstance(limit, str)):
+            if name not in problem.given:
+                raise unknown_name(f"given parameter for a bound of {state.name}", name, sorted(problem.given))
     results = [v.name for v in problem.result_variables]
     if problem.maximised and problem.maximised not in results:
         raise unknown_name("result", problem.maximised, results)

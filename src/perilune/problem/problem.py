@@ -29,7 +29,7 @@ from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 from perilune.problem.checks import check_homogeneous, check_structure, check_values
-from perilune.problem.controls import Control, scalars
+from perilune.problem.controls import Control, Limit, limit_value, scalars
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, trace
 from perilune.problem.tape import Expression
 from perilune.problem.verification import Check
@@ -56,15 +56,15 @@ def _in_si(name: str, text: str) -> None:
 class Variable:
     """A named component with its unit: a state, an end condition, a path condition or an output.
 
-    `lower` and `upper` bound a state where a method can use it (direct transcription, verification). An end condition
-    with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its name on the
-    axis of a figure, where that is not `name` with blanks.
+    `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. An end
+    condition with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its
+    name on the axis of a figure, where that is not `name` with blanks.
     """
 
     name: str
     unit: str = "1"
-    lower: float = -math.inf
-    upper: float = math.inf
+    lower: Limit = -math.inf
+    upper: Limit = math.inf
     description: str = ""
     label: str = ""
 
@@ -72,7 +72,7 @@ class Variable:
         if not self.name.isidentifier():
             raise PeriluneError("a name must be a Python identifier", got=repr(self.name))
         _in_si(self.name, self.unit)
-        if not self.lower < self.upper:
+        if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):
             raise PeriluneError(
                 f"bounds of {self.name} are empty",
                 got=f"[{self.lower}, {self.upper}]",
@@ -82,11 +82,16 @@ class Variable:
     @property
     def ranged(self) -> bool:
         """Whether an end condition of this name is a range and no equality."""
-        return math.isfinite(self.lower) or math.isfinite(self.upper)
+        return any(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
 
-    def missed(self, value: Any) -> Any:
+    def limits(self, p: Any) -> tuple[Any, Any]:
+        """Bounds in SI, where they are parameters those of the record p."""
+        return limit_value(self.lower, p), limit_value(self.upper, p)
+
+    def missed(self, value: Any, p: Any) -> Any:
         """By how much an end condition of this value is not met, 0 where it is; a number, or an array of them."""
-        return value - NUMERIC.fmin(NUMERIC.fmax(value, self.lower), self.upper) if self.ranged else value
+        lower, upper = self.limits(p)
+        return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,8 +224,8 @@ class Problem:
     """Phases, links, parameters and the objective.
 
     Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process
-    (pickle) carries its formulas as expressions; `ranges` and `bookkeeping` go along where they are found by name, as
-    functions of a module are, and are left behind otherwise.
+    (pickle) carries its formulas as expressions; `ranges`, `preflight` and `bookkeeping` go along where they are found
+    by name, as functions of a module are, and are left behind otherwise.
 
     Parameters
     ----------
@@ -247,6 +252,10 @@ class Problem:
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
         make no sense together.
+    preflight
+        ``preflight(p, m)`` of the given parameters returns what physics says before anything is solved, as
+        `perilune.problem.preflight.Finding`. Which comparisons there are may depend on which parameters `p` has,
+        but not on their values, which may be arrays or symbols; ``inf`` is no limit.
     bookkeeping
         ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
     views
@@ -269,6 +278,7 @@ class Problem:
     result_variables: tuple[Variable, ...] = ()
     maximised: str = ""
     ranges: Physics | None = None
+    preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
     views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
@@ -323,7 +333,7 @@ class Problem:
     def __getstate__(self) -> dict[str, Any]:
         own = self.expressed
         state = {f.name: getattr(own, f.name) for f in fields(own)}
-        hooks = {name: _by_name(state[name]) for name in ("ranges", "bookkeeping")}
+        hooks = {name: _by_name(state[name]) for name in ("ranges", "preflight", "bookkeeping")}
         return {**state, "given": dict(self.given), "form": self.form, **hooks}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -367,6 +377,10 @@ class Problem:
         if parameter in self.given:
             return self.given[parameter].unit
         return next(f.unit for f in self.free if f.name == parameter)
+
+    def bounds(self, bounded: Any) -> tuple[float, float]:
+        """Lower and upper bound [SI] of a state or a scalar control, which may name a given parameter."""
+        return bounded.limits(self.parameters({}))
 
     def parameters(self, free: Mapping[str, Any]) -> SimpleNamespace:
         """Record ``p`` of all parameters in SI, with the free ones' values as passed."""

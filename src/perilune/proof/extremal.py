@@ -118,7 +118,8 @@ def end_sides(arc: Arc) -> Vector:
     sides = []
     for condition, value in zip(arc.phase.end_conditions, arc.phase.evaluate("end", end, (), arc.p), strict=True):
         near = ACTIVE * arc.problem.scales.of(condition.unit)
-        low, high = value <= condition.lower + near, value >= condition.upper - near
+        lower, upper = condition.limits(arc.p)
+        low, high = value <= lower + near, value >= upper - near
         sides.append((-1 if low else 1 if high else INSIDE) if condition.ranged else 0)
     return np.array(sides)
 
@@ -234,10 +235,11 @@ def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
         for condition, value in zip(arc.phase.path_conditions, arc.path(x, arc.control(t)), strict=True)
     ]
     for state, value in zip(arc.phase.states, x, strict=True):
-        if np.isfinite(state.lower):
-            margins.append((f"{state.name} >= {state.lower:g}", state, value - state.lower))
-        if np.isfinite(state.upper):
-            margins.append((f"{state.name} <= {state.upper:g}", state, state.upper - value))
+        lower, upper = state.limits(arc.p)
+        if np.isfinite(lower):
+            margins.append((f"{state.name} >= {lower:g}", state, value - lower))
+        if np.isfinite(upper):
+            margins.append((f"{state.name} <= {upper:g}", state, upper - value))
     near = float(np.fmax(TOUCHING, TOUCHING_MESH * arc.solution.statistics.residual))
     runs: dict[str, tuple[float, str]] = {}
     for text, variable, margin in margins:

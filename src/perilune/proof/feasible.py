@@ -93,7 +93,7 @@ def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
         what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
         yield Check(
             name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
-            value=abs(float(condition.missed(float(residual)))),
+            value=abs(float(condition.missed(float(residual), arc.p))),
             limit=END_LIMIT * arc.problem.scales.of(condition.unit),
             meaning=f"{what} when the exported control is flown by another integrator",
         )  # fmt: skip
@@ -110,16 +110,10 @@ def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
             limit=STATE_LIMIT * scale,
             meaning=f"largest difference along the arc between {state.name} of the table and as flown again",
         )  # fmt: skip
-        if np.isfinite(state.lower) or np.isfinite(state.upper):
-            yield _bound(
-                f"{arc.prefix}bounds_{state.name}",
-                state.name,
-                values,
-                state.lower,
-                state.upper,
-                state.unit,
-                scale,
-            )
+        lower, upper = state.limits(arc.p)
+        if np.isfinite(lower) or np.isfinite(upper):
+            name = f"{arc.prefix}bounds_{state.name}"
+            yield _bound(name, state.name, values, lower, upper, state.unit, scale)
 
 
 def _bound(name: str, what: str, values: Vector, lower: float, upper: float, unit: str, scale: float) -> Check:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from perilune.models.descent import Ignition, Site, Steering, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.models.preflight import geometry, refuse_impossible
-from perilune.problem.problem import Given, Problem
+from perilune.problem.problem import Problem
 from perilune.scenario.plausible import body_of, check_altitudes, check_vehicle
 from perilune.scenario.sections import (
     DescentDocument,
@@ -31,17 +28,13 @@ def problem_of(sections: Document) -> Problem:
 def _landing(sections: LandingDocument) -> Problem:
     body, orbit, vehicle = body_of(sections.body), sections.orbit, sections.vehicle
     check_altitudes(orbit, sections.landing, body)
-    refuse_impossible(geometry(orbit.perilune_altitude, orbit.parking_altitude, sections.landing.altitude))
-    problem = hybrid_landing(
+    return hybrid_landing(
         _vehicle(vehicle),
         None if sections.retro is None else Retro(**sections.retro.model_dump()),
         Orbit(**orbit.model_dump()),
         body,
         sections.landing.altitude,
     )
-    if vehicle.dry_mass is None:
-        return problem
-    return replace(problem, given={**problem.given, "vehicle_dry_mass": Given(value=vehicle.dry_mass, unit="kg")})
 
 
 def _descent(sections: DescentDocument) -> Problem:
@@ -53,7 +46,6 @@ def _descent(sections: DescentDocument) -> Problem:
         **sections.problem.model_dump(exclude={"kind"}),
         steering=_steering(sections.steering),
         throttle=None if sections.throttle is None else _throttle(sections.throttle),
-        dry_mass=sections.vehicle.dry_mass,
         j2=sections.body.j2,
     )
 
@@ -66,14 +58,13 @@ def _precision(sections: PrecisionDocument) -> Problem:
         Corridor(**sections.corridor.model_dump()),
         _throttle(sections.throttle),
         body_of(sections.body),
-        dry_mass=sections.vehicle.dry_mass,
         j2=sections.body.j2,
     )
 
 
 def _vehicle(section: VehicleSection) -> Vehicle:
     check_vehicle(section)
-    return Vehicle(**section.model_dump(exclude={"dry_mass"}))
+    return Vehicle(**section.model_dump())
 
 
 def _steering(section: SteeringSection | None) -> Steering | None:

@@ -1,0 +1,175 @@
+"""Bounds that hold for every flight, whatever its steering: what the models' comparisons before solving share.
+
+No flight goes below the radius r_s of its site, and thrust never exceeds T, the greatest that the throttle allows.
+
+*Speed.* Let w^2 = V^2 + 2 mu (1/r_s - 1/r) with the inertial speed V, so w >= V. Gravity of a point mass leaves w as it
+is, and thrust acceleration a gives |w w'| <= a V <= a w. At rest on the ground w <= |omega| r_s. So the whole ideal
+velocity change is at least w(start) - |omega| r_s, and the rocket equation turns it into mass. An impulsive burn lowers
+w by at most its size.
+
+*Touchdown* from above at rest needs r'' >= 0 there, so T/m_f >= mu/r_s^2 - omega^2 r_s.
+
+*Stopping* a descent at radial speed -v. In inertial axes r'' = V_h^2/r + a_r - mu/r^2 (J2 apart). Whatever the throttle
+did before, a_r <= T/(m0 - q t), q = T/c the greatest flow, as more mass is left wherever less was burnt. While r_s <= r
+<= r(0), and until the time t_b = (m0/q) (1 - exp(-v/c)) in which full thrust stops v without gravity,
+
+    V <= S = V(0) + v + mu/r_s^2 t_b          (thrust adds at most c log(m0/(m0 - q t_b)) = v)
+    r'' <= T/(m0 - q t) - k,   k = mu/r(0)^2 - S^2/r_s
+    r(t) <= Z(t) = r(0) - v t + (integral of c log(m0/(m0 - q s))) - k t^2/2
+
+Z is convex, and r' <= Z'. Let Z(t_b) < r_s. Where k >= 0, Z' < 0 before t_b, so no flight is at rest before t_b, and
+at t_b it is below the site. Where k < 0, Z has its least value, below r_s too, at some t_s <= t_b; before t_s no flight
+is at rest, and at t_s it is below the site. Either way there is no flight. Z(t_b) = r(0) - v m0/q + c t_b - k t_b^2/2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models.rotating import combine, cross, dot
+from perilune.problem.preflight import Finding
+
+SLACK = 1.02  # of what the rocket equation allows, for J2, which the speed w leaves out
+
+
+def greatest_thrust(p: Any) -> Any:
+    """Thrust [N] at the upper bound of the throttle."""
+    return p.vehicle_thrust * getattr(p, "throttle_upper", 1.0)
+
+
+def exhaust_speed(p: Any) -> Any:
+    """Exhaust speed [m/s] of the engine."""
+    return p.vehicle_specific_impulse * p.vehicle_standard_gravity
+
+
+def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
+    """Speed [m/s] in inertial axes of a position from the centre and a velocity beside the turning body."""
+    seen = combine((1, velocity), (p.body_rotation_rate, cross(axis, position)))
+    return m.sqrt(dot(seen, seen))
+
+
+def speed_with_fall(speed: Any, r_start: Any, r_site: Any, p: Any, m: Any) -> Any:
+    """The speed w of the head of this file [m/s], which only thrust changes."""
+    return m.sqrt(speed * speed + 2 * p.body_gravitational_parameter * (1 / r_site - 1 / r_start))
+
+
+def speed_of_ground(r_site: Any, p: Any, m: Any) -> Any:
+    """Greatest inertial speed [m/s] of a place at rest on the ground."""
+    return m.fabs(p.body_rotation_rate) * r_site
+
+
+def mass_held(r_site: Any, p: Any, m: Any) -> Any:
+    """Largest mass [kg] that can come to rest on the ground from above, anywhere at this radius."""
+    r_ratio = p.body_radius / r_site
+    oblate = 3 * m.fabs(getattr(p, "body_j2", 0.0)) * r_ratio * r_ratio
+    weight = p.body_gravitational_parameter / r_site**2 * (1 - oblate) - p.body_rotation_rate**2 * r_site
+    return greatest_thrust(p) / m.fmax(weight, 0.0)
+
+
+def thrust_against_weight(altitude: Any, p: Any) -> Finding:
+    """Whether the vehicle could hover when it ignites, with the weight at an altitude [m]."""
+    gravity = p.body_gravitational_parameter / (p.body_radius + altitude) ** 2
+    return Finding(
+        name="thrust against weight at ignition",
+        value=greatest_thrust(p) / (p.vehicle_mass * gravity),
+        limit=1.0,
+        at_least=True,
+        unit="1",
+        binding=False,
+        meaning="the lander cannot hover when it ignites: it must brake while its speed still carries it",
+    )
+
+
+def engine_holds_dry_mass(r_site: Any, p: Any, m: Any) -> tuple[Finding, ...]:
+    """Whether the engine can stop what must land; nothing where no dry mass is given."""
+    if not hasattr(p, "vehicle_dry_mass"):
+        return ()
+    return (
+        Finding(
+            name="landed mass that the thrust can hold",
+            value=mass_held(r_site, p, m),
+            limit=p.vehicle_dry_mass,
+            at_least=True,
+            unit="kg",
+            binding=True,
+            meaning="even at its greatest throttle the engine cannot stop the descent of an empty vehicle",
+            advice="more thrust, or a lighter vehicle",
+        ),
+    )
+
+
+def braking(speed: Any, p: Any, m: Any) -> tuple[Any, Any]:
+    """Distance [m] and time [s] to stop from `speed` by full thrust alone in free space."""
+    exhaust = exhaust_speed(p)
+    tau = p.vehicle_mass * exhaust / greatest_thrust(p)
+    time = tau * (1 - m.exp(-speed / exhaust))
+    return speed * tau - exhaust * time, time
+
+
+def longest_burn(p: Any) -> Any:
+    """Time [s] in which full thrust burns all propellant."""
+    return (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * exhaust_speed(p) / greatest_thrust(p)
+
+
+def velocity_change(p: Any, m: Any) -> Any:
+    """Velocity change [m/s] that all propellant above the dry mass gives, by the rocket equation."""
+    return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)
+
+
+def speed_to_lose(
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+) -> Any:
+    """Least ideal velocity change [m/s] from a start to rest on the ground; arguments as `stopping_distance`."""
+    r = m.sqrt(dot(position, position))
+    speed = inertial_speed(position, velocity, axis, p, m)
+    return speed_with_fall(speed, r, r_site, p, m) - speed_of_ground(r_site, p, m)
+
+
+def propellant_stops(
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+) -> Finding:
+    """Whether the propellant above the dry mass suffices by the rocket equation; arguments as `stopping_distance`."""
+    return Finding(
+        name="speed to lose",
+        value=speed_to_lose(position, velocity, axis, r_site, p, m),
+        limit=SLACK * velocity_change(p, m),
+        at_least=False,
+        unit="m/s",
+        binding=True,
+        meaning="the propellant cannot take away the speed of the start and of the fall to the site",
+        advice="more propellant, a higher specific impulse, or a slower start",
+    )
+
+
+def stopping_distance(
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+) -> Finding:
+    """Whether any flight stops its descent above the site: the proof is at the head of this file.
+
+    Parameters
+    ----------
+    position, velocity
+        From the centre [m], and beside the turning body [m/s], in axes that turn with it.
+    axis
+        Unit vector of the rotation in them.
+    r_site
+        Radius of the site [m].
+    """
+    r = m.sqrt(dot(position, position))
+    down = m.fmax(-dot(position, velocity) / r, 0.0)
+    distance, time = braking(down, p, m)
+    mu, r_ratio = p.body_gravitational_parameter, p.body_radius / r_site
+    oblate = 3 * m.fabs(p.body_j2) * mu / r_site**2 * r_ratio * r_ratio  # J2 pulls with no more than this
+    fastest = inertial_speed(position, velocity, axis, p, m) + down + (mu / r_site**2 + oblate) * time
+    pull = mu / (r * r) - oblate - fastest * fastest / r_site
+    return Finding(
+        name="fall before full thrust can stop it",
+        value=distance + 0.5 * pull * time * time,
+        limit=r - r_site,
+        at_least=False,
+        unit="m",
+        binding=True,
+        meaning="the descent is too fast: even full thrust straight up cannot stop it above the site",
+        advice="a slower or higher start, or more thrust",
+    )

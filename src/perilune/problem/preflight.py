@@ -1,0 +1,97 @@
+"""Before solving: what physics says of a problem, in the user's words.
+
+A model states *comparisons*, each a value against a limit (`Problem.preflight`). A **binding** one that is missed is a
+proof that there is no flight; the others warn. They are formulas of the given parameters without branches on values,
+so that one call judges one problem or, with arrays of values, a whole sweep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Problem
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One comparison: ``value <= limit``, or ``value >= limit`` where `at_least`.
+
+    `value` and `limit` are what the parameters were: numbers, arrays or symbols. Missing a binding one is fatal.
+    """
+
+    name: str
+    value: Any
+    limit: Any
+    at_least: bool
+    unit: str
+    binding: bool
+    meaning: str
+    advice: str = ""
+
+    @property
+    def passed(self) -> Any:
+        """Whether the value is on the right side of the limit, an array where they are; NaN never is."""
+        return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+    @property
+    def verdict(self) -> str:
+        """``ok``, ``warning`` or ``impossible``."""
+        return "ok" if self.passed else "impossible" if self.binding else "warning"
+
+
+def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[Finding, ...]:
+    """Compare a problem with what physics allows; nothing is solved, and nothing raised for a miss.
+
+    Parameters
+    ----------
+    problem
+        Any problem; one whose model states no comparisons has none.
+    over
+        Other values of parameters in SI, numbers or arrays of one shape: ``{"vehicle_thrust": [300.0, 440.0]}``
+        judges two problems at once. A free parameter named here counts as given.
+
+    Returns
+    -------
+    tuple of Finding
+        All comparisons, in the order in which they make sense; with arrays inside where `over` has arrays.
+    """
+    if problem.preflight is None:
+        return ()
+    values = {name: g.value for name, g in problem.given.items()} | dict(over or {})
+    # NumPy's numbers, for which a division by zero is a limit that is none and not an error.
+    p = SimpleNamespace(**{name: np.asarray(value, dtype=float)[()] for name, value in values.items()})
+    with np.errstate(all="ignore"):
+        return tuple(problem.preflight(p, NUMERIC))
+
+
+def possible(found: Sequence[Finding]) -> Any:
+    """Whether no binding comparison is missed; an array for findings of arrays."""
+    return np.logical_and.reduce(np.broadcast_arrays(True, *(f.passed for f in found if f.binding)))
+
+
+def member(found: Sequence[Finding], index: int) -> tuple[Finding, ...]:
+    """The findings of one of many problems that were judged together."""
+
+    def pick(values: Any) -> float:
+        return float(values if np.ndim(values) == 0 else values[index])
+
+    return tuple(replace(f, value=pick(f.value), limit=pick(f.limit)) for f in found)
+
+
+def refuse_impossible(found: Sequence[Finding]) -> None:
+    """InfeasibleError for the first binding comparison that is missed."""
+    for f in found:
+        if f.binding and not f.passed:
+            raise InfeasibleError(
+                f.meaning,
+                got=f"{f.name} {f.value:.6g} {f.unit}",
+                expected=f"{'at least' if f.at_least else 'at most'} {f.limit:.6g} {f.unit}",
+                advice=f.advice,
+            )
