@@ -76,7 +76,7 @@ def compile_map(function: Any, *, cache: bool = True, backend: str | None = None
     mapped
         (a (lanes, na), b (lanes, nb), ...) -> (lanes, m); an argument of one row serves every lane.
     """
-    if backend == "interpreter" or (backend is None and not native.available()):
+    if not native.chosen(backend):
         return lambda *arguments: _interpreted(function, arguments)
 
     call = _native(function, _WIDTH, cache)
@@ -139,8 +139,7 @@ def compile_single(function: Any, *, cache: bool = True, backend: str | None = N
         held.append(table)  # as long-lived as what it points to
         return partial(_native(flat, 1, cache), 0, 1, native.address(table))
 
-    interpreted = backend == "interpreter" or (backend is None and not native.available())
-    return SingleMap(sizes, shapes, interpret if interpreted else bind)
+    return SingleMap(sizes, shapes, bind if native.chosen(backend) else interpret)
 
 
 def _native(function: Any, width: int, cache: bool) -> Any:
