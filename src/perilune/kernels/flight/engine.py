@@ -97,9 +97,9 @@ class NativeEngine:
             system = self.system if columns else self._bare
 
             def build() -> bytes:
-                from perilune.kernels.flight.driver import Driver
+                from perilune.kernels.flight import driver
 
-                return native.compile_ir(Driver(system, width).module())
+                return native.compile_ir(driver.module(system, width))
 
             name = disk.key(system.key, str(width), *native.processor(), *native.versions())
             self._code[which] = native.MachineCode(disk.fetch(name, build, enabled=self._cache))
