@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from perilune.cli import run
 from perilune.kernels import compile_arcs
 from perilune.kernels.flight import engine
 
@@ -30,6 +32,12 @@ def test_falls_back_and_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
         arcs = compile_arcs(decay()).propagate([1.0], [1.0], 1.0)
     assert arcs.z[0, 0] == pytest.approx(np.exp(-1), rel=1e-12)
     assert [record.message.count("slower") for record in caplog.records] == [1]
+
+
+@pytest.mark.usefixtures("without_llvmlite")
+def test_a_landing_is_solved_and_proved(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["solve", str(Path(__file__).parents[2] / "examples" / "ordinary_lander.toml")]) == 0
+    assert "154.5413" in capsys.readouterr().out  # kg landed, as with machine code
 
 
 def test_the_default_is_machine_code() -> None:
