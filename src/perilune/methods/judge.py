@@ -75,13 +75,13 @@ class Judge:
     def _along(
         self, phase: Phase, extremal: PhaseExtremal, arc: DenseArc, values: dict[str, float]
     ) -> Iterator[Breach]:
-        t = np.linspace(0.0, arc.t[-1], _POINTS)
+        t, p = np.linspace(0.0, arc.t[-1], _POINTS), self.problem.parameters(values)
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
         for state, along in zip(phase.states, x, strict=True):
-            yield from self._outside(state.name, state.unit, along, *state.limits(self.problem.parameters(values)))
+            yield from self._outside(state.name, state.unit, along, *state.limits(p))
         if not phase.path_conditions:
             return
-        u, p = controls(extremal, arc, t, self.p).T, self.problem.parameters(values)
+        u = controls(extremal, arc, t, self.p).T
         conditions = phase.evaluate("path", list(x), list(u), p)
         for condition, along in zip(phase.path_conditions, conditions, strict=True):
             least, scale = float(np.min(along)), self.problem.scales.of(condition.unit)

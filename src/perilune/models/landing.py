@@ -196,7 +196,8 @@ def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
 
 def mass_state(dry: bool) -> Variable:
     """The mass as a state: not below the dry mass where there is one."""
-    return Variable(name="m", unit="kg", lower="vehicle_dry_mass" if dry else 0.0, description="mass")
+    lower = "vehicle_dry_mass" if dry else 0.0
+    return Variable(name="m", unit="kg", lower=lower, description="mass", label="mass")
 
 
 def _typical_end(p: Any, m: Any) -> Sequence[Any]:

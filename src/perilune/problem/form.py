@@ -260,7 +260,12 @@ def trace(problem: Any) -> Form:
     structure = {
         "parameters": [[name, problem.unit_of(name)] for name in parameters],
         "phases": [
-            [phase.name, phase.duration, _named(phase.states), [_control(c) for c in phase.controls]]
+            [
+                phase.name,
+                phase.duration,
+                [[s.name, s.unit, _named_limits(s)] for s in phase.states],
+                [[c.kind, c.names, c.unit, _named_limits(c)] for c in phase.controls],
+            ]
             for phase in problem.phases
         ],
         "functions": [[str(s.key), list(s.records), s.results] for s in functions],
@@ -268,8 +273,7 @@ def trace(problem: Any) -> Form:
     return Form(structure, {s.key: s.traced(parameters) for s in functions})
 
 
-def _control(control: Any) -> list[Any]:
-    """Kind, components, unit; a limit that is a number is none of the form, one that names a parameter is."""
-    limits = [getattr(control, side, None) for side in ("lower", "upper")]
-    named = [limit if isinstance(limit, str) else None for limit in limits]
-    return [control.kind, list(control.names), control.unit, named]
+def _named_limits(bounded: Any) -> list[str | None]:
+    """Limits that name a parameter are of the form, those that are numbers are not."""
+    limits = [getattr(bounded, side, None) for side in ("lower", "upper")]
+    return [limit if isinstance(limit, str) else None for limit in limits]

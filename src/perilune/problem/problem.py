@@ -348,8 +348,11 @@ class Problem:
     @property
     def numbers(self) -> tuple[Any, ...]:
         """Every number of the problem, in order."""
-        bounded = [c for phase in self.phases for c in (*phase.states, *(c for _, c in scalars(phase.controls)))]
-        bounds = [(c.lower, c.upper) for c in bounded]
+        bounds = [
+            (c.lower, c.upper)
+            for phase in self.phases
+            for c in (*phase.states, *phase.end_conditions, *(c for _, c in scalars(phase.controls)))
+        ]
         given = sorted((name, g.value) for name, g in self.given.items())
         free = tuple((f.name, *_range(f)) for f in self.free)
         return (self.name, tuple(given), free, tuple(bounds), astuple(self.scales))

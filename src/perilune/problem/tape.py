@@ -36,7 +36,7 @@ ARITY = {
 }  # fmt: skip
 # What physics takes: states, controls, parameters, the time since the first ignition, the first and the last state.
 ROLES = ("x", "u", "p", "t", "first", "last")
-MOST_INSTRUCTIONS = 50_000  # of one function in a file; the largest of the models has about 200
+MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the largest of the models has about 200
 
 # (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands
 # being indices before it; ("table", operand, digest of the table).
@@ -233,7 +233,10 @@ class Tape:
             raise _unreadable(what, "no list of instructions and outputs")
         if max(len(entries), len(outputs)) > MOST_INSTRUCTIONS:
             raise _unreadable(what, f"more than {MOST_INSTRUCTIONS} instructions")
-        tables = tuple(_table_of(entry, what) for entry in document.get("tables", ()))
+        read = document.get("tables", [])
+        if not isinstance(read, list) or len(read) > MOST_TABLES:
+            raise _unreadable(what, f"tables {str(read)[:60]}")
+        tables = tuple(_table_of(entry, what) for entry in read)
         names = {**names, "table": [table.digest for table in tables]}
         for number, entry in enumerate(entries):
             if not _sound(entry, number, names):
@@ -259,7 +262,7 @@ def _sound(entry: Any, number: int, names: Mapping[str, Sequence[str]]) -> bool:
 def _table_of(entry: Any, what: str) -> Table:
     try:
         return Table(entry["x"], entry["y"], entry["kind"])
-    except (PeriluneError, TypeError, KeyError, ValueError) as error:
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise _unreadable(what, f"a table: {str(error)[:60]}") from None
 
 
