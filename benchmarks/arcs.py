@@ -28,7 +28,7 @@ from perilune.kernels import compile_arcs
 from perilune.kernels.algebra.program import hoist
 from perilune.kernels.algebra.prune import prune
 from perilune.kernels.code import native
-from perilune.kernels.code.ir import Writer
+from perilune.kernels.code.ir import Ptr, Writer
 from perilune.kernels.flight import tableau
 
 
@@ -49,21 +49,22 @@ def best(action: Callable[[], Any], repeats: int = 5) -> tuple[float, float, Any
 def fma_peak() -> float:
     """Return flops per second of one core on independent fused multiply-adds in registers."""
     w, chains, rounds = Writer(4), 12, 20_000_000
+    data = Ptr("%data", w.vector)
     variables = [w.buffer(1) for _ in range(chains)]
     for number, variable in enumerate(variables):
         w.store(w.const(1.0 + number), variable)
-    factor, term = w.load("%data", 0), w.load("%data", 1)
+    factor, term = w.load(data, 0), w.load(data, 1)
     with w.loop(0, rounds):
         for variable in variables:
             w.store(w.fma(w.load(variable), factor, term), variable)
     for number, variable in enumerate(variables):
-        w.store(w.load(variable), "%data", number)
+        w.store(w.load(variable), data, number)
     text = f"define void @peak(ptr align 64 %data) nounwind {{\n{w.body()}\n  ret void\n}}\n"
     code = native.MachineCode(native.compile_ir(text))
     raw = np.ones(4 * chains + 8)
-    data = raw[(-raw.ctypes.data // 8) % 8 :]
-    data[:4], data[4:8] = 0.999, 0.001
-    _, seconds, _ = best(lambda: code.function("peak", ctypes.c_void_p)(data.ctypes.data), 3)
+    values = raw[(-raw.ctypes.data // 8) % 8 :]
+    values[:4], values[4:8] = 0.999, 0.001
+    _, seconds, _ = best(lambda: code.function("peak", ctypes.c_void_p)(values.ctypes.data), 3)
     return 2 * 4 * chains * rounds / seconds
 
 

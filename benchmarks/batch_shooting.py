@@ -1,6 +1,8 @@
-"""Complete landing problems per second: 16 384 dispersed around one solution, Newton in lanes.
+"""Complete boundary value problems per second: four kinds, each dispersed around one solution, Newton in lanes.
 
-python benchmarks/batch_shooting.py [--lanes 16384]
+The last columns count arcs: what one problem costs depends on how many it needs.
+
+    python benchmarks/batch_shooting.py [--lanes 16384]
 """
 
 from __future__ import annotations
@@ -12,11 +14,28 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "kernels"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from landing_bvp import functions, parameters  # pyright: ignore[reportMissingImports]
+from many_problems import KINDS, Kind  # pyright: ignore[reportMissingImports]
 
-from perilune.kernels.batch import BatchShooter
+
+def measure(kind: Kind, lanes: int) -> None:
+    """Measure one kind and print its line."""
+    shooting, guesses, p = kind.batch(lanes)
+    nothing = shooting.holding({})
+    shortest, processor = np.inf, np.inf
+    for _ in range(5):
+        shooting.arcs = 0
+        begun, used = time.perf_counter(), time.process_time()
+        roots = shooting.solve(guesses, p, nothing, tolerance=1e-10)
+        shortest = min(shortest, time.perf_counter() - begun)
+        processor = min(processor, time.process_time() - used)
+    print(
+        f"{kind.name:40s} {lanes / shortest:8.0f} problems/s, {lanes / processor:8.0f} per core second; "
+        f"{shooting.arcs / lanes:5.2f} arcs each, {shooting.arcs / shortest:8.0f} arcs/s, "
+        f"{shooting.arcs / processor:8.0f} per core second; {roots.converged.mean():.2%} converged, "
+        f"greatest residual {np.nanmax(roots.residuals):.1e}"
+    )
 
 
 def main() -> None:
@@ -24,20 +43,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lanes", type=int, default=16384)
     lanes = parser.parse_args().lanes
-    shooter = BatchShooter(*functions())
-    p = parameters(lanes)
-    nominal = shooter.solve(np.array([0.887, 0.458, -0.063, 0.973]), p[:1])
-    shortest, processor = np.inf, np.inf
-    for _ in range(5):
-        begun, used = time.perf_counter(), time.process_time()
-        shots = shooter.solve(nominal.y[0], p)
-        shortest = min(shortest, time.perf_counter() - begun)
-        processor = min(processor, time.process_time() - used)
-    print(
-        f"{lanes / shortest:.0f} problems/s ({lanes} in {shortest:.3f} s), {lanes / processor:.0f} per core second, "
-        f"{shots.converged.mean():.2%} converged, "
-        f"{shots.iterations.mean():.2f} arcs each, greatest residual {shots.residual.max():.1e}"
-    )
+    for kind in KINDS:
+        measure(kind, lanes)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from perilune.problem.problem import Variable
 from perilune.problem.solution import Extremal, Nature, Result, Solution
 from perilune.problem.views import Beside, Views
 from perilune.report.figures import label, solution_figures
+from perilune.report.summary import solution_markdown, solution_summary
 from perilune.reproductions.peng2012.case import problem, problem_of_the_paper
 from perilune.scenario import load_file
 from perilune.solve import solve
@@ -138,6 +139,10 @@ def test_phases_add_to_one_integral() -> None:
     whole = sum(trajectory.duration for trajectory in solution.trajectories)
     assert len(solution.trajectories) == 2
     assert solution.results["spent"].value == pytest.approx(solution.parameters.a * whole, rel=1e-12)
+    for name, figure in solution_figures(solution).items():  # every phase is drawn
+        assert max(float(np.asarray(line.get_xdata())[-1]) for line in figure.axes[0].lines) == pytest.approx(
+            whole, rel=1e-2
+        ), name
 
 
 # -- what is stated wrongly
@@ -233,8 +238,6 @@ def test_legends_come_from_the_problem(hybrid: Solution, ordinary: Solution) -> 
 
 def test_of_a_loaded_solution_the_rest_is_the_files_word(hybrid: Solution) -> None:
     """Named in the document; a solution made here claims nothing."""
-    from perilune.report.summary import solution_summary
-
     loaded = replace(
         hybrid,
         outcome=Outcome.SOLVED,
@@ -246,3 +249,4 @@ def test_of_a_loaded_solution_the_rest_is_the_files_word(hybrid: Solution) -> No
     text = solution_summary(loaded)
     assert text.count("as the file says, not proved again") == 2
     assert "not proved again" not in solution_summary(hybrid)
+    assert solution_markdown(loaded).count("as the file says, not proved again") == 2

@@ -1,4 +1,4 @@
-"""Every test of the kernels runs on machine code and on the interpreter, with a cache of its own."""
+"""Every test of the kernels runs on machine code and on SciPy, with a cache of its own."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def _cache_of_the_session(tmp_path_factory: pytest.TempPathFactory):
         yield
 
 
-@pytest.fixture(params=["native", "interpreter"])
+@pytest.fixture(params=["native", "scipy"])
 def backend(request: pytest.FixtureRequest) -> str:
-    """Machine code, where it can be made, and the interpreter."""
+    """Machine code, where it can be made, and SciPy's."""
     if request.param == "native" and not native.available():
         pytest.skip("llvmlite is not installed")
     return request.param

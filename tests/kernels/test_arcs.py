@@ -230,16 +230,17 @@ def test_dense_output_backwards(backend: str) -> None:
     np.testing.assert_allclose(d(-1.7), kepler_state(0.3, -1.7), atol=2e-10)
 
 
-def test_both_backends_take_the_same_steps() -> None:
+def test_both_backends_fly_the_same_arcs() -> None:
+    """Measured: z 1.3e-13, columns 8.5e-13, rates 3.4e-13."""
     pytest.importorskip("llvmlite")
     seeds = landing_seeds(9)
     a, b = (
-        engine(landing_rhs(), name, 6).propagate(start(9), PARAMETERS, DURATION, seeds)
-        for name in ("native", "interpreter")
+        engine(landing_rhs(), name, 6).propagate(start(9), PARAMETERS, DURATION, seeds) for name in ("native", "scipy")
     )
-    np.testing.assert_array_equal(a.steps, b.steps)
-    np.testing.assert_allclose(a.z, b.z, atol=1e-13)
-    np.testing.assert_allclose(a.columns, b.columns, atol=1e-11)
+    np.testing.assert_array_equal(a.status, b.status)
+    np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(a.columns, b.columns, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(a.rates, b.rates, rtol=0, atol=2e-12)
 
 
 @pytest.mark.parametrize(

@@ -247,8 +247,7 @@ def verify(
         from perilune.io.reload import load
         from perilune.solve import prove
 
-        solution = prove(load(directory), level)
-        return _solution_answer(solution, verbose)
+        return _solution_answer(prove(load(directory), level), verbose)
 
     deliver(as_json, work)
 

@@ -245,7 +245,8 @@ class Program:
 def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
     """Canonical bounds of an end condition's value."""
     scale = problem.scales.of(condition.unit)
-    return (condition.lower / scale, condition.upper / scale) if condition.ranged else (0.0, 0.0)
+    lower, upper = condition.limits(problem.parameters({}))
+    return (lower / scale, upper / scale) if condition.ranged else (0.0, 0.0)
 
 
 def _layout(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:

@@ -270,7 +270,8 @@ class CostateFitness:
 def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
     """By how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
     scales = [problem.scales.of(c.unit) for c in conditions]
-    missed = [c.missed(v * scale) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
+    p = problem.parameters({})
+    missed = [c.missed(v * scale, p) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
     return np.array(missed).reshape(len(conditions), -1)
 
 

@@ -291,8 +291,9 @@ class Search:
         conditions = [c for phase in self.problem.phases for c in phase.end_conditions]
         ranges = [conditions[row] for row, _ in self.conditions.ranges]
         scales = np.array([self.problem.scales.of(v.unit) for v in (*free, *ranges)])
-        lower = np.array([v.lower for v in (*free, *ranges)], dtype=float) / scales
-        upper = np.array([v.upper for v in (*free, *ranges)], dtype=float) / scales
+        p = self.problem.parameters({})
+        both = [(f.lower, f.upper) for f in free] + [v.limits(p) for v in ranges]
+        lower, upper = np.array(both, dtype=float).reshape(-1, 2).T / scales
         if len(self.problem.phases) == 1 and self.problem.duration_names[0] in self.problem.free_names:
             # The only phase cannot vanish: a flight of no length is no flight.
             at = self.problem.free_names.index(self.problem.duration_names[0])

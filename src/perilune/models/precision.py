@@ -336,9 +336,9 @@ def precision_landing(
         results=landing,
         result_variables=LANDING,
         maximised=LANDED_MASS.name,
-        views=_VIEWS,
         ranges=_ranges,
         preflight=_preflight,
+        views=_VIEWS,
         scales=Scales(length=way, time=time, mass=vehicle.mass),
     )
 

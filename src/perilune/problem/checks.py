@@ -35,17 +35,10 @@ def check_structure(problem: Any) -> None:
     for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
-    for state in (state for phase in problem.phases for state in phase.states):
+    for state in (v for phase in problem.phases for v in (*phase.states, *phase.end_conditions)):
         for name in (limit for limit in (state.lower, state.upper) if isinstance(limit, str)):
             if name not in problem.given:
                 raise unknown_name(f"given parameter for a bound of {state.name}", name, sorted(problem.given))
-    for condition in (c for phase in problem.phases for c in phase.end_conditions):
-        if isinstance(condition.lower, str) or isinstance(condition.upper, str):
-            raise PeriluneError(
-                f"a range at an end has numbers for bounds: {condition.name}",
-                got=f"[{condition.lower}, {condition.upper}]",
-                advice="subtract the parameter in the end condition",
-            )
     results = [v.name for v in problem.result_variables]
     if problem.maximised and problem.maximised not in results:
         raise unknown_name("result", problem.maximised, results)

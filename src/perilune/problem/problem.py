@@ -57,8 +57,8 @@ class Variable:
     """A named component with its unit: a state, an end condition, a path condition or an output.
 
     `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. An end
-    condition with one of them, then a number, is a range: its value has to lie between the bounds, and not to vanish.
-    `label` is its name on the axis of a figure, where that is not `name` with blanks.
+    condition with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its
+    name on the axis of a figure, where that is not `name` with blanks.
     """
 
     name: str
@@ -79,18 +79,19 @@ class Variable:
                 expected="lower < upper",
             )
 
-    def limits(self, p: Any) -> tuple[Any, Any]:
-        """Bounds in SI, where they are parameters those of the record p."""
-        return limit_value(self.lower, p), limit_value(self.upper, p)
-
     @property
     def ranged(self) -> bool:
         """Whether an end condition of this name is a range and no equality."""
         return any(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
 
-    def missed(self, value: Any) -> Any:
+    def limits(self, p: Any) -> tuple[Any, Any]:
+        """Bounds in SI, where they are parameters those of the record p."""
+        return limit_value(self.lower, p), limit_value(self.upper, p)
+
+    def missed(self, value: Any, p: Any) -> Any:
         """By how much an end condition of this value is not met, 0 where it is; a number, or an array of them."""
-        return value - NUMERIC.fmin(NUMERIC.fmax(value, self.lower), self.upper) if self.ranged else value
+        lower, upper = self.limits(p)
+        return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,19 +48,15 @@ class Unnumbered:
 
     @cached_property
     def _key(self) -> tuple[Any, ...]:
-        # Whether a limit is a number, and of which sign, decides on the regimes of a control.
+        # Whether a limit is a number, and of which sign, decides on the regimes of a control; whether an end condition
+        # is a range decides on its row.
         bounds = tuple(
             limit if isinstance(limit, str) else (math.isfinite(limit), limit < 0)
             for phase in self.stated.phases
             for _, c in scalars(phase.controls)
             for limit in (c.lower, c.upper)
         )
-        # So does for an end condition whether it is a range, and to which sides.
-        ranges = tuple(
-            (math.isfinite(c.lower), math.isfinite(c.upper))
-            for phase in self.stated.phases
-            for c in phase.end_conditions
-        )
+        ranges = tuple(c.ranged for phase in self.stated.phases for c in phase.end_conditions)
         return (self.stated.form.digest, tuple(self.stated.given), self.stated.free_names, bounds, ranges)
 
     def __eq__(self, other: object) -> bool:

@@ -118,7 +118,8 @@ def end_sides(arc: Arc) -> Vector:
     sides = []
     for condition, value in zip(arc.phase.end_conditions, arc.phase.evaluate("end", end, (), arc.p), strict=True):
         near = ACTIVE * arc.problem.scales.of(condition.unit)
-        low, high = value <= condition.lower + near, value >= condition.upper - near
+        lower, upper = condition.limits(arc.p)
+        low, high = value <= lower + near, value >= upper - near
         sides.append((-1 if low else 1 if high else INSIDE) if condition.ranged else 0)
     return np.array(sides)
 

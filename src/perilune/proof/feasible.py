@@ -93,7 +93,7 @@ def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
         what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
         yield Check(
             name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
-            value=abs(float(condition.missed(float(residual)))),
+            value=abs(float(condition.missed(float(residual), arc.p))),
             limit=END_LIMIT * arc.problem.scales.of(condition.unit),
             meaning=f"{what} when the exported control is flown by another integrator",
         )  # fmt: skip

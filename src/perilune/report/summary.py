@@ -77,7 +77,8 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     if len(rows) > 1:
         parts += [
             "## Extremals",
-            "Every root of the necessary conditions that was found, best first; the first is this solution.",
+            "Every root of the necessary conditions that was found, best first; the first is this solution"
+            + (f" ({_CLAIMED})." if solution.statistics.claimed else "."),
             table(rows[0], rows[1:]),
         ]
     parts += ["## Proof", _proof(solution), "## How it was found", _how(solution)]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 from perilune.kernels.algebra.program import Program
 from perilune.kernels.code import vecmath
-from perilune.kernels.code.ir import Writer
+from perilune.kernels.code.ir import Mask, Ptr, Vec, Writer
 
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTRINSICS = {"sqrt", "fabs", "copysign", "floor", "ceil"}
@@ -34,7 +34,8 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int) ->
     """
     w = Writer(width)
     fetch = _inputs(w, program)
-    names: dict[int, str] = {}
+    names: dict[int, Vec] = {}
+    result = Ptr("%out", w.vector)
     places: dict[int, list[int]] = {}
     for index, number in enumerate(program.outputs):
         places.setdefault(number, []).append(index)
@@ -44,7 +45,7 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int) ->
         elif op != "input":
             names[number] = operation(w, op, *(names.get(i) or fetch(i, number) for i in operands))
         for index in places.get(number, ()):
-            w.store(names.get(number) or fetch(number, number), "%out", index)
+            w.store(names.get(number) or fetch(number, number), result, index)
     pointers = ", ".join(f"ptr noalias nocapture readonly align 8 %in{i}" for i in arguments)
     return (
         f"define internal void @{name}({pointers}, "
@@ -53,20 +54,19 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int) ->
     )
 
 
-def _inputs(w: Writer, program: Program) -> Callable[[int, int], str]:
+def _inputs(w: Writer, program: Program) -> Callable[[int, int], Vec]:
     """Return (input, where it is used) -> its value, read again unless it was read a moment ago.
 
     A large field has more inputs than a processor has registers. Left to itself LLVM reads each once and moves
     it to the stack and back; a volatile read it has to leave where it is, next to its use, which saves those
     stores: a field of 70 entries takes three quarters of the time.
     """
-    read: dict[int, tuple[str, int]] = {}
+    read: dict[int, tuple[Vec, int]] = {}
 
-    def fetch(number: int, at: int) -> str:
+    def fetch(number: int, at: int) -> Vec:
         if number not in read or at - read[number][1] > _RECENT:
             _, argument, index = program.instructions[number]
-            address = w.at(f"%in{argument}", index)
-            value = w.let(f"load volatile {w.vector}, ptr {address}, align {w.align(w.vector)}")
+            value = w.load(Ptr(f"%in{argument}", w.vector), index, volatile=True)
         else:
             value = read[number][0]
         read[number] = value, at
@@ -81,7 +81,7 @@ def library(programs: list[Program], width: int) -> str:
     return vecmath.definitions(width, used)
 
 
-def operation(w: Writer, op: str, *operands: str) -> str:
+def operation(w: Writer, op: str, *operands: Vec) -> Vec:
     """Append one operation; every name of `program.OPERATIONS` that survives tracing is known."""
     if op in _ARITHMETIC:
         return w.arith(_ARITHMETIC[op], *operands)
@@ -96,7 +96,7 @@ def operation(w: Writer, op: str, *operands: str) -> str:
     return _logic(w, op, *operands)
 
 
-def _logic(w: Writer, op: str, *operands: str) -> str:
+def _logic(w: Writer, op: str, *operands: Vec) -> Vec:
     zero = w.const(0.0)
     true = [w.compare("une", x, zero) for x in operands]
     match op:
@@ -119,5 +119,5 @@ def _logic(w: Writer, op: str, *operands: str) -> str:
     raise KeyError(op)
 
 
-def _number(w: Writer, mask: str) -> str:
+def _number(w: Writer, mask: Mask) -> Vec:
     return w.select(mask, w.const(1.0), w.const(0.0))

@@ -5,13 +5,73 @@ on vectors of `width` doubles (one lane per trajectory), comparisons to masks, b
 loops and conditions. Nothing here is a mathematical decision except the floating-point flag: `contract`
 alone, which lets a product and a sum fuse. The flags that assume no NaN are left out, because a NaN has to be
 seen.
+
+The name of a value is a string of a type of its own, and memory is typed by what lies in it, so that a type checker
+tells a mask from a vector before LLVM does.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+
+class Vec(str):
+    """A double in each lane."""
+
+
+class Mask(str):
+    """A bit in each lane."""
+
+
+class Bits(str):
+    """A 64-bit integer in each lane."""
+
+
+class Num(str):
+    """One double."""
+
+
+class Int(str):
+    """One 64-bit integer."""
+
+
+class Bit(str):
+    """One bit."""
+
+
+T = TypeVar("T", bound=str)
+Index = Int | int
+
+
+@dataclass(frozen=True)
+class Kind(Generic[T]):
+    """How LLVM writes a type, what names of its values are made of, and the alignment in bytes that buffers keep."""
+
+    text: str
+    named: Callable[[str], T]
+    align: int
+
+    def __str__(self) -> str:
+        return self.text
+
+
+NUM, INT, BIT = Kind("double", Num, 8), Kind("i64", Int, 8), Kind("i1", Bit, 1)
+
+
+class Ptr(str, Generic[T]):
+    """The address of values of one kind."""
+
+    kind: Kind[T]
+
+    def __new__(cls, name: str, kind: Kind[T]) -> Ptr[T]:
+        """Name it."""
+        pointer = super().__new__(cls, name)
+        pointer.kind = kind
+        return pointer
 
 
 def literal(value: float) -> str:
@@ -24,9 +84,9 @@ class Writer:
 
     def __init__(self, width: int) -> None:
         self.width = width
-        self.vector = f"<{width} x double>"
-        self.mask = f"<{width} x i1>"
-        self.integers = f"<{width} x i64>"
+        self.vector = Kind(f"<{width} x double>", Vec, 8 * width)
+        self.mask = Kind(f"<{width} x i1>", Mask, 1)
+        self.integers = Kind(f"<{width} x i64>", Bits, 8 * width)
         self.lines: list[str] = []
         self.head: list[str] = []  # allocations, which belong at the entry of the function
         self._count = 0
@@ -38,11 +98,11 @@ class Writer:
         self._count += 1
         return f"{stem}{self._count}"
 
-    def let(self, text: str) -> str:
-        """Append an instruction with a result; returns its name."""
+    def let(self, kind: Kind[T], text: str) -> T:
+        """Append an instruction whose result is of a kind; returns its name."""
         name = f"%{self.fresh('v')}"
         self.lines.append(f"  {name} = {text}")
-        return name
+        return kind.named(name)
 
     def run(self, text: str) -> None:
         """Append an instruction without a result."""
@@ -58,136 +118,201 @@ class Writer:
 
     # -- vectors
     # -----------------------------------------------------------------------------------------------
-    def const(self, value: float) -> str:
+    def const(self, value: float) -> Vec:
         """Return a vector with the same number in each lane."""
-        return "<" + ", ".join([f"double {literal(value)}"] * self.width) + ">"
+        return Vec("<" + ", ".join([f"double {literal(value)}"] * self.width) + ">")
 
-    def bits(self, value: int) -> str:
+    def bits(self, value: int) -> Bits:
         """Return a vector of the same 64-bit integer."""
-        return "<" + ", ".join([f"i64 {value}"] * self.width) + ">"
+        return Bits("<" + ", ".join([f"i64 {value}"] * self.width) + ">")
 
-    def arith(self, op: str, a: str, b: str) -> str:
+    def arith(self, op: str, a: Vec, b: Vec) -> Vec:
         """Append fadd, fsub, fmul or fdiv."""
-        return self.let(f"{op} contract {self.vector} {a}, {b}")
+        return self.let(self.vector, f"{op} contract {self.vector} {a}, {b}")
 
-    def add(self, a: str, b: str) -> str:
+    def add(self, a: Vec, b: Vec) -> Vec:
         """a + b."""
         return self.arith("fadd", a, b)
 
-    def sub(self, a: str, b: str) -> str:
+    def sub(self, a: Vec, b: Vec) -> Vec:
         """a - b."""
         return self.arith("fsub", a, b)
 
-    def mul(self, a: str, b: str) -> str:
+    def mul(self, a: Vec, b: Vec) -> Vec:
         """a b."""
         return self.arith("fmul", a, b)
 
-    def div(self, a: str, b: str) -> str:
+    def div(self, a: Vec, b: Vec) -> Vec:
         """a / b."""
         return self.arith("fdiv", a, b)
 
-    def fma(self, a: str, b: str, c: str) -> str:
+    def fma(self, a: Vec, b: Vec, c: Vec) -> Vec:
         """a b + c, fused where the processor can."""
         return self.intrinsic("fmuladd", a, b, c)
 
-    def neg(self, a: str) -> str:
+    def neg(self, a: Vec) -> Vec:
         """-a."""
-        return self.let(f"fneg {self.vector} {a}")
+        return self.let(self.vector, f"fneg {self.vector} {a}")
 
-    def intrinsic(self, name: str, *operands: str) -> str:
+    def intrinsic(self, name: str, *operands: Vec) -> Vec:
         """Append one of LLVM's own functions: sqrt, fabs, copysign, rint, floor, ceil, fmuladd."""
         arguments = ", ".join(f"{self.vector} {x}" for x in operands)
-        return self.let(f"call contract {self.vector} @llvm.{name}.v{self.width}f64({arguments})")
+        return self.let(self.vector, f"call contract {self.vector} @llvm.{name}.v{self.width}f64({arguments})")
 
-    def horner(self, x: str, coefficients: tuple[float, ...]) -> str:
+    def horner(self, x: Vec, coefficients: tuple[float, ...]) -> Vec:
         """Append a polynomial, highest power first."""
         value = self.const(coefficients[0])
         for c in coefficients[1:]:
             value = self.fma(value, x, self.const(c))
         return value
 
-    def compare(self, predicate: str, a: str, b: str) -> str:
-        """Append a comparison to a mask: oeq, olt, ole, ogt, oge (false on NaN), uno (either is NaN), ..."""
-        return self.let(f"fcmp {predicate} {self.vector} {a}, {b}")
-
-    def const_mask(self, value: bool) -> str:
-        """Return a mask that holds everywhere or nowhere."""
-        return "splat (i1 true)" if value else "splat (i1 false)"
-
-    def both(self, a: str, b: str) -> str:
-        """Mask and mask."""
-        return self.let(f"and {self.mask} {a}, {b}")
-
-    def either(self, a: str, b: str) -> str:
-        """Mask or mask."""
-        return self.let(f"or {self.mask} {a}, {b}")
-
-    def but_not(self, a: str, b: str) -> str:
-        """Mask and not mask."""
-        return self.both(a, self.let(f"xor {self.mask} {b}, splat (i1 true)"))
-
-    def select(self, mask: str, yes: str, no: str) -> str:
-        """Lane by lane, one or the other."""
-        return self.let(f"select {self.mask} {mask}, {self.vector} {yes}, {self.vector} {no}")
-
-    def smaller(self, a: str, b: str) -> str:
+    def smaller(self, a: Vec, b: Vec) -> Vec:
         """Return the smaller; b where either is NaN."""
         return self.select(self.compare("olt", a, b), a, b)
 
-    def larger(self, a: str, b: str) -> str:
+    def larger(self, a: Vec, b: Vec) -> Vec:
         """Return the larger; b where either is NaN."""
         return self.select(self.compare("ogt", a, b), a, b)
 
-    def any(self, mask: str) -> str:
-        """Return i1: is it so in any lane."""
-        return self.let(f"call i1 @llvm.vector.reduce.or.v{self.width}i1({self.mask} {mask})")
+    # -- lanes of vectors
+    # -----------------------------------------------------------------------------------------------
+    def lane(self, vector: Vec, number: int) -> Num:
+        """Return one lane."""
+        return self.let(NUM, f"extractelement {self.vector} {vector}, i32 {number}")
+
+    def gathered(self, value: Callable[[int], Num]) -> Vec:
+        """Return a vector from a number for each lane."""
+        result = Vec("poison")
+        for lane in range(self.width):
+            number = value(lane)
+            result = self.let(self.vector, f"insertelement {self.vector} {result}, double {number}, i32 {lane}")
+        return result
+
+    def broadcast(self, integer: Int) -> Vec:
+        """Return a vector with a whole number in each lane."""
+        value = self.let(NUM, f"sitofp i64 {integer} to double")
+        return self.gathered(lambda _: value)
+
+    # -- masks and bits
+    # -----------------------------------------------------------------------------------------------
+    def compare(self, predicate: str, a: Vec, b: Vec) -> Mask:
+        """Append a comparison to a mask: oeq, olt, ole, ogt, oge (false on NaN), uno (either is NaN), ..."""
+        return self.let(self.mask, f"fcmp {predicate} {self.vector} {a}, {b}")
+
+    def const_mask(self, value: bool) -> Mask:
+        """Return a mask that holds everywhere or nowhere."""
+        return Mask("splat (i1 true)" if value else "splat (i1 false)")
+
+    def both(self, a: Mask, b: Mask) -> Mask:
+        """Mask and mask."""
+        return self.let(self.mask, f"and {self.mask} {a}, {b}")
+
+    def either(self, a: Mask, b: Mask) -> Mask:
+        """Mask or mask."""
+        return self.let(self.mask, f"or {self.mask} {a}, {b}")
+
+    def opposite(self, mask: Mask) -> Mask:
+        """Not mask."""
+        return self.let(self.mask, f"xor {self.mask} {mask}, splat (i1 true)")
+
+    def but_not(self, a: Mask, b: Mask) -> Mask:
+        """Mask and not mask."""
+        return self.both(a, self.opposite(b))
+
+    def select(self, mask: Mask, yes: Vec, no: Vec) -> Vec:
+        """Lane by lane, one or the other."""
+        return self.let(self.vector, f"select {self.mask} {mask}, {self.vector} {yes}, {self.vector} {no}")
+
+    def choose(self, bit: Bit, kind: Kind[T], yes: T, no: T) -> T:
+        """One or the other, in all lanes."""
+        return self.let(kind, f"select i1 {bit}, {kind} {yes}, {kind} {no}")
+
+    def any(self, mask: Mask) -> Bit:
+        """Is it so in any lane."""
+        return self.let(BIT, f"call i1 @llvm.vector.reduce.or.v{self.width}i1({self.mask} {mask})")
+
+    def and_bit(self, a: Bit, b: Bit) -> Bit:
+        """Bit and bit."""
+        return self.let(BIT, f"and i1 {a}, {b}")
+
+    def not_bit(self, a: Bit) -> Bit:
+        """Not bit."""
+        return self.let(BIT, f"xor i1 {a}, true")
+
+    def positive(self, number: Num) -> Bit:
+        """Is one double above zero."""
+        return self.let(BIT, f"fcmp ogt double {number}, 0.0")
+
+    # -- whole numbers
+    # -----------------------------------------------------------------------------------------------
+    def integer(self, op: str, a: Index, b: Index) -> Int:
+        """Append add, sub, mul or shl."""
+        return self.let(INT, f"{op} i64 {a}, {b}")
+
+    def entry(self, row: Index, length: int, column: Index) -> Int:
+        """Return where an entry of a matrix lies, row by row."""
+        return self.integer("add", self.integer("mul", row, length), column)
+
+    def below(self, a: Index, b: Index) -> Bit:
+        """a < b."""
+        return self.let(BIT, f"icmp slt i64 {a}, {b}")
 
     # -- memory
     # ------------------------------------------------------------------------------------------------
-    def buffer(self, count: int, kind: str | None = None) -> str:
-        """Allocate `count` vectors (or values of another kind) for the duration of the function."""
+    def allocate(self, kind: Kind[T], count: int) -> Ptr[T]:
+        """Allocate values for the duration of the function."""
         name = f"%{self.fresh('b')}"
-        self.head.append(f"  {name} = alloca [{max(count, 1)} x {kind or self.vector}], align 64")
-        return name
+        self.head.append(f"  {name} = alloca [{max(count, 1)} x {kind}], align 64")
+        return Ptr(name, kind)
 
-    def at(self, pointer: str, index: str | int, kind: str | None = None) -> str:
+    def buffer(self, count: int) -> Ptr[Vec]:
+        """Allocate vectors."""
+        return self.allocate(self.vector, count)
+
+    def at(self, pointer: Ptr[T], index: Index) -> Ptr[T]:
         """Return the address of an element."""
-        return self.let(f"getelementptr inbounds {kind or self.vector}, ptr {pointer}, i64 {index}")
+        name = f"%{self.fresh('v')}"
+        self.lines.append(f"  {name} = getelementptr inbounds {pointer.kind}, ptr {pointer}, i64 {index}")
+        return Ptr(name, pointer.kind)
 
-    def load(self, pointer: str, index: str | int = 0, kind: str | None = None) -> str:
+    def load(self, pointer: Ptr[T], index: Index = 0, *, volatile: bool = False) -> T:
         """Read an element."""
-        kind = kind or self.vector
-        return self.let(f"load {kind}, ptr {self.at(pointer, index, kind)}, align {self.align(kind)}")
+        kind, how = pointer.kind, "load volatile" if volatile else "load"
+        return self.let(kind, f"{how} {kind}, ptr {self.at(pointer, index)}, align {kind.align}")
 
-    def store(self, value: str, pointer: str, index: str | int = 0, kind: str | None = None) -> None:
+    def store(self, value: T, pointer: Ptr[T], index: Index = 0) -> None:
         """Write an element."""
-        kind = kind or self.vector
-        self.run(f"store {kind} {value}, ptr {self.at(pointer, index, kind)}, align {self.align(kind)}")
+        kind = pointer.kind
+        self.run(f"store {kind} {value}, ptr {self.at(pointer, index)}, align {kind.align}")
 
-    def align(self, kind: str) -> int:
-        """Return the alignment in bytes that the buffers keep."""
-        return 8 * self.width if kind == self.vector else 1 if kind == self.mask else 8
+    def by_lane(self, pointer: Ptr[Vec]) -> Ptr[Num]:
+        """Return the same memory as doubles, lane after lane of vector after vector."""
+        return Ptr(pointer, NUM)
+
+    def address(self, table: Ptr[Int], index: int, kind: Kind[T]) -> Ptr[T]:
+        """Read the address of values of a kind from a table."""
+        return Ptr(self.load(Ptr(table, Kind("ptr", str, 8)), index), kind)
 
     # -- control
     # -----------------------------------------------------------------------------------------------
     @contextmanager
-    def loop(self, start: str | int, stop: str | int) -> Iterator[str]:
+    def loop(self, start: Index, stop: Index) -> Iterator[Int]:
         """Count an i64 from start to stop - 1."""
         head, body, done = self.fresh("head"), self.fresh("body"), self.fresh("done")
-        counter = self.buffer(1, "i64")
-        self.store(str(start), counter, kind="i64")
+        counter = self.allocate(INT, 1)
+        self.store(Int(start), counter)
         self.run(f"br label %{head}")
         self.label(head)
-        index = self.load(counter, kind="i64")
-        self.run(f"br i1 {self.let(f'icmp slt i64 {index}, {stop}')}, label %{body}, label %{done}")
+        index = self.load(counter)
+        self.run(f"br i1 {self.below(index, stop)}, label %{body}, label %{done}")
         self.label(body)
         yield index
-        self.store(self.let(f"add i64 {index}, 1"), counter, kind="i64")
+        self.store(self.integer("add", index, 1), counter)
         self.run(f"br label %{head}")
         self.label(done)
 
     @contextmanager
-    def when(self, condition: str) -> Iterator[None]:
+    def when(self, condition: Bit) -> Iterator[None]:
         """Do it if the i1 holds."""
         yes, done = self.fresh("yes"), self.fresh("done")
         self.run(f"br i1 {condition}, label %{yes}, label %{done}")
@@ -197,12 +322,12 @@ class Writer:
         self.label(done)
 
     @contextmanager
-    def repeat_while_any(self, mask_variable: str) -> Iterator[None]:
+    def repeat_while_any(self, mask_variable: Ptr[Mask]) -> Iterator[None]:
         """Repeat while the mask in a variable holds in any lane."""
         head, body, done = self.fresh("head"), self.fresh("body"), self.fresh("done")
         self.run(f"br label %{head}")
         self.label(head)
-        again = self.any(self.load(mask_variable, kind=self.mask))
+        again = self.any(self.load(mask_variable))
         self.run(f"br i1 {again}, label %{body}, label %{done}")
         self.label(body)
         yield

@@ -18,7 +18,7 @@ import numpy as np
 from perilune.kernels.algebra.program import trace
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.emit import kernel, library
-from perilune.kernels.code.ir import Writer
+from perilune.kernels.code.ir import INT, NUM, Int, Num, Ptr, Vec, Writer
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -76,7 +76,7 @@ def compile_map(function: Any, *, cache: bool = True, backend: str | None = None
     mapped
         (a (lanes, na), b (lanes, nb), ...) -> (lanes, m); an argument of one row serves every lane.
     """
-    if backend == "interpreter" or (backend is None and not native.available()):
+    if not native.chosen(backend):
         return lambda *arguments: _interpreted(function, arguments)
 
     call = _native(function, _WIDTH, cache)
@@ -139,8 +139,7 @@ def compile_single(function: Any, *, cache: bool = True, backend: str | None = N
         held.append(table)  # as long-lived as what it points to
         return partial(_native(flat, 1, cache), 0, 1, native.address(table))
 
-    interpreted = backend == "interpreter" or (backend is None and not native.available())
-    return SingleMap(sizes, shapes, interpret if interpreted else bind)
+    return SingleMap(sizes, shapes, bind if native.chosen(backend) else interpret)
 
 
 def _native(function: Any, width: int, cache: bool) -> Any:
@@ -163,40 +162,34 @@ def _interpreted(function: Any, arguments: tuple[Matrix, ...]) -> Matrix:
 def _module(function: Any, width: int) -> str:
     program = trace(function)
     count, rows = function.n_in(), function.size1_out(0)
-    w = Writer(width)
+    w, table = Writer(width), Ptr("%table", INT)
     inputs = [w.buffer(function.size1_in(i)) for i in range(count)]
     result = w.buffer(rows)
-    lanes, out = w.load("%table", 0, "i64"), w.load("%table", 1, "ptr")
-    with w.loop("%first", "%last") as group:
-        base = w.let(f"mul i64 {group}, {width}")
-        for i in range(count):
-            _rows(
-                w,
-                base,
-                lanes,
-                w.load("%table", 2 + 2 * i, "ptr"),
-                w.load("%table", 3 + 2 * i, "i64"),
-                inputs[i],
-                function.size1_in(i),
-            )
+    lanes, out = w.load(table, 0), w.address(table, 1, NUM)
+    with w.loop(Int("%first"), Int("%last")) as group:
+        base = w.integer("mul", group, width)
+        for i, held in enumerate(inputs):
+            source, stride = w.address(table, 2 + 2 * i, NUM), w.load(table, 3 + 2 * i)
+            _rows(w, (base, lanes), source, stride, held, function.size1_in(i))
         w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, result))})")
         with w.loop(0, width) as k:
-            lane = w.let(f"add i64 {base}, {k}")
-            with w.when(w.let(f"icmp slt i64 {lane}, {lanes}")), w.loop(0, rows) as c:
-                value = w.load(result, w.let(f"add i64 {w.let(f'mul i64 {c}, {width}')}, {k}"), "double")
-                w.store(value, out, w.let(f"add i64 {w.let(f'mul i64 {lane}, {rows}')}, {c}"), "double")
+            lane = w.integer("add", base, k)
+            with w.when(w.below(lane, lanes)), w.loop(0, rows) as c:
+                value = w.load(w.by_lane(result), w.entry(c, width, k))
+                w.store(value, out, w.entry(lane, rows, c))
     mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
     return "\n".join([library([program], width), kernel("kernel", program, range(count), width), mapping])
 
 
-def _rows(w: Writer, base: str, lanes: str, source: str, stride: str, target: str, size: int) -> None:
-    """Gather one argument of a group; places beyond the batch repeat its last lane."""
-    final = w.let(f"sub i64 {lanes}, 1")
+def _rows(w: Writer, group: tuple[Int, Int], source: Ptr[Num], stride: Int, target: Ptr[Vec], size: int) -> None:
+    """Gather one argument of a group (its first lane, lanes of all); places beyond repeat the last lane."""
+    base, lanes = group
+    final = w.integer("sub", lanes, 1)
     with w.loop(0, w.width) as k:
-        place = w.let(f"add i64 {base}, {k}")
-        inside = w.let(f"icmp slt i64 {place}, {lanes}")
-        lane = w.let(f"select i1 {inside}, i64 {place}, i64 {final}")
-        start = w.let(f"mul i64 {lane}, {stride}")
+        place = w.integer("add", base, k)
+        inside = w.below(place, lanes)
+        lane = w.choose(inside, INT, place, final)
+        start = w.integer("mul", lane, stride)
         with w.loop(0, size) as c:
-            value = w.load(source, w.let(f"add i64 {start}, {c}"), "double")
-            w.store(value, target, w.let(f"add i64 {w.let(f'mul i64 {c}, {w.width}')}, {k}"), "double")
+            value = w.load(source, w.integer("add", start, c))
+            w.store(value, w.by_lane(target), w.entry(c, w.width, k))

@@ -20,6 +20,19 @@ def available() -> bool:
     return True
 
 
+def chosen(backend: str | None) -> bool:
+    """Whether a caller's choice means machine code: "native", "scipy", or None for native where it can be made.
+
+    Raises
+    ------
+    PeriluneError
+        On another choice.
+    """
+    if backend not in (None, "native", "scipy"):
+        raise PeriluneError("no such backend", got=repr(backend), expected="native, scipy or None")
+    return backend == "native" or (backend is None and available())
+
+
 @cache
 def processor() -> tuple[str, str, str]:
     """Return the processor that code is made for: its triple, its name and its features."""
@@ -69,7 +82,7 @@ def compile_ir(text: str) -> bytes:
         raise PeriluneError(
             "LLVM refuses the generated code",
             got=str(error)[:2000],
-            advice="backend='interpreter'; and report it",
+            advice="backend='scipy'; and report it",
         ) from error
     # Straight-line kernels leave higher levels nothing to find: measured as quick, compiled a third sooner.
     options = llvm.create_pipeline_tuning_options(speed_level=1)

@@ -13,8 +13,9 @@ of sin and cos beyond 2^19, and the functions in `LIBRARY`, go to the C library 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-from perilune.kernels.code.ir import Writer
+from perilune.kernels.code.ir import NUM, Bits, Num, Vec, Writer
 
 #: Called in the C library, lane by lane; value: number of arguments.
 LIBRARY = {"pow": 2, "asinh": 1, "acosh": 1, "atanh": 1, "log1p": 1, "expm1": 1, "hypot": 2}
@@ -44,10 +45,10 @@ _TANH_P = (-9.64399179425052238628e-1, -9.92877231001918586564e1, -1.61468768441
 _TANH_Q = (1.0, 1.12811678491632931402e2, 2.23548839060100448583e3, 4.84406305325125486048e3)
 
 
-def call(w: Writer, name: str, *operands: str) -> str:
+def call(w: Writer, name: str, *operands: Vec) -> Vec:
     """Append a call of a transcendental function; its definition comes from `definitions`."""
     arguments = ", ".join(f"{w.vector} {x}" for x in operands)
-    return w.let(f"call {w.vector} @perilune.{name}({arguments})")
+    return w.let(w.vector, f"call {w.vector} @perilune.{name}({arguments})")
 
 
 def definitions(width: int, names: set[str]) -> str:
@@ -68,9 +69,9 @@ def definitions(width: int, names: set[str]) -> str:
     return "\n".join(texts)
 
 
-def _define(width: int, name: str, arity: int, write) -> str:
+def _define(width: int, name: str, arity: int, write: Callable[..., Vec]) -> str:
     w = Writer(width)
-    parameters = [f"%a{i}" for i in range(arity)]
+    parameters = [Vec(f"%a{i}") for i in range(arity)]
     result = write(w, *parameters)
     signature = ", ".join(f"{w.vector} {x}" for x in parameters)
     return (f"define internal {w.vector} @perilune.{name}({signature}) nounwind willreturn memory(none) {{\n"
@@ -78,13 +79,12 @@ def _define(width: int, name: str, arity: int, write) -> str:
 
 
 def _lane_by_lane(width: int, name: str, arity: int) -> str:
-    def write(w: Writer, *operands: str) -> str:
-        result = "poison"
-        for lane in range(width):
-            values = [w.let(f"extractelement {w.vector} {x}, i32 {lane}") for x in operands]
-            value = w.let(f"call double @{name}({', '.join(f'double {v}' for v in values)})")
-            result = w.let(f"insertelement {w.vector} {result}, double {value}, i32 {lane}")
-        return result
+    def write(w: Writer, *operands: Vec) -> Vec:
+        def called(lane: int) -> Num:
+            values = [w.lane(x, lane) for x in operands]
+            return w.let(NUM, f"call double @{name}({', '.join(f'double {v}' for v in values)})")
+
+        return w.gathered(called)
 
     declaration = f"declare double @{name}({', '.join(['double'] * arity)}) nounwind willreturn memory(none)\n"
     return declaration + _define(width, name, arity, write)
@@ -92,19 +92,19 @@ def _lane_by_lane(width: int, name: str, arity: int) -> str:
 
 # -- pieces
 # ----------------------------------------------------------------------------------------------------
-def _as_integer(w: Writer, x: str) -> str:
-    return w.let(f"bitcast {w.vector} {x} to {w.integers}")
+def _as_integer(w: Writer, x: Vec) -> Bits:
+    return w.let(w.integers, f"bitcast {w.vector} {x} to {w.integers}")
 
 
-def _as_double(w: Writer, x: str) -> str:
-    return w.let(f"bitcast {w.integers} {x} to {w.vector}")
+def _as_double(w: Writer, x: Bits) -> Vec:
+    return w.let(w.vector, f"bitcast {w.integers} {x} to {w.vector}")
 
 
-def _integer(w: Writer, op: str, a: str, b: str) -> str:
-    return w.let(f"{op} {w.integers} {a}, {b}")
+def _integer(w: Writer, op: str, a: Bits, b: Bits) -> Bits:
+    return w.let(w.integers, f"{op} {w.integers} {a}, {b}")
 
 
-def _reduced(w: Writer, x: str) -> tuple[str, str]:
+def _reduced(w: Writer, x: Vec) -> tuple[Vec, Bits]:
     """x = n pi/2 + r with |r| <= pi/4; returns r and the bits of n. Good for |x| < 2^19."""
     shifted = w.add(w.mul(x, w.const(2 / math.pi)), w.const(_ROUND))
     n = w.sub(shifted, w.const(_ROUND))
@@ -114,7 +114,7 @@ def _reduced(w: Writer, x: str) -> tuple[str, str]:
     return r, _as_integer(w, shifted)
 
 
-def _quadrant(w: Writer, x: str, advance: int) -> str:
+def _quadrant(w: Writer, x: Vec, advance: int) -> Vec:
     """sin(x + advance pi/2): the polynomial that the quadrant asks for, with its sign."""
     r, n = _reduced(w, x)
     z = w.mul(r, r)
@@ -124,13 +124,13 @@ def _quadrant(w: Writer, x: str, advance: int) -> str:
     lost = w.sub(w.sub(w.const(1.0), one), half)
     cosine = w.add(one, w.fma(w.mul(z, z), w.horner(z, _COS), lost))
     quadrant = _integer(w, "add", n, w.bits(advance))
-    odd = w.let(f"trunc {w.integers} {quadrant} to {w.mask}")
+    odd = w.let(w.mask, f"trunc {w.integers} {quadrant} to {w.mask}")
     flip = _integer(w, "shl", _integer(w, "and", quadrant, w.bits(2)), w.bits(62))
     return _as_double(w, _integer(w, "xor", _as_integer(w, w.select(odd, cosine, sine)), flip))
 
 
-def _periodic(name: str, advance: int):
-    def write(w: Writer, x: str) -> str:
+def _periodic(name: str, advance: int) -> Callable[..., Vec]:
+    def write(w: Writer, x: Vec) -> Vec:
         result = w.buffer(1)
         w.store(_quadrant(w, x, advance), result)
         far = w.any(w.compare("ogt", w.intrinsic("fabs", x), w.const(2.0**19)))
@@ -141,20 +141,20 @@ def _periodic(name: str, advance: int):
     return write
 
 
-def _far(name: str):
+def _far(name: str) -> Callable[..., Vec]:
     """Angles beyond the reduction: the library's, out of line."""
 
-    def write(w: Writer, x: str) -> str:
+    def write(w: Writer, x: Vec) -> Vec:
         return w.intrinsic(name, x)
 
     return write
 
 
-def _tan(w: Writer, x: str) -> str:
+def _tan(w: Writer, x: Vec) -> Vec:
     return w.div(call(w, "sin", x), call(w, "cos", x))
 
 
-def _exp(w: Writer, x: str) -> str:
+def _exp(w: Writer, x: Vec) -> Vec:
     x = w.select(w.compare("ogt", x, w.const(720.0)), w.const(720.0), x)
     x = w.select(w.compare("olt", x, w.const(-760.0)), w.const(-760.0), x)
     n = w.sub(w.add(w.mul(x, w.const(1 / math.log(2))), w.const(_ROUND)), w.const(_ROUND))
@@ -169,7 +169,7 @@ def _exp(w: Writer, x: str) -> str:
     return value
 
 
-def _log(w: Writer, x: str) -> str:
+def _log(w: Writer, x: Vec) -> Vec:
     small = w.compare("olt", x, w.const(2.0**-1022))
     bits = _as_integer(w, w.select(small, w.mul(x, w.const(2.0**54)), x))
     # The exponent that leaves a mantissa in [sqrt(1/2), sqrt(2)), biased to stay positive.
@@ -191,7 +191,7 @@ def _log(w: Writer, x: str) -> str:
     return w.select(w.compare("uge", x, w.const(0.0)), w.select(w.compare("uno", x, x), x, value), w.const(math.nan))
 
 
-def _atan2(w: Writer, y: str, x: str) -> str:
+def _atan2(w: Writer, y: Vec, x: Vec) -> Vec:
     """Angle of the first octant from the ratio of the smaller to the larger, then reflected."""
     wide, high = w.intrinsic("fabs", x), w.intrinsic("fabs", y)
     steep = w.compare("ogt", high, wide)
@@ -206,18 +206,18 @@ def _atan2(w: Writer, y: str, x: str) -> str:
     value = w.add(w.select(upper, w.const(math.pi / 4), w.const(0.0)), w.add(value, low))
     turned = w.sub(w.const(math.pi / 2), w.sub(value, w.const(6.123233995736766e-17)))
     value = w.select(steep, turned, value)
-    behind = w.let(f"icmp slt {w.integers} {_as_integer(w, x)}, {w.bits(0)}")
+    behind = w.let(w.mask, f"icmp slt {w.integers} {_as_integer(w, x)}, {w.bits(0)}")
     turned = w.sub(w.const(math.pi), w.sub(value, w.const(1.2246467991473532e-16)))
     value = w.select(behind, turned, value)
     value = w.select(w.compare("uno", x, y), w.add(x, y), value)
     return w.intrinsic("copysign", value, y)
 
 
-def _other_leg(w: Writer, x: str) -> str:
+def _other_leg(w: Writer, x: Vec) -> Vec:
     return w.intrinsic("sqrt", w.mul(w.sub(w.const(1.0), x), w.add(w.const(1.0), x)))
 
 
-def _sinh(w: Writer, x: str) -> str:
+def _sinh(w: Writer, x: Vec) -> Vec:
     size = w.intrinsic("fabs", x)
     e = call(w, "exp", size)
     large = w.mul(w.const(0.5), w.sub(e, w.div(w.const(1.0), e)))
@@ -226,12 +226,12 @@ def _sinh(w: Writer, x: str) -> str:
     return w.intrinsic("copysign", w.select(w.compare("olt", size, w.const(1.0)), small, large), x)
 
 
-def _cosh(w: Writer, x: str) -> str:
+def _cosh(w: Writer, x: Vec) -> Vec:
     e = call(w, "exp", w.intrinsic("fabs", x))
     return w.mul(w.const(0.5), w.add(e, w.div(w.const(1.0), e)))
 
 
-def _tanh(w: Writer, x: str) -> str:
+def _tanh(w: Writer, x: Vec) -> Vec:
     size = w.intrinsic("fabs", x)
     z = w.mul(x, x)
     small = w.fma(w.mul(size, z), w.div(w.horner(z, _TANH_P), w.horner(z, _TANH_Q)), size)
@@ -241,7 +241,7 @@ def _tanh(w: Writer, x: str) -> str:
 
 
 #: name: (writer, number of arguments, functions used)
-_VECTOR = {
+_VECTOR: dict[str, tuple[Callable[..., Vec], int, list[str]]] = {
     "sin": (_periodic("sin", 0), 1, ["far_sin"]),
     "cos": (_periodic("cos", 1), 1, ["far_cos"]),
     "far_sin": (_far("sin"), 1, []),

@@ -96,6 +96,23 @@ class Arcs:
         return (self.status == ArcStatus.REACHED) | (self.status == ArcStatus.EVENT)
 
 
+def arcs_of(z: Matrix, rates: Matrix, columns: Batch, info: Matrix, log: Batch) -> Arcs:
+    """Read the report of a batch: `INFO` of each lane, and number and time of each event, NaN where there is none."""
+    status = info[:, 1].astype(np.int64)
+    met = log[:, :, 0]
+    return Arcs(
+        z=z,
+        rates=rates,
+        columns=columns,
+        time=info[:, 0],
+        status=status,
+        steps=info[:, 2].astype(np.int64),
+        mode=info[:, 3].astype(np.int64),
+        event_index=np.where(np.isnan(met), -1.0, met).astype(np.int64),
+        event_time=log[:, :, 1],
+    )
+
+
 class Engine(Protocol):
     """What `compile_arcs` returns, whichever way it computes."""
 

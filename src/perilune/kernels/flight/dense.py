@@ -1,7 +1,7 @@
 """One arc as a function of time: DOP853's dense output, of order 7, piece by piece.
 
 The stages of all steps are computed at once from their starts, so that the stepping loop has nothing to
-store but the starts; the same text serves machine code and interpreter.
+store but the starts; the same text serves both backends.
 
 Source: Hairer, Norsett, Wanner, *Solving ODEs I*, section II.6; coefficients in `tableau`.
 """

@@ -19,10 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from perilune.kernels.algebra.system import ArcSystem, Event
 from perilune.kernels.code import cache as disk, native
-from perilune.kernels.flight.arcs import MAX_EVENTS, MAX_STEPS, TABLE, Arcs, Engine, Request, request
+from perilune.kernels.flight.arcs import MAX_EVENTS, MAX_STEPS, TABLE, Arcs, Engine, Request, arcs_of, request
 from perilune.kernels.flight.dense import DenseArc, dense_arc
 from perilune.kernels.flight.single import SingleArc
-from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 _LOG = logging.getLogger("perilune.kernels")
@@ -57,7 +56,7 @@ def compile_arcs(
     cache
         Whether to keep the machine code on disk.
     backend
-        "native", "interpreter", or None: native where llvmlite is installed.
+        "native", "scipy", or None: native where llvmlite is installed.
 
     Raises
     ------
@@ -69,16 +68,14 @@ def compile_arcs(
         np.ones((modes[0].size1_in(0), columns), dtype=bool) if isinstance(columns, int) else np.array(columns, bool)
     )
     system = ArcSystem(modes=modes, solved=tuple(solved) or (None,) * len(modes), events=tuple(events), seeds=seeds)
-    if backend not in (None, "native", "interpreter"):
-        raise PeriluneError("no such backend", got=repr(backend), expected="native, interpreter or None")
-    if backend == "native" or (backend is None and native.available()):
+    if native.chosen(backend):
         return NativeEngine(system, cache=cache)
-    from perilune.kernels.flight.interpreter import InterpretedEngine
+    from perilune.kernels.flight.fallback import ScipyEngine
 
     if backend is None and not _told:
         _told.append("told")
-        _LOG.warning("llvmlite is not installed: arcs are flown by CasADi's interpreter, some hundred times slower")
-    return InterpretedEngine(system)
+        _LOG.warning("llvmlite is not installed: arcs are flown by SciPy, some hundred times slower")
+    return ScipyEngine(system)
 
 
 class NativeEngine:
@@ -100,9 +97,9 @@ class NativeEngine:
             system = self.system if columns else self._bare
 
             def build() -> bytes:
-                from perilune.kernels.flight.driver import Driver
+                from perilune.kernels.flight import driver
 
-                return native.compile_ir(Driver(system, width).module())
+                return native.compile_ir(driver.module(system, width))
 
             name = disk.key(system.key, str(width), *native.processor(), *native.versions())
             self._code[which] = native.MachineCode(disk.fetch(name, build, enabled=self._cache))
@@ -211,7 +208,7 @@ class NativeEngine:
         }
         table = _table(held, numbers)
         self._run(self._call(with_columns, width), -(-lanes // width), table, threads)
-        return _arcs(z, rates, columns, info, log), nodes
+        return arcs_of(z, rates, columns, info, log), nodes
 
     def _call(self, columns: bool, width: int) -> Callable[..., None]:
         which = (columns, width)
@@ -249,19 +246,3 @@ class NativeEngine:
 def _table(held: dict[str, Any], numbers: dict[str, int]) -> NDArray[np.int64]:
     entries = [numbers[n] if n in numbers else 0 if held[n] is None else native.address(held[n]) for n in TABLE]
     return np.array(entries, dtype=np.int64)
-
-
-def _arcs(z: Matrix, rates: Matrix, columns: Any, info: Matrix, log: Any) -> Arcs:
-    status = info[:, 1].astype(np.int64)
-    met = log[:, :, 0]
-    return Arcs(
-        z=z,
-        rates=rates,
-        columns=columns,
-        time=info[:, 0],
-        status=status,
-        steps=info[:, 2].astype(np.int64),
-        mode=info[:, 3].astype(np.int64),
-        event_index=np.where(np.isnan(met), -1.0, met).astype(np.int64),
-        event_time=log[:, :, 1],
-    )

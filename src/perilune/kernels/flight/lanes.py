@@ -2,78 +2,71 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from perilune.kernels.code.ir import INT, NUM, Index, Int, Mask, Num, Ptr, Vec
 from perilune.kernels.flight.arcs import INFO
+from perilune.kernels.flight.frame import Frame, Table
 
-if TYPE_CHECKING:
-    from perilune.kernels.flight.driver import Driver
+OFFSETS = Ptr("@offsets", INT)  # of the entries of S kept in Y, within an array (nz, nc)
 
 
-def gather(d: Driver, group: str) -> None:
+def gather(f: Frame, t: Table, group: Int) -> None:
     """Fetch the lanes of a group; places beyond the batch repeat its last lane and are not active."""
-    w, t = d.w, d.table
-    first = w.let(f"mul i64 {group}, {d.width}")
-    with w.loop(0, d.width) as k:
-        place = w.let(f"add i64 {first}, {k}")
-        inside = w.let(f"icmp slt i64 {place}, {t['lanes']}")
-        final = w.let(f"sub i64 {t['lanes']}, 1")
-        lane = w.load(t["order"], w.let(f"select i1 {inside}, i64 {place}, i64 {final}"), "i64")
-        w.store(lane, d.lane, k, "i64")
-        _copy_in(d, t["z0"], w.let(f"mul i64 {lane}, {d.nz}"), d.state, d.nz, k)
-        _copy_in(d, t["p"], w.let(f"mul i64 {lane}, {t['p_stride']}"), d.parameters, d.system.np, k)
-        base = w.let(f"mul i64 {lane}, {d.nz * d.system.nc}")
-        with w.loop(0, d.n - d.nz) as c:
-            source = w.let(f"add i64 {base}, {w.load('@offsets', c, 'i64')}")
-            value = w.load(t["seeds"], source, "double")
-            w.store(value, d.state, element(d, w.let(f"add i64 {c}, {d.nz}"), k), "double")
-        for number, name in enumerate(("duration", "rtol", "atol", "mode")):
-            value = w.load(t[name], lane, "double")
-            w.store(value, d.element, element(d, str(number), k), "double")
-        alive = w.let(f"uitofp i1 {inside} to double")
-        w.store(alive, d.element, element(d, "4", k), "double")
-    for number, name in enumerate(("duration", "rtol", "atol", "mode")):
-        w.store(w.load(d.element, number), getattr(d, name))
-    w.store(w.compare("ogt", w.load(d.element, 4), w.const(0.0)), d.active, kind=w.mask)
-    for name in ("time", "refused", "steps", "tries", "status", "events"):
-        w.store(w.const(0.0), getattr(d, name))
+    w = f.w
+    first = w.integer("mul", group, f.width)
+    with w.loop(0, f.width) as k:
+        place = w.integer("add", first, k)
+        inside = w.below(place, t.lanes)
+        final = w.integer("sub", t.lanes, 1)
+        lane = w.load(t.order, w.choose(inside, INT, place, final))
+        w.store(lane, f.lane, k)
+        _copy_in(f, t.z0, w.integer("mul", lane, f.nz), f.state, f.nz, k)
+        _copy_in(f, t.p, w.integer("mul", lane, t.p_stride), f.parameters, f.system.np, k)
+        base = w.integer("mul", lane, f.nz * f.system.nc)
+        with w.loop(0, f.n - f.nz) as c:
+            source = w.integer("add", base, w.load(OFFSETS, c))
+            value = w.load(t.seeds, source)
+            w.store(value, w.by_lane(f.state), w.entry(w.integer("add", c, f.nz), f.width, k))
+        for number, array in enumerate((t.duration, t.rtol, t.atol, t.mode)):
+            value = w.load(array, lane)
+            w.store(value, f.elements(), w.entry(number, f.width, k))
+        alive = w.let(NUM, f"uitofp i1 {inside} to double")
+        w.store(alive, f.elements(), w.entry(4, f.width, k))
+    for number, target in enumerate((f.duration, f.rtol, f.atol, f.mode)):
+        w.store(w.load(f.element, number), target)
+    w.store(w.compare("ogt", w.load(f.element, 4), w.const(0.0)), f.active)
+    for target in (f.time, f.refused, f.steps, f.tries, f.status, f.events):
+        w.store(w.const(0.0), target)
 
 
-def element(d: Driver, vector: str, lane: str) -> str:
-    """Return the index of a lane of a vector, counted in doubles."""
-    w = d.w
-    return w.let(f"add i64 {w.let(f'mul i64 {vector}, {d.width}')}, {lane}")
-
-
-def _copy_in(d: Driver, source: str, base: str, target: str, count: int, lane: str) -> None:
-    w = d.w
+def _copy_in(f: Frame, source: Ptr[Num], base: Int, target: Ptr[Vec], count: int, lane: Index) -> None:
+    w = f.w
     with w.loop(0, count) as c:
-        value = w.load(source, w.let(f"add i64 {base}, {c}"), "double")
-        w.store(value, target, element(d, c, lane), "double")
+        value = w.load(source, w.integer("add", base, c))
+        w.store(value, w.by_lane(target), w.entry(c, f.width, lane))
 
 
-def write_out(d: Driver, ended: str) -> None:
+def write_out(f: Frame, t: Table, ended: Mask) -> None:
     """Write state, rates, columns and report of the lanes that have ended: the first slopes are those of the state."""
-    w, t = d.w, d.table
+    w = f.w
+    report = {"time": f.time, "status": f.status, "steps": f.steps, "mode": f.mode, "events": f.events}
     for number, name in enumerate(INFO):
-        w.store(w.load(getattr(d, name)), d.element, number)
-    w.store(w.select(ended, w.const(1.0), w.const(0.0)), d.element, len(INFO))
-    with w.loop(0, d.width) as k:
-        flag = w.load(d.element, element(d, str(len(INFO)), k), "double")
-        with w.when(w.let(f"fcmp ogt double {flag}, 0.0")):
-            lane = w.load(d.lane, k, "i64")
-            _copy_out(d, d.state, t["z"], w.let(f"mul i64 {lane}, {d.nz}"), d.nz, k)
-            _copy_out(d, d.slopes, t["rates"], w.let(f"mul i64 {lane}, {d.nz}"), d.nz, k)
-            base = w.let(f"mul i64 {lane}, {d.nz * d.system.nc}")
-            with w.loop(0, d.n - d.nz) as c:
-                value = w.load(d.state, element(d, w.let(f"add i64 {c}, {d.nz}"), k), "double")
-                target = w.let(f"add i64 {base}, {w.load('@offsets', c, 'i64')}")
-                w.store(value, t["columns"], target, "double")
-            _copy_out(d, d.element, t["info"], w.let(f"mul i64 {lane}, {len(INFO)}"), len(INFO), k)
+        w.store(w.load(report[name]), f.element, number)
+    w.store(w.select(ended, w.const(1.0), w.const(0.0)), f.element, len(INFO))
+    with w.loop(0, f.width) as k:
+        flag = w.load(f.elements(), w.entry(len(INFO), f.width, k))
+        with w.when(w.positive(flag)):
+            lane = w.load(f.lane, k)
+            _copy_out(f, f.state, t.z, w.integer("mul", lane, f.nz), f.nz, k)
+            _copy_out(f, f.slopes, t.rates, w.integer("mul", lane, f.nz), f.nz, k)
+            base = w.integer("mul", lane, f.nz * f.system.nc)
+            with w.loop(0, f.n - f.nz) as c:
+                value = w.load(w.by_lane(f.state), w.entry(w.integer("add", c, f.nz), f.width, k))
+                w.store(value, t.columns, w.integer("add", base, w.load(OFFSETS, c)))
+            _copy_out(f, f.element, t.info, w.integer("mul", lane, len(INFO)), len(INFO), k)
 
 
-def _copy_out(d: Driver, source: str, target: str, base: str, count: int, lane: str) -> None:
-    w = d.w
+def _copy_out(f: Frame, source: Ptr[Vec], target: Ptr[Num], base: Int, count: int, lane: Index) -> None:
+    w = f.w
     with w.loop(0, count) as c:
-        value = w.load(source, element(d, c, lane), "double")
-        w.store(value, target, w.let(f"add i64 {base}, {c}"), "double")
+        value = w.load(w.by_lane(source), w.entry(c, f.width, lane))
+        w.store(value, target, w.integer("add", base, c))
