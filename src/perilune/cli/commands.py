@@ -216,15 +216,7 @@ def _varied(file: Path, changes: list[str], key: str, values: list[float]) -> Pr
     for value in (values[-1], values[0]):
         with suppress(InfeasibleError):  # the table will say so
             found = load_file(file, [*changes, f"{key}={value!r} {quantity_of(key).unit}"]).problem
-    problem = found or load_file(file, changes).problem
-    if key.replace(".", "_") not in {*problem.given, *problem.free_names}:
-        raise PeriluneError(
-            f"{key} cannot be varied",
-            got=key,
-            expected="a parameter of the problem, not a bound of its controls",
-            advice=f'perilune solve with --set "{key}=VALUE", once for each value',
-        )
-    return problem
+    return found or load_file(file, changes).problem
 
 
 @app.command()
@@ -317,7 +309,11 @@ def reproduce(
 
 @app.command()
 def new(
-    file: Annotated[
+    kind: Annotated[
+        str | None,
+        typer.Argument(metavar="[KIND]", help="hybrid_landing (unless given), powered_descent, precision_landing."),
+    ] = None,
+    place: Annotated[
         Path | None, typer.Argument(metavar="[FILE]", help="Where to write; to stdout if left out.")
     ] = None,
     as_json: Json = False,
@@ -326,9 +322,10 @@ def new(
     """Write a commented scenario to start from."""
 
     def work() -> Answer:
-        from perilune.scenario import template
+        from perilune.scenario import KINDS, template
 
-        text = template()
+        alone = kind is not None and kind not in KINDS and place is None  # `perilune new FILE`
+        text, file = (template(), Path(kind)) if alone and kind else (template(kind or "hybrid_landing"), place)
         if file is None:
             return Answer(text=text, document={"template": text})
         try:

@@ -20,6 +20,7 @@ from perilune.problem.solution import Solution
 from perilune.shooting.continuation import Member, follow
 from perilune.shooting.function import Root
 from perilune.solve import prove
+from perilune.words.declared import parameter_name
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
 from perilune.words.types import Vector
 from perilune.words.watch import Watch, silent
@@ -119,7 +120,7 @@ def _the_one_parameter(problem: Problem, over: Mapping[str, Sequence[float]]) ->
     if len(over) != 1:
         raise PeriluneError("a sweep runs along one parameter", got=", ".join(over) or "none", expected="one name")
     name, values = next(iter(over.items()))
-    name = name.replace(".", "_")
+    name = parameter_name(name)
     known = sorted({*problem.given, *problem.free_names})
     if name not in known:
         raise unknown_name("parameter", name, known)
