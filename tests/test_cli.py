@@ -13,7 +13,8 @@ import pytest
 
 from command_line import HYBRID, ORDINARY, read_json, snapshot
 from perilune.cli import run
-from perilune.families.sweep import Family, FamilyPoint
+from perilune.families.continued import Continuation
+from perilune.families.family import Family, FamilyPoint
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.solve import prove
@@ -252,14 +253,12 @@ def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None
 def test_sweep_reports_what_is_impossible_and_goes_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
 ) -> None:
-    module = importlib.import_module("perilune.families.sweep")
-
-    def solve_one(problem: Problem, *_: Any) -> Any:
+    def solve_one(_: Any, problem: Problem) -> Any:
         if problem.given["vehicle_thrust"].value < 440.0:
             raise NotConvergedError("did not\nconverge")
-        return ordinary, None
+        return ordinary
 
-    monkeypatch.setattr(module, "_solve_one", solve_one)
+    monkeypatch.setattr(Continuation, "solve", solve_one)
     out = tmp_path / "family"
     arguments = ["sweep", ORDINARY, "--vary", "vehicle.thrust=440:0.4:-219.8 N", "--out", str(out)]
     assert run([*arguments, "--json"]) == 4
@@ -267,8 +266,9 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
     assert [p["value"] for p in document["points"]] == pytest.approx([440.0, 220.2, 0.4])
     assert "did not" in document["points"][1]["message"]
     assert "too weak" in document["points"][2]["message"]
-    assert [p["outcome"] for p in document["points"]] == ["SOLVED", "NOT_CONVERGED", "INFEASIBLE"]
-    assert {"family.csv", "family.json", "family.png", "family.svg"} == set(snapshot(out))
+    assert [p["outcome"] for p in document["points"]] == ["PROVED", "NOT_CONVERGED", "INFEASIBLE"]
+    family = {name for name in snapshot(out) if not name.startswith("members")}
+    assert family == {"family.csv", "family.json", "family.png", "family.svg"}
     assert run([*arguments, "--force"]) == 4
     assert capsys.readouterr().out == (out / "family.csv").read_text(encoding="utf-8")
 
@@ -276,11 +276,13 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
 def family_of(solution: Solution, *, interrupted: bool = False) -> Callable[..., Family]:
     """A sweep that answers every value with one solution, or is stopped after the first."""
 
-    def sweep(problem: Problem, over: dict[str, list[float]], *, level: int, watch: Any) -> Family:
+    def sweep(problem: Problem, over: dict[str, list[float]], *, level: int, watch: Any, **options: Any) -> Family:
         ((name, values),) = over.items()
-        points = [FamilyPoint(value=value, solution=solution) for value in values]
+        points = [FamilyPoint(values=(value,), solution=solution) for value in values]
         points = points[:1] if interrupted else points
-        return Family(problem=problem, parameter=name, unit="", points=tuple(points), interrupted=interrupted)
+        return Family(
+            problem=problem, parameters=(name.replace(".", "_"),), points=tuple(points), interrupted=interrupted
+        )
 
     return sweep
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from perilune.families.sweep import Family, FamilyPoint
+from perilune.families.family import Family, FamilyPoint
 from perilune.problem.solution import Extremal, Nature, Solution
 from perilune.report.family import family_csv, family_document, write_family
 from perilune.reproductions.cho2015.case import PRINTED
@@ -26,12 +26,11 @@ def family(hybrid: Solution, ordinary: Solution) -> Family:
     """Three members, the middle one failed."""
     return Family(
         problem=hybrid.problem,
-        parameter="retro_specific_impulse",
-        unit="s",
+        parameters=("retro_specific_impulse",),
         points=(
-            FamilyPoint(value=310.0, solution=hybrid),
-            FamilyPoint(value=290.0, solution=None, message="no solution\n  try: less"),
-            FamilyPoint(value=270.0, solution=ordinary),
+            FamilyPoint(values=(310.0,), solution=hybrid),
+            FamilyPoint(values=(290.0,), solution=None, message="no solution\n  try: less"),
+            FamilyPoint(values=(270.0,), solution=ordinary),
         ),
     )
 
@@ -98,7 +97,7 @@ def test_gain_of_the_retro_burn_compares_the_best_of_each_kind() -> None:
 
 def test_a_stopped_family_stops_the_reproduction(monkeypatch: pytest.MonkeyPatch, hybrid: Solution) -> None:
     """A sweep answers Ctrl-C with what it has, which must not be taken for the whole figure."""
-    stopped = Family(problem=hybrid.problem, parameter="retro_delta_v", unit="m/s", points=(), interrupted=True)
+    stopped = Family(problem=hybrid.problem, parameters=("retro_delta_v",), points=(), interrupted=True)
     monkeypatch.setattr("perilune.reproductions.cho2015.compute.solve", lambda *_, **__: hybrid)
     monkeypatch.setattr("perilune.reproductions.cho2015.compute.sweep", lambda *_, **__: stopped)
     with pytest.raises(KeyboardInterrupt):

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from command_line import read_json
+from perilune.cli import run
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -58,6 +60,17 @@ def test_an_own_problem_proves_again(hop: Solution, tmp_path: Path) -> None:
     proved = prove(back, 3)
     assert proved.outcome is Outcome.PROVED, str(proved.verification)
     assert {c.name for c in proved.verification.checks} == {c.name for c in hop.verification.checks}
+
+
+def test_the_command_line_verifies_what_python_saved(
+    hop: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And says which text it flew."""
+    pl.save(hop, tmp_path / "hop")
+    assert run(["verify", str(tmp_path / "hop")]) == 0
+    assert "flown: expressions from a file" in capsys.readouterr().out
+    assert run(["verify", str(tmp_path / "hop"), "--json"]) == 0
+    assert read_json(capsys.readouterr().out)["verification"]["text"] == "expressions from a file"
 
 
 def test_several_phases_and_links_come_back(tmp_path: Path) -> None:

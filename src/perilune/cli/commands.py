@@ -6,21 +6,19 @@ import os
 import sys
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from perilune.cli.answer import INTERRUPTED, Answer, deliver, forsake_stdout, refusal, say
+from perilune.cli.answer import Answer, deliver, forsake_stdout, refusal, say
 from perilune.cli.doctor import diagnosis
-from perilune.cli.progress import LONGEST_LOG, failure_kept, note, progress, refuse_used, warn
+from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
 from perilune.reproductions.papers import PAPERS
-from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 if TYPE_CHECKING:
-    from perilune.problem.problem import Problem
     from perilune.problem.solution import Solution
 
 app = typer.Typer(
@@ -165,7 +163,12 @@ def _solution_answer(solution: Solution, verbose: bool, out: Path | None = None)
 def sweep(
     file: ScenarioFile,
     vary: Annotated[
-        str, typer.Option("--vary", metavar="KEY=START:STOP:STEP", help='E.g. "retro.delta_v=0:1600:50 m/s".')
+        list[str],
+        typer.Option(
+            "--vary",
+            metavar="KEY=START:STOP:STEP",
+            help='E.g. "retro.delta_v=0:1600:50 m/s"; given more than once, the family is the grid.',
+        ),
     ],
     changes: Changes = None,
     out: Out = None,
@@ -173,50 +176,21 @@ def sweep(
     verbose: Verbose = False,
     force: Force = False,
     level: Level = 1,
+    method: Method = "indirect",
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes that solve members side by side.")] = 1,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the members that are in --out DIR already.")
+    ] = False,
     no_cache: NoCache = False,
 ) -> None:
-    """Solve along one parameter; table as CSV on stdout, with --out also as JSON and figure."""
-    deliver(as_json, lambda: _sweep(file, vary, changes or [], out, verbose, force, level))
+    """Solve along parameters; table as CSV on stdout, with --out also as JSON and figure, and every member."""
+    from perilune.cli.sweeping import SweepOrder, sweep_answer
 
-
-def _sweep(
-    file: Path, vary: str, changes: list[str], out: Path | None, verbose: bool, force: bool, level: int
-) -> Answer:
-    from perilune.scenario import values_of
-
-    key, _, text = vary.partition("=")
-    values = values_of(key.strip(), text)
-    problem = _varied(file, changes, key.strip(), values)
-    refuse_used(out, force)
-    from perilune.families.sweep import sweep as sweep_problem
-
-    with progress(verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        family = sweep_problem(problem, {key.strip(): values}, level=level, watch=watch)
-    if family.points and all(p.outcome is Outcome.INFEASIBLE for p in family.points):
-        first = family.points[0].message
-        raise InfeasibleError(f"no value of {family.parameter} is possible", got=first, advice="try another range")
-    from perilune.report.family import family_csv, family_document, write_family
-
-    if out is not None:
-        write_family(family, out, force)
-    codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
-    # At level 0 no proof was asked for, so none is missing.
-    worst = max((c for c in codes if c != 5 or level), default=0, key=(0, 5, 4).index)
-    code = INTERRUPTED if family.interrupted else worst
-    if family.interrupted:
-        note(f"stopped by the user with {len(family.points)} of {len(values)} values done, which are kept")
-    return Answer(text=family_csv(family), document=family_document(family), exit_code=code)
-
-
-def _varied(file: Path, changes: list[str], key: str, values: list[float]) -> Problem:
-    """The problem with the key in it; both ends of the range are checked as the file itself is."""
-    from perilune.scenario import load_file, quantity_of
-
-    found = None
-    for value in (values[-1], values[0]):
-        with suppress(InfeasibleError):  # the table will say so
-            found = load_file(file, [*changes, f"{key}={value!r} {quantity_of(key).unit}"]).problem
-    return found or load_file(file, changes).problem
+    order = SweepOrder(
+        file=file, vary=vary, changes=changes or [], out=out, resume=resume, verbose=verbose, force=force, level=level,
+        method=method, workers=workers,
+    )  # fmt: skip
+    deliver(as_json, lambda: sweep_answer(order))
 
 
 @app.command()

@@ -159,24 +159,32 @@ def write_solution_files(solution: Solution, directory: Path, scenario_text: str
 
 def whole_document(solution: Solution, scenario_text: str | None = None) -> dict[str, Any]:
     """Everything about a solution, as the tree that ``solution.json`` holds."""
-    problem, short = solution.problem, solution_document(solution)
+    problem = solution.problem
     scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": versions(),
         "scenario": scenario,
         "problem": physics_document(problem),
-        "method": solution.method,
-        "outcome": {"name": solution.outcome.name, "advice": solution.outcome.value},
-        "objective": {"value": float(solution.objective), "unit": problem.objective_unit},
         "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
-        "free": _with_units(solution.free, {f.name: f.unit for f in problem.free}),
-        "results": short["results"],
-        "multipliers": _with_units(solution.multipliers, _multiplier_units(solution)),
+        **answer_document(solution),
         "phases": [
             _phase_document(phase, trajectory, problem.objective_unit)
             for phase, trajectory in zip(problem.phases, solution.trajectories, strict=True)
         ],
+    }
+
+
+def answer_document(solution: Solution) -> dict[str, Any]:
+    """Everything about a solution but its problem and its curves."""
+    problem, short = solution.problem, solution_document(solution)
+    return {
+        "method": solution.method,
+        "outcome": {"name": solution.outcome.name, "advice": solution.outcome.value},
+        "objective": {"value": float(solution.objective), "unit": problem.objective_unit},
+        "free": _with_units(solution.free, {f.name: f.unit for f in problem.free}),
+        "results": short["results"],
+        "multipliers": _with_units(solution.multipliers, _multiplier_units(solution)),
         "extremals": [
             {"free": dict(e.free), "objective": float(e.objective), "nature": e.nature.value}
             for e in solution.extremals

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -22,6 +22,7 @@ from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, pa
 from perilune.problem.controls import directions
 from perilune.problem.problem import Given, Phase, Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
+from perilune.problem.verification import Check, Verification
 from perilune.words.outcome import Outcome, PeriluneError
 
 FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 2, "solution.json"
@@ -64,6 +65,11 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
     problem = _problem(document, problem_from_scenario)
+    return read_answer(document, problem, read_trajectories(document, problem))
+
+
+def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:
+    """The solution of a problem, unverified, out of `perilune.io.export.answer_document`."""
     free = numbers(document, "free")
     if set(free) != set(problem.free_names):
         refuse("free", ", ".join(sorted(free)) or "none", ", ".join(problem.free_names) or "none")
@@ -74,12 +80,28 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
         outcome=Outcome.SOLVED if outcome in (Outcome.PROVED, Outcome.NOT_PROVED) else outcome,
         objective=number(part(document, "objective", dict), "value", "objective"),
         free=free,
-        trajectories=_trajectories(document, problem, free),
+        trajectories=trajectories,
         multipliers=numbers(document, "multipliers"),
         extremals=_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
     )
+
+
+def read_verification(document: Mapping[str, Any]) -> Verification:
+    """The checks that a file tells of, for a reader who has reason to believe it."""
+    entry = part(document, "verification", dict)
+    checks = part(entry, "checks", list)
+    if len(checks) > MOST_ENTRIES or not all(isinstance(c, dict) for c in checks):
+        refuse("verification.checks", f"{len(checks)} entries", f"at most {MOST_ENTRIES} records")
+    read = tuple(_check(c, f"verification.checks[{i}]") for i, c in enumerate(checks))
+    return Verification(checks=read, text=text(entry, "text"))
+
+
+def _check(entry: Mapping[str, Any], where: str) -> Check:
+    value, limit = (math.nan if entry.get(n) is None else number(entry, n, where) for n in ("value", "limit"))
+    words = {name: text(entry, name) for name in ("name", "unit", "meaning")}
+    return Check(level=int(number(entry, "level", where)), value=value, limit=limit, **words)
 
 
 def _document(path: Path) -> dict[str, Any]:
@@ -181,7 +203,9 @@ def _check_given(document: Mapping[str, Any], problem: Problem) -> None:
         refuse("given", ", ".join(sorted(extra)), "only parameters that the scenario gives")
 
 
-def _trajectories(document: Mapping[str, Any], problem: Problem, free: Mapping[str, float]) -> tuple[Trajectory, ...]:
+def read_trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajectory, ...]:
+    """The curves of a document."""
+    free = numbers(document, "free")
     entries = part(document, "phases", list)
     if len(entries) != len(problem.phases):
         refuse("phases", str(len(entries)), str(len(problem.phases)))

@@ -425,12 +425,12 @@ class Problem:
 
 
 def _by_name(function: Any) -> Any:
-    """The function where another process finds it by its name, else None."""
+    """The function where another process finds it by its name, else None; a script's own it would not find."""
     try:
-        pickle.dumps(function)
+        name = pickle.dumps(function)
     except (pickle.PicklingError, AttributeError, TypeError):
         return None
-    return function
+    return None if b"__main__" in name else function
 
 
 def _range(f: Free) -> tuple[float, float, float]:

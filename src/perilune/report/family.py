@@ -19,27 +19,33 @@ from perilune.io.files import finite, fresh_directory, json_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from perilune.families.sweep import Family
+    from perilune.families.family import Family
 
 FAMILY_NAME = "family"
 
 
 def family_document(family: Family) -> dict[str, Any]:
-    """Make the tree: parameter, unit, whether Ctrl-C cut it short; of each point value, outcome, results, message."""
-    factor, unit = _shown(family.unit)
+    """Make the tree: parameter, unit, whether Ctrl-C cut it short; of each point value, outcome, results, message.
+
+    Of a family along several parameters ``parameters`` and ``values`` stand in their place, in one order.
+    """
+    shown = [_shown(unit) for unit in family.units]
+    heads = [{"name": name, "unit": unit} for name, (_, unit) in zip(family.parameters, shown, strict=True)]
     points = []
     for point in family.points:
         solution = point.solution
+        values = [float(value) * factor for value, (factor, _) in zip(point.values, shown, strict=True)]
         points.append(
             {
-                "value": float(point.value) * factor,
+                **({"value": values[0]} if len(values) == 1 else {"values": values}),
                 "outcome": point.outcome.name,
                 "verification_level": solution.verification.level if solution else 0,
                 "results": results(solution) if solution else {},
                 "message": point.message,
             }
         )
-    return finite({"parameter": family.parameter, "unit": unit, "interrupted": family.interrupted, "points": points})
+    one = {"parameter": heads[0]["name"], "unit": heads[0]["unit"]} if len(heads) == 1 else {"parameters": heads}
+    return finite({**one, "interrupted": family.interrupted, "points": points})
 
 
 def family_csv(family: Family) -> str:
@@ -48,13 +54,12 @@ def family_csv(family: Family) -> str:
     names = _result_units(document)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    heads = [f"{name} [{unit}]" for name, unit in names.items()]
-    writer.writerow(
-        [f"{document['parameter']} [{document['unit']}]", *heads, "outcome", "verification_level", "message"]
-    )
+    axes = document.get("parameters", [{"name": document.get("parameter"), "unit": document.get("unit")}])
+    heads = [f"{axis['name']} [{axis['unit']}]" for axis in axes] + [f"{name} [{unit}]" for name, unit in names.items()]
+    writer.writerow([*heads, "outcome", "verification_level", "message"])
     for point in document["points"]:
-        values = [point["results"].get(name, {}).get("value") for name in names]
-        cells = ["" if v is None else repr(v) for v in (point["value"], *values)]
+        found = [point["results"].get(name, {}).get("value") for name in names]
+        cells = ["" if v is None else repr(v) for v in (*point.get("values", [point.get("value")]), *found)]
         writer.writerow(
             [*cells, point["outcome"], point["verification_level"], " ".join(str(point["message"] or "").split())]
         )
@@ -62,7 +67,7 @@ def family_csv(family: Family) -> str:
 
 
 def family_figure(family: Family) -> Figure:
-    """Each result that varies, one panel below the other, against the parameter; failed points as crosses."""
+    """Each result that varies against the one parameter, one panel below the other; failed points as crosses."""
     from perilune.report.histories import family_panels
 
     document = family_document(family)
@@ -80,13 +85,17 @@ def family_figure(family: Family) -> Figure:
 
 
 def write_family(family: Family, directory: str | Path, force: bool = False) -> None:
-    """Write ``family.csv``, ``family.json`` and ``family.png`` / ``.svg``; arguments of `fresh_directory`."""
+    """Write ``family.csv``, ``family.json`` and, along one parameter, ``family.png`` / ``.svg``.
+
+    Arguments of `fresh_directory`.
+    """
     from perilune.report.style import save
 
     with fresh_directory(directory, force) as work:
         (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(family)), encoding="utf-8")
         (work / f"{FAMILY_NAME}.csv").write_text(family_csv(family), encoding="utf-8", newline="")
-        save(family_figure(family), work, FAMILY_NAME)
+        if len(family.parameters) == 1:
+            save(family_figure(family), work, FAMILY_NAME)
 
 
 def _result_units(document: dict[str, Any]) -> dict[str, str]:

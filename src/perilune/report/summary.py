@@ -41,6 +41,8 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
     verification = solution.verification
     lines += ["", f"verification: level {verification.level} ({LEVEL_NAMES[verification.level]})"]
+    if solution.statistics.claimed and verification.text:
+        lines.append(f"  flown: {verification.text}")
     if not every_check:
         lines += _counted(verification)
     for c in verification.checks if every_check else verification.failed:

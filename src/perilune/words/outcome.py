@@ -58,6 +58,16 @@ class PeriluneError(ValueError):
         parts += [f"{word}: {text}" for word, text in (("got", got), ("expected", expected), ("try", advice)) if text]
         super().__init__("\n  ".join(parts))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _as_it_was, (type(self), self.args, self.__dict__)
+
+
+def _as_it_was(kind: type[PeriluneError], arguments: tuple[Any, ...], parts: dict[str, Any]) -> PeriluneError:
+    """An error on the other side of a process border."""
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(parts)
+    return error
+
 
 class InfeasibleError(PeriluneError):
     """What was asked is refused; the message says which limit is missed and by how much.

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
-from perilune.families.sweep import Family, sweep
+from perilune.families.family import Family
+from perilune.families.sweep import sweep
 from perilune.models.landing import Retro
 from perilune.problem.solution import Extremal, Solution
 from perilune.reproductions.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, problem

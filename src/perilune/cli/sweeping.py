@@ -1,0 +1,112 @@
+"""The command ``sweep``: ranges from the command line to a family, and the family to a table."""
+
+from __future__ import annotations
+
+import signal
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from perilune.cli.answer import INTERRUPTED, Answer
+from perilune.cli.methods import method_of
+from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
+from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from perilune.problem.problem import Problem
+
+MEMBERS = "members"  # in the output directory: what a sweep goes on from
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepOrder:
+    """What was typed."""
+
+    file: Path
+    vary: Sequence[str]
+    changes: Sequence[str]
+    out: Path | None
+    resume: bool
+    verbose: bool
+    force: bool
+    level: int
+    method: str
+    workers: int
+
+
+def sweep_answer(order: SweepOrder) -> Answer:
+    """Solve the family and show it."""
+    from perilune.scenario import values_of
+
+    if order.resume and order.out is None:
+        raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
+    over: dict[str, list[float]] = {}
+    for range_ in order.vary:
+        key, _, text = range_.partition("=")
+        over[key.strip()] = values_of(key.strip(), text)
+    method = method_of(order.method)
+    problem = _varied(order.file, order.changes, over)
+    options: dict[str, Any] = {} if order.method == "indirect" else {"method": method}
+    if order.out is not None:
+        refuse_used(order.out, order.force or order.resume)
+        options["store"] = order.out / MEMBERS
+        if not order.resume:
+            from perilune.families.store import clear
+
+            clear(options["store"])
+    from perilune.families.sweep import sweep
+    from perilune.report.family import family_csv, family_document, write_family
+
+    with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, _workers(order.workers) as executor:
+        family = sweep(problem, over, level=order.level, watch=watch, executor=executor, **options)
+    if family.points and all(p.outcome is Outcome.INFEASIBLE for p in family.points):
+        first, names = family.points[0].message, " and ".join(family.parameters)
+        raise InfeasibleError(f"no value of {names} is possible", got=first, advice="try another range")
+    if order.out is not None:
+        write_family(family, order.out, force=True)  # what may not be replaced was refused above
+    codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
+    # At level 0 no proof was asked for, so none is missing.
+    worst = max((c for c in codes if c != 5 or order.level), default=0, key=(0, 5, 4).index)
+    if family.interrupted:
+        total = 1
+        for values in over.values():
+            total *= len(values)
+        note(f"stopped by the user with {len(family.points)} of {total} values done, which are kept")
+    code = INTERRUPTED if family.interrupted else worst
+    return Answer(text=family_csv(family), document=family_document(family), exit_code=code)
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[Executor | None]:
+    """Processes to compute in, where more than one is asked for."""
+    if count < 2:
+        yield None
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_leave_interrupts) as pool:
+        yield pool
+
+
+def _leave_interrupts() -> None:
+    """Ctrl-C is the parent's to answer."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Problem:
+    """The problem with the keys in it; both ends of the ranges are checked as the file itself is."""
+    from perilune.scenario import load_file, quantity_of
+
+    found = None
+    for end in (-1, 0):
+        with suppress(InfeasibleError):  # the table will say so
+            ends = [f"{key}={values[end]!r} {quantity_of(key).unit}" for key, values in over.items()]
+            found = load_file(file, [*changes, *ends]).problem
+    return found or load_file(file, changes).problem

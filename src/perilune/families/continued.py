@@ -1,0 +1,60 @@
+"""Along one parameter, each member from its neighbour.
+
+The base extremal (with any bounded free parameter held) is continued: predicted by its sensitivity to the parameter,
+corrected by Newton, the step halved where that fails. At each value all extremals are then sought again, so that the
+family follows the best of them through a jump, such as that of Cho et al. 2015, Figs 9 and 10.
+"""
+
+from __future__ import annotations
+
+from perilune.methods.indirect import Indirect
+from perilune.methods.search import Search
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.shooting.continuation import Member, follow
+from perilune.shooting.function import Root
+from perilune.words.types import Vector
+from perilune.words.watch import Watch
+
+
+class Continuation:
+    """What is known of the member before."""
+
+    def __init__(self, settings: Indirect, name: str, watch: Watch) -> None:
+        self.settings, self.name, self.watch = settings, name, watch
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew: the member before has no answer."""
+        self.base: Member | None = None
+        self.before = 0.0
+
+    def solve(self, problem: Problem) -> Solution:
+        """The member of a problem, by continuation where there is a base, else by the whole ladder; unverified."""
+        search = Search(self.settings, problem, self.watch)
+        base = None if self.base is None else self._continued(problem, self.base, search)
+        solution = search.solve(base=base)
+        self.base, self.before = search.base, problem.given[self.name].value
+        return solution
+
+    def _continued(self, problem: Problem, base: Member, search: Search) -> Member | None:
+        """The base extremal at the problem's own value of the parameter, from that at the value before."""
+        target, before = problem.given[self.name].value, self.before
+        if before == target:
+            return base
+        at, scale = list(problem.given).index(self.name), problem.scales.of(problem.unit_of(self.name))
+
+        def numbers(value: float) -> Vector:
+            p = search.p.copy()
+            p[at] = value / scale
+            return p
+
+        def correct(y: Vector, value: float) -> Root:
+            return search.correct(y, base.root, numbers(value))
+
+        def tangent(root: Root, value: float) -> Vector:
+            step = 1e-6 * max(abs(value), abs(target - before))  # a central difference of the residual
+            return search.shooting.shift(root, numbers(value + step), numbers(value - step)) / (2 * step)
+
+        reached = next(iter(follow(Member(value=before, root=base.root), [target], correct, tangent)))
+        return None if reached is None else Member(value=base.value, root=reached.root)

@@ -1,0 +1,123 @@
+"""A family: many answers of one problem along some of its parameters, and why some have none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.words.declared import parameter_name
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
+
+# Values of each parameter (the family is their grid), or the points themselves.
+Over = Mapping[str, Sequence[float]] | Sequence[Mapping[str, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FamilyPoint:
+    """One member: the parameters' values in SI, the solution, or why there is none."""
+
+    values: tuple[float, ...]
+    solution: Solution | None
+    message: str = ""
+    failure: Outcome = Outcome.NOT_CONVERGED
+
+    @property
+    def value(self) -> float:
+        """Value of the parameter, of a family along one."""
+        (only,) = self.values
+        return only
+
+    @property
+    def outcome(self) -> Outcome:
+        """The solution's outcome, or how the member failed."""
+        return self.failure if self.solution is None else self.solution.outcome
+
+
+def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
+    """The member that an error stands in for: physics forbids it, or the search for it failed."""
+    failure = Outcome.NOT_CONVERGED if isinstance(error, NotConvergedError) else Outcome.INFEASIBLE
+    return FamilyPoint(values=values, solution=None, message=str(error), failure=failure)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """Solutions along some parameters, in the order that was asked for.
+
+    Parameters
+    ----------
+    problem
+        What was varied.
+    parameters
+        Names of the parameters.
+    points
+        The members; after an interruption those that were done.
+    interrupted
+        Whether the user stopped it.
+    """
+
+    problem: Problem
+    parameters: tuple[str, ...]
+    points: tuple[FamilyPoint, ...]
+    interrupted: bool = False
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the parameters."""
+        return tuple(self.problem.unit_of(name) for name in self.parameters)
+
+    @property
+    def parameter(self) -> str:
+        """The parameter, of a family along one."""
+        (only,) = self.parameters
+        return only
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the parameter, of a family along one."""
+        (only,) = self.units
+        return only
+
+
+def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
+    """Names of the parameters and values of every member; of a grid the last parameter changes fastest.
+
+    Raises
+    ------
+    PeriluneError
+        If a name is no parameter, a value is no finite number, or the points have different parameters.
+    """
+    if isinstance(over, Mapping):
+        names = [_parameter(problem, name) for name in over]
+        rows = list(product(*(list(values) for values in over.values())))
+    else:
+        points = [{_parameter(problem, name): v for name, v in point.items()} for point in over]
+        names = list(points[0]) if points else []
+        if any(point.keys() != set(names) for point in points):
+            raise PeriluneError("the points of a family have the same parameters", expected=", ".join(names))
+        rows = [tuple(point[name] for name in names) for point in points]
+    if not names or len(set(names)) < len(names):
+        raise PeriluneError(
+            "a sweep runs along one parameter or several",
+            got=", ".join(names) or "none",
+            expected="{name: values} of each, or a list of {name: value, ...}",
+        )
+    try:
+        members = [tuple(float(v) for v in row) for row in rows]
+    except (TypeError, ValueError):
+        members = []
+    if not members or not np.all(np.isfinite(members)):
+        raise PeriluneError(f"the values of {' and '.join(names)} must be finite numbers", got=str(rows[:3])[:80])
+    return tuple(names), members
+
+
+def _parameter(problem: Problem, name: str) -> str:
+    """The parameter of a name, in which a dot may stand for an underscore."""
+    name, known = parameter_name(name), sorted({*problem.given, *problem.free_names})
+    if name not in known:
+        raise unknown_name("parameter", name, known)
+    return name
