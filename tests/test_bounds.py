@@ -197,7 +197,7 @@ def test_which_parameters_sit_on_a_bound_is_found(bounds: tuple[tuple[float, flo
         name for name, pair in zip(("a", "b", "T"), bounds, strict=True)
         if any(solution.free[name] == pytest.approx(limit, abs=1e-9) for limit in pair)
     ]  # fmt: skip
-    assert (solution.extremals[0].nature is Nature.BOUNDARY_GLOBAL_OPTIMUM) == bool(held)
+    assert (solution.extremals[0].nature is Nature.BEST_AT_BOUND) == bool(held)
     again = solve(problem, guess=solution, level=0)
     assert again.objective == pytest.approx(best, rel=1e-8)
     assert again.free == pytest.approx(solution.free, abs=1e-9)
