@@ -33,7 +33,7 @@ ROUGHEST = 1e-6  # accuracy of the first evaluations
 ROUND_OFF = 1e-12
 _SETTLED = 1e-7  # a last undamped step below this, relative to |y|: its square is round-off
 _NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
-_FORCING = 1e-4  # accuracy of the next evaluation, in units of the residual squared
+_FORCING = 1e-3  # accuracy of the next evaluation, in units of the residual squared
 _LEAST_DAMPING = 1e-4
 _ASTRAY = 1e200  # squares beyond this are of a lost iterate; a NaN compares as lost too
 
@@ -122,14 +122,17 @@ class Ends:
     evaluations: NDArray[np.int64]
     history: tuple[Iteration, ...] = ()
 
-    def keep(self, lanes: Lanes, y: Matrix, rows: Matrix, root: NDArray[np.bool_], number: int) -> None:
-        """Note where the lanes at work stand after evaluation `number`."""
-        if len(lanes) == len(self.y):
+    def keep(
+        self, lanes: Lanes, y: Matrix, rows: Matrix, root: NDArray[np.bool_], which: NDArray[np.bool_], number: int
+    ) -> None:
+        """Note how those of the lanes at work end that do so at evaluation `number`."""
+        if len(lanes) == len(self.y) and which.all():
             self.y, self.rows, self.converged = y, rows, root
             self.evaluations[:] = number
         else:
-            self.y[lanes], self.rows[lanes], self.converged[lanes] = y, rows, root
-            self.evaluations[lanes] = number
+            at = lanes[which]
+            self.y[at], self.rows[at], self.converged[at] = y[which], rows[which], root[which]
+            self.evaluations[at] = number
 
 
 def newton(
@@ -170,23 +173,27 @@ def newton(
     count = len(y)
     lanes, flown = np.arange(count), np.full(count, accuracy)
     row = evaluate(lanes, y, flown, np.zeros((count, columns.n**2)))
-    ends = Ends(y=y, rows=row, converged=np.zeros(count, dtype=bool), evaluations=np.ones(count, dtype=np.int64))
+    ends = Ends(
+        y=y.copy(), rows=row.copy(), converged=np.zeros(count, dtype=bool), evaluations=np.ones(count, dtype=np.int64)
+    )
     alpha = _limited(np.ones(count), row, columns, max_step)
     active = row[:, 2] < _ASTRAY
     for number in range(2, limit + 1):
         if not active.all():
-            lanes, y, row, alpha, flown = (array[active] for array in (lanes, y, row, alpha, flown))
+            lanes, y, row, alpha, flown = lanes[active], y[active], row[active], alpha[active], flown[active]
             if not len(lanes):
                 break
         trial = y + alpha[:, None] * row[:, columns.step]
         finer = np.clip(_FORCING * row[:, 0] ** 2, FINEST, ROUGHEST)  # a full step squares the residual
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
         good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, tolerance)
-        better = good[:, None]
-        y, row, flown = np.where(better, trial, y), np.where(better, new, row), np.where(good, finer, flown)
+        refused = np.nonzero(~good)[0]
+        for ahead, here in ((trial, y), (new, row), (finer, flown)):
+            ahead[refused] = here[refused]
+        y, row, flown = trial, new, finer
         alpha = _limited(np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha), row, columns, max_step)
-        active = ~root & (alpha > _LEAST_DAMPING)
-        ends.keep(lanes, y, row, root, number)
+        active = ~root & (alpha > _LEAST_DAMPING) & (number < limit)
+        ends.keep(lanes, y, row, root, ~active, number)
     return ends
 
 
