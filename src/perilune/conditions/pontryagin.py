@@ -61,6 +61,8 @@ class PhaseExtremal:
     ----------
     modes
         (z, p) -> z' for each mode. p is `extremal_parameters`.
+    solved
+        For each mode None, or where its control is found by Newton's method (z, p) -> w and (z, [p; w]) -> z'.
     reports
         (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
     regimes
@@ -76,6 +78,7 @@ class PhaseExtremal:
     """
 
     modes: tuple[ca.Function, ...]
+    solved: tuple[tuple[ca.Function, ca.Function] | None, ...]
     reports: tuple[ca.Function, ...]
     regimes: tuple[tuple[Regime, ...], ...]
     events: tuple[Event, ...]
@@ -198,22 +201,31 @@ def _phase_extremal(
     def function(name: str, *expressions: ca.SX) -> ca.Function:
         return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
 
-    laws, flows, reports = [], [], []
+    laws, flows, solved, reports = [], [], [], []
     for f in dynamics.rates:
         hamiltonian = ca.dot(lam[:n], f)
         law = minimising_control(phase, hamiltonian, u, limits)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
         gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
-        for control in law.control:
+        for control, found in zip(law.control, law.solved, strict=True):
             # A limit that is a free parameter moves the control with it.
             pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, limits, q))
-            rate = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
-            rate, value = (ca.substitute(e, u, control) for e in (rate, hamiltonian))
+            whole = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
+            rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
+            if found is None:
+                solved.append(None)
+            else:
+                stepped, w, values = found
+                held = ca.cse(ca.substitute(ca.substitute(whole, u, stepped), z, symbol))
+                solved.append(
+                    (function("solved", values), ca.Function("rhs", [symbol, ca.vertcat(numbers, w)], [held]))
+                )
             reports.append(function("report", control, ca.jtimes(control, z, rate), value))
         laws.append(law)
     return PhaseExtremal(
         modes=tuple(function("rhs", rate) for rate in flows),
+        solved=tuple(solved),
         reports=tuple(reports),
         regimes=tuple(regimes for law in laws for regimes in law.regimes),
         events=tuple(_events(dynamics, laws, flows, z, function)),
