@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from many_problems import KINDS, Kind
-from perilune.conditions.pontryagin import derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution

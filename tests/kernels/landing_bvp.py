@@ -11,7 +11,8 @@ import casadi as ca
 import numpy as np
 from lander import PARAMETERS, RADIUS, SPEED, landing_rhs
 
-from perilune.conditions.pontryagin import Conditions, PhaseExtremal
+from perilune.conditions.canonical import PhaseExtremal
+from perilune.conditions.pontryagin import Conditions
 from perilune.kernels.algebra.prune import prune
 
 #: A solution from r0 = 15 km above the surface at perilune speed; found by continuation in `reference`.

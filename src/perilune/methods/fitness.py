@@ -28,7 +28,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.pontryagin import derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
 from perilune.methods.assemble import free_values, multipliers, trajectories
 from perilune.problem.controls import control_scales
 from perilune.problem.problem import Phase, Problem, Variable

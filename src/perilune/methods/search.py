@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions, derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import Conditions, derive
 from perilune.methods.assemble import free_values, joints_from, multipliers, trajectories, unknowns_from
 from perilune.methods.judge import Judge
 from perilune.methods.ladder import Ladder

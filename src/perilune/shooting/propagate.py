@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.pontryagin import PhaseExtremal
+from perilune.conditions.canonical import PhaseExtremal
 from perilune.kernels import DenseArc, Engine, Event, compile_arcs, prune
 from perilune.words.types import Vector
 
