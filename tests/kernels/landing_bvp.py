@@ -36,6 +36,7 @@ def by_hand() -> Conditions:
     y, z, p, nothing = ca.SX.sym("y", 4), ca.SX.sym("z", 8), ca.SX.sym("p", 7), ca.SX.sym("before", 0)
     z0, duration = start(y, p)
     phase = PhaseExtremal(
+        solved=(None,),
         modes=(ca.Function("rhs", [z, p], [ca.vertcat(rhs(z[:7], p), 0)]),),
         reports=(),
         regimes=((),),

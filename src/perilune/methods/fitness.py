@@ -273,7 +273,7 @@ def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) ->
     scales = [problem.scales.of(c.unit) for c in conditions]
     p = problem.parameters({})
     missed = [c.missed(v * scale, p) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
-    return np.array(missed).reshape(len(conditions), -1)
+    return np.array(missed).reshape(len(conditions), *np.shape(values)[1:])
 
 
 def _flown(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:
