@@ -12,7 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from perilune.conditions.pontryagin import derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.problem import Free, Given, Phase, Problem, Variable

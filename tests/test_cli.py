@@ -352,6 +352,19 @@ def test_new_writes_a_scenario_that_may_be_solved(capsys: pytest.CaptureFixture[
     capsys.readouterr()
     assert run(["new"]) == 0
     assert capsys.readouterr().out == written
+    assert run(["new", "hybrid_landing"]) == 0
+    assert capsys.readouterr().out == written
+
+
+@pytest.mark.parametrize("kind", ["hybrid_landing", "powered_descent", "precision_landing"])
+def test_new_knows_every_kind(kind: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    assert run(["new", kind, str(path)]) == 0
+    assert run(["solve", str(path), "--level", "1", "--json"]) == 0
+    document = read_json(capsys.readouterr().out.partition("\n")[2].partition("\n")[2])
+    assert (document["problem"], document["outcome"]) == (kind, "PROVED")
+    assert run(["new", "landing_on_paper", str(tmp_path / "other.toml")]) == 2
+    assert not (tmp_path / "other.toml").exists()
 
 
 def test_version_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:

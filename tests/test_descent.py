@@ -305,6 +305,16 @@ def test_precision_landing_keeps_its_corridor() -> None:
     assert landed[6] == pytest.approx(-kept.objective, abs=1e-4)
 
 
+def test_a_bound_of_the_throttle_is_a_parameter() -> None:
+    """Given anew it is the same problem as one stated so: less thrust at most, more propellant."""
+    wide = Corridor(tilt=radians(80), slope=radians(5))
+    stated = Indirect().run(approach(wide, throttle=(0.3, 0.7)))
+    changed = Indirect().run(approach(wide).with_given(throttle_upper=0.7))
+    assert changed.objective == pytest.approx(stated.objective, abs=1e-6)
+    assert changed.trajectories[0].control.values[:, 3].max() == pytest.approx(0.7, abs=1e-9)
+    assert Indirect().run(approach(wide)).objective < stated.objective - 0.1
+
+
 def reflown(problem: Problem, solution: Solution, x0: np.ndarray) -> np.ndarray:
     """End of a re-flight under an exported control, which has kinks."""
     law = solution.trajectories[0].control
@@ -346,7 +356,10 @@ def test_precision_frame_is_the_cartesian_one() -> None:
         (lambda: Steering(azimuth=(2.0, 7.0)), "azimuth are not a range"),
         (lambda: peng(site=replace(SITE, altitude=16e3)), "begins below the landing site"),
         (lambda: peng(dry_mass=15e3), "leaves no propellant"),
-        (lambda: peng(throttle=(0.5, 1.2)), "throttle's bounds"),
+        (lambda: peng(throttle=(0.5, 1.2)), "throttle.upper is out of range"),
+        (lambda: peng(throttle=(0.6, 0.5)), "throttle's bounds"),
+        (lambda: approach().with_given(throttle_lower=0.95), "throttle's bounds"),
+        (lambda: peng(steering=PENG_STEERING).with_given(steering_azimuth_upper=1.0), "azimuth are not a range"),
         (lambda: peng(coordinates="polar"), "unknown coordinates"),
         (lambda: peng(target="crater"), "unknown target"),
         (lambda: peng(minimise="cost"), "unknown minimise"),

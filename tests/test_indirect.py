@@ -10,7 +10,8 @@ import pytest
 
 from cho import cho_landing
 from newton_toys import toy
-from perilune.conditions.pontryagin import derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Free, Given, Problem, Variable
 from perilune.problem.solution import Curve, Solution, hermite_nodes

@@ -135,10 +135,12 @@ def test_restart_from_a_midpoint(landing: Problem, ordinary: Solution) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"mass": -300.0}, "mass must be positive"),
-        ({"mass": float("nan")}, "mass must be positive and finite"),
-        ({"thrust": 0.0}, "thrust must be positive"),
-        ({"specific_impulse": float("inf")}, "specific_impulse must be positive and finite"),
+        ({"mass": -300.0}, r"vehicle.mass is out of range\n  got: -300 kg\n  expected: > 0 kg"),
+        ({"mass": float("nan")}, "vehicle.mass is not finite"),
+        ({"thrust": 0.0}, "vehicle.thrust is out of range"),
+        ({"specific_impulse": float("inf")}, "vehicle.specific_impulse is not finite"),
+        ({"specific_impulse": 3041.0}, "an exhaust velocity in m/s, divided by"),
+        ({"dry_mass": 300.0}, "vehicle.dry_mass leaves no propellant"),
     ],
 )
 def test_impossible_vehicles(change: dict[str, float], words: str) -> None:
@@ -169,3 +171,19 @@ def test_too_weak_a_lander_is_refused() -> None:
     with pytest.raises((InfeasibleError, PeriluneError)) as caught:
         solve(weak, level=0)
     assert caught.value.exit_code in (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"vehicle_mass": -1.0}, r"vehicle.mass is out of range\n  got: -1 kg\n  expected: > 0 kg"),
+        ({"retro_delta_v": -1.0}, "retro.delta_v is out of range(.|\n)*leave delta_v out"),
+        ({"vehicle_specific_impulse": 3041.0}, "between 20 and 1000 s(.|\n)*an exhaust velocity"),
+        ({"vehicle_standard_gravity": 1.62}, "the same on every body"),
+        ({"landing_altitude": math.inf}, "landing_altitude is not finite"),
+    ],
+)
+def test_a_range_holds_for_every_value_that_is_given(landing: Problem, values: dict[str, float], words: str) -> None:
+    """Declared once, in the record; asked of `with_given` and of each member of a sweep."""
+    with pytest.raises(PeriluneError, match=words):
+        landing.with_given(**values)

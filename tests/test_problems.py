@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perilune.conditions.pontryagin import derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
+import pickle
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
 from perilune.models.bodies import MOON
-from perilune.problem.preflight import preflight, refuse_impossible
-from perilune.scenario import load_file, load_text, template, values_of
+from perilune.problem.preflight import possible, preflight, refuse_impossible
+from perilune.problem.problem import Given
+from perilune.scenario import KINDS, load_file, load_text, template, values_of
+from perilune.scenario.reader import names_of
+from perilune.scenario.reference import reference
 from perilune.scenario.text import LARGEST_FILE
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
@@ -66,10 +72,46 @@ def test_a_body_by_name_and_defaults() -> None:
 
 def test_the_template_names_every_key() -> None:
     # The template with every comment sign before a key removed holds all keys of all sections of its kind.
-    from perilune.scenario.sections import LandingDocument, sections_of
+    for kind in KINDS.values():
+        written = re.findall(r"^(?:# )?(\w+) +?= |^(?:# )?\[(\w+)\]", template(kind.name), re.MULTILINE)
+        known = [(key, "") for name, section in kind.sections.items() for key in names_of(name, section)]
+        assert sorted(pair for pair in written if pair[0]) == sorted(known)
+        assert [section for key, section in written if section] == list(kind.sections)
 
-    written = set(re.findall(r"^(?:# )?(\w+) = ", template(), re.MULTILINE))
-    assert written == {name for model in sections_of(LandingDocument).values() for name in model.model_fields}
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_template_states_its_problem(kind: str) -> None:
+    problem = load_text(template(kind))
+    assert problem.name == kind
+    assert possible(preflight(problem))
+    # With every key in use it is read as well: the examples of what may be left out are values of their kind.
+    whole = re.sub(r"^# (?=\[|\w+ = )", "", template(kind), flags=re.MULTILINE)
+    whole = re.sub(r"^(gravitational_parameter|radius|rotation_rate) = .*\n", "", whole, flags=re.MULTILINE)
+    assert set(problem.given) <= set(load_text(whole).given)
+
+
+def test_an_unknown_kind_offers_the_nearest() -> None:
+    with pytest.raises(PeriluneError, match="did you mean 'powered_descent'"):
+        template("power_descent")
+
+
+def test_a_value_keeps_the_text_it_was_stated_in() -> None:
+    problem = load_file(HYBRID, ["vehicle.thrust=0.5 kN"]).problem
+    assert problem.given["body_gravitational_parameter"].stated == "4902.7779 km^3/s^2"
+    assert problem.given["vehicle_thrust"].stated == "0.5 kN"
+    assert problem.given["landing_altitude"].stated == "0 km"
+    changed = replace(problem.with_given(vehicle_mass=310.0), title="another")
+    assert changed.given["vehicle_mass"].stated == ""
+    assert changed.given["vehicle_thrust"].stated == "0.5 kN"
+    assert copy.deepcopy(changed).given["vehicle_thrust"].stated == "0.5 kN"
+    assert pickle.loads(pickle.dumps(changed)).given["vehicle_thrust"] == Given(value=500.0, unit="N", stated="0.5 kN")
+    assert all(type(g.value) is float for g in problem.given.values())
+    assert load_file(HYBRID, ["retro.delta_v=1.2 km/s"]).problem.given["retro_delta_v"].stated == "1.2 km/s"
+
+
+def test_the_reference_page_is_up_to_date() -> None:
+    page = EXAMPLES.parent / "docs" / "reference.md"
+    assert page.read_text(encoding="utf-8") == reference(), "python docs/make_reference.py"
 
 
 def test_changes_are_in_the_text_that_is_kept() -> None:

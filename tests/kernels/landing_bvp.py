@@ -11,6 +11,8 @@ import casadi as ca
 import numpy as np
 from lander import PARAMETERS, RADIUS, SPEED, landing_rhs
 
+from perilune.conditions.canonical import PhaseExtremal
+from perilune.conditions.pontryagin import Conditions
 from perilune.kernels.algebra.prune import prune
 
 #: A solution from r0 = 15 km above the surface at perilune speed; found by continuation in `reference`.
@@ -26,6 +28,37 @@ def functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     start = ca.Function("start", [y, p], [ca.vertcat(p[3:], y[:3]), y[3]])
     conditions = ca.vertcat(z[0] - 1, z[1], z[2], ca.dot(y[:3], y[:3]) - 1)
     return rhs, start, ca.Function("residual", [y, z, p], [conditions])
+
+
+def by_hand() -> Conditions:
+    """Return the same as conditions for the shooting function, with the costate of the mass as an entry left at 0."""
+    rhs, start, residual = functions()
+    y, z, p, nothing = ca.SX.sym("y", 4), ca.SX.sym("z", 8), ca.SX.sym("p", 7), ca.SX.sym("before", 0)
+    z0, duration = start(y, p)
+    phase = PhaseExtremal(
+        solved=(None,),
+        modes=(ca.Function("rhs", [z, p], [ca.vertcat(rhs(z[:7], p), 0)]),),
+        reports=(),
+        regimes=((),),
+        events=(),
+        mode=ca.Function("mode", [z, p], [ca.SX(0)]),
+        state_count=4,
+        constants=(),
+    )
+    return Conditions(
+        phases=(phase,),
+        starts=(ca.Function("start", [y, nothing, p], [ca.vertcat(z0, 0), duration]),),
+        residual=ca.Function("residual", [y, z, p], [residual(y, z[:7], p), y[3]]),
+        unknowns=tuple((name, "1") for name in ("lam_r", "lam_u", "lam_v", "time")),
+        residuals=tuple((name, "1") for name in ("r", "u", "v", "length")),
+        free_at=slice(0, 0),
+        costate_at=(slice(0, 3),),
+        stationarity_at=slice(0, 0),
+        ranges=(),
+        silent=((),),
+        silent_rows=(),
+        needed=(tuple(range(7)),),
+    )
 
 
 def parameters(lanes: int, seed: int = 1) -> np.ndarray:

@@ -283,7 +283,11 @@ def reproduce(
 
 @app.command()
 def new(
-    file: Annotated[
+    kind: Annotated[
+        str | None,
+        typer.Argument(metavar="[KIND]", help="hybrid_landing (unless given), powered_descent, precision_landing."),
+    ] = None,
+    place: Annotated[
         Path | None, typer.Argument(metavar="[FILE]", help="Where to write; to stdout if left out.")
     ] = None,
     as_json: Json = False,
@@ -292,9 +296,10 @@ def new(
     """Write a commented scenario to start from."""
 
     def work() -> Answer:
-        from perilune.scenario import template
+        from perilune.scenario import KINDS, template
 
-        text = template()
+        alone = kind is not None and kind not in KINDS and place is None  # `perilune new FILE`
+        text, file = (template(), Path(kind)) if alone and kind else (template(kind or "hybrid_landing"), place)
         if file is None:
             return Answer(text=text, document={"template": text})
         try:

@@ -109,13 +109,4 @@ def _varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[floa
         with suppress(InfeasibleError):  # the table will say so
             ends = [f"{key}={values[end]!r} {quantity_of(key).unit}" for key, values in over.items()]
             found = load_file(file, [*changes, *ends]).problem
-    problem = found or load_file(file, changes).problem
-    for key in over:
-        if key.replace(".", "_") not in {*problem.given, *problem.free_names}:
-            raise PeriluneError(
-                f"{key} cannot be varied",
-                got=key,
-                expected="a parameter of the problem, not a bound of its controls",
-                advice=f'perilune solve with --set "{key}=VALUE", once for each value',
-            )
-    return problem
+    return found or load_file(file, changes).problem

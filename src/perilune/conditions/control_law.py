@@ -48,6 +48,9 @@ class ControlLaw:
         For each mode the regime of each scalar, in the order of the phase's scalars.
     control
         For each mode the whole control, a column of expressions.
+    solved
+        For each mode None, or what is found by Newton's method: the control as an expression of w, the symbols w, and
+        the values of w. The control is one more step from w, so that its derivative at fixed w is the whole one.
     transitions
         What leads from mode to mode.
     mode
@@ -56,6 +59,7 @@ class ControlLaw:
 
     regimes: tuple[tuple[Regime, ...], ...]
     control: tuple[ca.SX, ...]
+    solved: tuple[tuple[ca.SX, ca.SX, ca.SX] | None, ...]
     transitions: tuple[Transition, ...]
     mode: ca.SX
 
@@ -82,10 +86,12 @@ def minimising_control(
     reduced, law = _directions_eliminated(phase, hamiltonian, u, limits)
     kinds = [_Scalar(phase, at, control, reduced, u, limits[control.name]) for at, control in scalars(phase.controls)]
     modes = list(product(*(kind.regimes for kind in kinds)))
-    controls = [_control(phase, reduced, law, u, kinds, regimes) for regimes in modes]
+    stepped = [_control(phase, reduced, law, u, kinds, regimes) for regimes in modes]
+    controls = [ca.substitute(*step) for step in stepped]
     return ControlLaw(
         regimes=tuple(modes),
         control=tuple(controls),
+        solved=tuple(step if step[1].numel() else None for step in stepped),
         transitions=tuple(_transitions(u, kinds, modes, controls)),
         mode=_least(hamiltonian, u, kinds, modes, controls),
     )
@@ -155,18 +161,19 @@ def _control(
     u: ca.SX,
     kinds: list[_Scalar],
     regimes: tuple[Regime, ...],
-) -> ca.SX:
-    """The whole control in one mode."""
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The whole control in one mode, with symbols w in it for what is solved for, and the values of w."""
     held = [(kind.at, kind.value(regime)) for kind, regime in zip(kinds, regimes, strict=True) if regime != "interior"]
     free = [kind for kind, regime in zip(kinds, regimes, strict=True) if regime == "interior"]
-    places, values = [at for at, _ in held], [value for _, value in held]
+    places, values, w, found = [at for at, _ in held], [value for _, value in held], ca.SX(0, 1), ca.SX(0, 1)
     if free:
         symbols = ca.vertcat(*(u[kind.at] for kind in free))
         H = _put(reduced, u, places, values)
-        values += elements(_interior(phase, H, symbols, free))
+        best, w, found = _interior(phase, H, symbols, free)
+        values += elements(best)
         places += [kind.at for kind in free]
     whole = ca.vertcat(ca.SX(0, 1), *law)
-    return _put(whole, u, places, values)
+    return _put(whole, u, places, values), w, found
 
 
 def _put(expression: ca.SX, u: ca.SX, places: list[int], values: list[ca.SX]) -> ca.SX:
@@ -175,12 +182,13 @@ def _put(expression: ca.SX, u: ca.SX, places: list[int], values: list[ca.SX]) ->
     return ca.substitute(expression, symbols, ca.vertcat(ca.SX(0, 1), *values))
 
 
-def _interior(phase: Phase, H: ca.SX, u: ca.SX, free: list[_Scalar]) -> ca.SX:
-    """Where the slopes of H vanish: in closed form where H is quadratic, else by Newton's method from a grid."""
+def _interior(phase: Phase, H: ca.SX, u: ca.SX, free: list[_Scalar]) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Where the slopes of H vanish: in closed form where H is quadratic, else a step from w, which Newton finds."""
     slope = ca.gradient(H, u)
     bend = ca.jacobian(slope, u)
     if not ca.depends_on(bend, u):
-        return -ca.solve(bend, ca.substitute(slope, u, ca.SX.zeros(u.numel(), 1)))
+        closed = -ca.solve(bend, ca.substitute(slope, u, ca.SX.zeros(u.numel(), 1)))
+        return closed, ca.SX(0, 1), ca.SX(0, 1)
     if len(free) not in _GRID:
         names = tuple(kind.control.name for kind in free)
         raise _no_law(phase, names, "more than two controls that bend the Hamiltonian together")
@@ -200,8 +208,8 @@ def _interior(phase: Phase, H: ca.SX, u: ca.SX, free: list[_Scalar]) -> ca.SX:
     step = -slope / ca.fabs(bend) if len(free) == 1 else -ca.solve(bend, slope)
     for _ in range(_STEPS):
         at = at + ca.fmax(-reach, ca.fmin(reach, ca.substitute(step, u, at)))
-    exact = u - ca.solve(bend, slope)
-    return ca.substitute(exact, u, at)
+    w = ca.SX.sym("w", u.numel())
+    return ca.substitute(u - ca.solve(bend, slope), u, w), w, at
 
 
 def _grid(kind: _Scalar, count: int) -> list[ca.SX]:

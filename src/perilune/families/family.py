@@ -10,6 +10,7 @@ import numpy as np
 
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.words.declared import parameter_name
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
 
 # Values of each parameter (the family is their grid), or the points themselves.
@@ -116,7 +117,7 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
 
 def _parameter(problem: Problem, name: str) -> str:
     """The parameter of a name, in which a dot may stand for an underscore."""
-    name, known = name.replace(".", "_"), sorted({*problem.given, *problem.free_names})
+    name, known = parameter_name(name), sorted({*problem.given, *problem.free_names})
     if name not in known:
         raise unknown_name("parameter", name, known)
     return name

@@ -8,7 +8,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions, PhaseExtremal, derive, extremal_parameters
+from perilune.conditions.canonical import PhaseExtremal, extremal_parameters
+from perilune.conditions.pontryagin import Conditions, derive
 from perilune.kernels import DenseArc
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.problem import Phase, Problem

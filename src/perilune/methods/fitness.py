@@ -28,7 +28,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.pontryagin import derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
 from perilune.methods.assemble import free_values, multipliers, trajectories
 from perilune.problem.controls import control_scales
 from perilune.problem.problem import Phase, Problem, Variable
@@ -272,7 +273,7 @@ def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) ->
     scales = [problem.scales.of(c.unit) for c in conditions]
     p = problem.parameters({})
     missed = [c.missed(v * scale, p) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
-    return np.array(missed).reshape(len(conditions), -1)
+    return np.array(missed).reshape(len(conditions), *np.shape(values)[1:])
 
 
 def _flown(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:

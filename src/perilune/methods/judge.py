@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions, PhaseExtremal
+from perilune.conditions.canonical import PhaseExtremal
+from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import DenseArc
 from perilune.methods.assemble import controls, fly, free_values, objective_scale
 from perilune.problem.problem import Phase, Problem

@@ -8,10 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions, derive, extremal_parameters
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import Conditions, derive
 from perilune.methods.assemble import free_values, joints_from, multipliers, trajectories, unknowns_from
 from perilune.methods.judge import Judge
 from perilune.methods.ladder import Ladder
@@ -55,12 +57,16 @@ class Search:
         self.history: list[Iteration] = []
         self.scanned = self._scanned_parameter()
         self.limits = self._limits()
-        self.others = self.limits.without(self.scanned)
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
         self.rung, self.met = "", 0
         self.refusal: PeriluneError | None = None
         self.rough: Solution | None = None
+
+    @cached_property
+    def others(self) -> Limits:
+        """Limits of all but the parameter that is scanned."""
+        return self.limits.without(self.scanned)
 
     # -- the two ways in ------------------------------------------------------------------------------------------
 

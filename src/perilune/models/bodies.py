@@ -3,42 +3,44 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import fields
 
-from perilune.words.outcome import PeriluneError
+from perilune.words.declared import quantity, record, words
 
 
-@dataclass(frozen=True, kw_only=True)
+@record("body")
 class Body:
-    """A spherical, uniformly rotating body with point-mass gravity.
+    """A spherical, uniformly rotating body with point-mass gravity."""
 
-    Parameters
-    ----------
-    gravitational_parameter
-        mu [m^3/s^2].
-    radius
-        [m].
-    rotation_rate
-        Inertial (sidereal) rotation rate [rad/s]; negative is retrograde.
-    """
-
-    name: str
-    gravitational_parameter: float
-    radius: float
-    rotation_rate: float
-
-    def __post_init__(self) -> None:
-        for what in ("gravitational_parameter", "radius"):
-            value = getattr(self, what)
-            if not (math.isfinite(value) and value > 0):
-                raise PeriluneError(f"{what} of {self.name} must be positive", got=str(value), expected="> 0")
-        if not math.isfinite(self.rotation_rate):
-            raise PeriluneError(f"rotation_rate of {self.name} must be finite", got=str(self.rotation_rate))
+    name: str = words("moon", about="moon, mercury, mars, europa or ceres, in place of the quantities")
+    gravitational_parameter: float = quantity("m^3/s^2", "4902.8 km^3/s^2", above=0.0, about="mu")
+    radius: float = quantity("m", "1737.4 km", above=0.0, about="altitudes are above it")
+    rotation_rate: float = quantity(
+        "rad/s",
+        "2.6617e-6 rad/s",
+        hint="write rad/s or deg/s; the sidereal day T gives 360 deg / T",
+        about="inertial (sidereal); negative is retrograde, 0 rad/s a body at rest",
+    )
 
     @property
     def surface_gravity(self) -> float:
         """mu/R^2 [m/s^2]."""
         return self.gravitational_parameter / self.radius**2
+
+
+@record("body")
+class OblateBody(Body):
+    """A body and its second zonal harmonic."""
+
+    j2: float = quantity(
+        "1", "2.03e-4", above=-1.0, most=1.0, default=0.0, hint="unnormalised; 0 for a sphere",
+        about="second zonal harmonic, unnormalised; 0 for a sphere",
+    )  # fmt: skip
+
+
+def oblate(body: Body, j2: float) -> OblateBody:
+    """The body with its second zonal harmonic."""
+    return OblateBody(**{f.name: getattr(body, f.name) for f in fields(Body)}, j2=j2)
 
 
 def _sidereal(days: float) -> float:

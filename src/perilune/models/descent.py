@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from perilune.models.bodies import MOON, Body
+from perilune.models.bodies import MOON, Body, oblate
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing
 from perilune.models.descent_frames import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
-from perilune.models.landing import Vehicle, mass_state
+from perilune.models.landing import mass_state
 from perilune.models.limits import (
     SLACK,
     braking,
@@ -32,20 +32,27 @@ from perilune.models.limits import (
     velocity_change,
 )
 from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
+from perilune.models.vehicle import Throttle, Vehicle
 from perilune.problem.controls import Bounded, Control, Direction
+from perilune.problem.declared import given_of
 from perilune.problem.preflight import Finding
 from perilune.problem.problem import Free, Given, Phase, Problem
 from perilune.problem.views import History, Views
+from perilune.words.declared import quantity, record, span, words
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 from perilune.words.units import Scales
 
 _FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
-_START_UNITS = {
-    **dict.fromkeys(("altitude",), "m"),
-    **dict.fromkeys(("longitude", "latitude", "heading"), "rad"),
-    **dict.fromkeys(("forward_speed", "sideways_speed", "vertical_speed"), "m/s"),
+
+_LONGITUDE: dict[str, Any] = {"about": "east; over a pole it names the meridian from which the heading is measured"}
+_LATITUDE: dict[str, Any] = {
+    "least": -0.5 * math.pi - 1e-12,
+    "most": 0.5 * math.pi + 1e-12,
+    "outside": "lies beyond the pole",
+    "hint": "is it in radians inside, and longitude and latitude not exchanged?",
+    "about": "north",
 }
 
 _VIEWS = Views(
@@ -69,73 +76,58 @@ _VIEWS = Views(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@record("problem")
+class Choices:
+    """How a descent is stated."""
+
+    coordinates: str = words(
+        "cartesian", *_FRAMES, default="cartesian",
+        about="cartesian, or spherical: the paper's, singular over a pole, for the direct method",
+    )  # fmt: skip
+    target: str = words(
+        "site", *CARTESIAN.ends, default="site",
+        about="site, downrange (on the great circle towards it) or anywhere, at its altitude",
+    )  # fmt: skip
+    minimise: str = words(
+        "propellant", "propellant", "flight_time", default="propellant",
+        about="propellant or flight_time, the same with constant thrust",
+    )  # fmt: skip
+
+
+@record("start")
 class Ignition:
-    """Where the powered descent begins, relative to the rotating body.
+    """Where the powered descent begins, relative to the turning body."""
 
-    Parameters
-    ----------
-    altitude, longitude, latitude
-        [m], [rad]; over a pole the longitude names the meridian from which the heading is measured.
-    heading
-        gamma, from north towards east to the axis oy [rad].
-    forward_speed, sideways_speed, vertical_speed
-        u, v, w: along oy, along oz = up x oy, and up [m/s].
-    """
-
-    altitude: float
-    longitude: float
-    latitude: float
-    heading: float
-    forward_speed: float
-    sideways_speed: float = 0.0
-    vertical_speed: float = 0.0
-
-    def __post_init__(self) -> None:
-        _place_on_sphere("start", self)
+    altitude: float = quantity("m", "15 km", about="above the body's radius")
+    longitude: float = quantity("rad", "0 deg", **_LONGITUDE)
+    latitude: float = quantity("rad", "90 deg", **_LATITUDE)
+    heading: float = quantity("rad", "180 deg", hint="from north towards east", about="of oy, from north towards east")
+    forward_speed: float = quantity("m/s", "1694.3 m/s", about="along oy, at the heading")
+    sideways_speed: float = quantity("m/s", "0 m/s", default=0.0, about="along oz, up x oy")
+    vertical_speed: float = quantity("m/s", "0 m/s", default=0.0, about="up")
 
 
-@dataclass(frozen=True, kw_only=True)
+@record("site")
 class Site:
-    """Where it ends at rest: altitude above the body's radius [m], longitude and latitude [rad]."""
+    """Where the flight ends at rest."""
 
-    altitude: float
-    longitude: float
-    latitude: float
-
-    def __post_init__(self) -> None:
-        _place_on_sphere("site", self)
+    altitude: float = quantity("m", "2 km", default=0.0, about="above the body's radius")
+    longitude: float = quantity("rad", "5 deg", about="east")
+    latitude: float = quantity("rad", "76 deg", **_LATITUDE)
 
 
-@dataclass(frozen=True, kw_only=True)
+@record("steering")
 class Steering:
     """Bounds of the thrust's elevation alpha and azimuth beta [rad], Peng et al. (24)."""
 
-    elevation: tuple[float, float] = (-0.5 * math.pi, 0.5 * math.pi)
-    azimuth: tuple[float, float] = (0.0, 2 * math.pi)
-
-    def __post_init__(self) -> None:
-        for name, (least, most) in (("elevation", (-90.0, 90.0)), ("azimuth", (0.0, 360.0))):
-            low, high = (math.degrees(v) for v in getattr(self, name))
-            if not least - 1e-9 <= low < high <= most + 1e-9:
-                raise PeriluneError(
-                    f"bounds of the thrust's {name} are not a range",
-                    got=f"{low:g} to {high:g} deg",
-                    expected=f"lower < upper, within {least:g} to {most:g} deg",
-                )
-
-
-def _place_on_sphere(what: str, record: Any) -> None:
-    for name, value in vars(record).items():
-        if not math.isfinite(value):
-            raise PeriluneError(f"{what} {name} is not finite", got=str(value), expected="a finite number")
-    if abs(record.latitude) > 0.5 * math.pi + 1e-12:
-        raise PeriluneError(
-            f"{what} latitude lies beyond the pole",
-            got=f"{math.degrees(record.latitude):g} deg",
-            expected="between -90 and 90 deg",
-            advice="is it in radians inside, and longitude and latitude not exchanged?",
-        )
+    elevation: tuple[float, float] = span(
+        "rad", "-50 deg", "50 deg", default=(-0.5 * math.pi, 0.5 * math.pi), name="the thrust's elevation",
+        about="angle of the thrust above the horizon",
+    )  # fmt: skip
+    azimuth: tuple[float, float] = span(
+        "rad", "150 deg", "220 deg", default=(0.0, 2 * math.pi), name="the thrust's azimuth",
+        about="angle of the thrust from oy towards oz",
+    )  # fmt: skip
 
 
 def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
@@ -146,34 +138,6 @@ def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
 def _flight_time(x: Any, p: Any, m: Any) -> Any:
     """Peng et al. (19): H = -1 along the optimum."""
     return p.flight_time
-
-
-def _check_given(p: Any) -> None:
-    """Repeat the records' own checks, for values that a sweep sets, and what no record can see alone."""
-    Vehicle(
-        mass=p.vehicle_mass,
-        thrust=p.vehicle_thrust,
-        specific_impulse=p.vehicle_specific_impulse,
-        standard_gravity=p.vehicle_standard_gravity,
-        dry_mass=getattr(p, "vehicle_dry_mass", None),
-    )
-    start = {name: getattr(p, f"start_{name}") for name in Ignition.__dataclass_fields__}
-    site = {name: getattr(p, f"site_{name}") for name in Site.__dataclass_fields__}
-    Ignition(**start)
-    Site(**site)
-    if hasattr(p, "throttle_lower"):
-        check_throttle(p)
-    if hasattr(p, "steering_azimuth_lower"):
-        Steering(
-            elevation=(p.steering_elevation_lower, p.steering_elevation_upper),
-            azimuth=(p.steering_azimuth_lower, p.steering_azimuth_upper),
-        )
-    if not -p.body_radius < p.site_altitude < p.start_altitude:
-        raise PeriluneError(
-            "the descent begins below the landing site",
-            got=f"start {p.start_altitude / 1e3:g} km, site {p.site_altitude / 1e3:g} km",
-            expected="start altitude > site altitude",
-        )
 
 
 def _preflight(p: Any, m: Any, *, to_site: bool) -> tuple[Finding, ...]:
@@ -216,7 +180,12 @@ def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding
 
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and order of magnitude of the flight time; refuses given values that make no sense together."""
-    _check_given(p)
+    if not -p.body_radius < p.site_altitude < p.start_altitude:
+        raise PeriluneError(
+            "the descent begins below the landing site",
+            got=f"start {p.start_altitude / 1e3:g} km, site {p.site_altitude / 1e3:g} km",
+            expected="start altitude > site altitude",
+        )
     speed = m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
     # To stop the whole speed (rocket equation), and part of the time to drop the height by burns down and up.
     _, stop = braking(speed, p, m)
@@ -236,23 +205,6 @@ def _controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
 
 
 THROTTLE = Bounded(name="throttle", lower="throttle_lower", upper="throttle_upper")  # share of full thrust
-
-
-def throttle_limits(throttle: tuple[float, float] | None) -> dict[str, Given]:
-    """Given parameters of the bounds of the throttle; none where thrust is constant."""
-    if throttle is None:
-        return {}
-    return {f"throttle_{side}": Given(value=value) for side, value in zip(("lower", "upper"), throttle, strict=True)}
-
-
-def check_throttle(p: Any) -> None:
-    """Refuse bounds that are no range of shares of full thrust."""
-    if not 0 <= p.throttle_lower < p.throttle_upper <= 1:
-        raise PeriluneError(
-            "the throttle's bounds are no range of shares of full thrust",
-            got=f"{p.throttle_lower:g} to {p.throttle_upper:g}",
-            expected="0 <= lower < upper <= 1",
-        )
 
 
 def _phase(
@@ -294,42 +246,6 @@ def with_dry_mass(vehicle: Vehicle, dry_mass: float | None) -> Vehicle:
     return vehicle if dry_mass is None else replace(vehicle, dry_mass=dry_mass)
 
 
-def body_and_vehicle(body: Body, vehicle: Vehicle, j2: float) -> dict[str, Given]:
-    """Given parameters of a body and a vehicle."""
-    given = {
-        "body_gravitational_parameter": Given(value=body.gravitational_parameter, unit="m^3/s^2"),
-        "body_radius": Given(value=body.radius, unit="m"),
-        "body_rotation_rate": Given(value=body.rotation_rate, unit="rad/s"),
-        "body_j2": Given(value=j2),
-        "vehicle_mass": Given(value=vehicle.mass, unit="kg"),
-        "vehicle_thrust": Given(value=vehicle.thrust, unit="N"),
-        "vehicle_specific_impulse": Given(value=vehicle.specific_impulse, unit="s"),
-        "vehicle_standard_gravity": Given(value=vehicle.standard_gravity, unit="m/s^2"),
-    }
-    if vehicle.dry_mass is not None:
-        given["vehicle_dry_mass"] = Given(value=vehicle.dry_mass, unit="kg")
-    return given
-
-
-def section(name: str, record: Any, units: Mapping[str, str]) -> dict[str, Given]:
-    """Given parameters ``name_field`` of a record of numbers."""
-    return {f"{name}_{field}": Given(value=value, unit=units[field]) for field, value in vars(record).items()}
-
-
-def _check_choices(coordinates: str, target: str, minimise: str) -> None:
-    for what, got, known in (
-        ("coordinates", coordinates, tuple(_FRAMES)),
-        ("target", target, tuple(CARTESIAN.ends)),
-        ("minimise", minimise, ("propellant", "flight_time")),
-    ):
-        if got not in known:
-            raise PeriluneError(f"unknown {what}", got=repr(got), expected="one of " + ", ".join(map(repr, known)))
-
-
-def _places(start: Ignition, site: Site) -> dict[str, Given]:
-    return section("start", start, _START_UNITS) | section("site", site, _START_UNITS)
-
-
 def _at(given: Mapping[str, Given], ranges: Physics) -> Any:
     return ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)
 
@@ -337,17 +253,7 @@ def _at(given: Mapping[str, Given], ranges: Physics) -> Any:
 def _scales(start: Ignition, vehicle: Vehicle, ranges: Mapping[str, tuple[float, float, float]]) -> Scales:
     time = float(ranges["flight_time"][2])
     speed = max(math.hypot(start.forward_speed, start.sideways_speed, start.vertical_speed), start.altitude / time)
-    return Scales(length=speed * time, time=time, mass=vehicle.mass)
-
-
-def _steering_limits(steering: Steering | None) -> dict[str, Given]:
-    if steering is None:
-        return {}
-    return {
-        f"steering_{name}_{side}": Given(value=value, unit="rad")
-        for name in ("elevation", "azimuth")
-        for side, value in zip(("lower", "upper"), getattr(steering, name), strict=True)
-    }
+    return Scales(length=speed * time, time=time, mass=float(vehicle.mass))
 
 
 def powered_descent(
@@ -398,10 +304,13 @@ def powered_descent(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
-    _check_choices(coordinates, target, minimise)
-    given = body_and_vehicle(body, with_dry_mass(vehicle, dry_mass), j2) | _places(start, site)
-    given |= _steering_limits(steering if coordinates == "cartesian" else steering or Steering())
-    given |= throttle_limits(throttle)
+    Choices(coordinates=coordinates, target=target, minimise=minimise)
+    stated = [oblate(body, j2), with_dry_mass(vehicle, dry_mass), start, site]
+    if steering is not None or coordinates == "spherical":
+        stated.append(steering or Steering())
+    if throttle is not None:
+        stated.append(Throttle(lower=throttle[0], upper=throttle[1]))
+    given = given_of(*stated)
     controls = _controls(coordinates, throttle is not None)
     return Problem(
         name="powered_descent",
@@ -416,6 +325,7 @@ def powered_descent(
         result_variables=LANDING,
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
         views=_VIEWS,
+        declared=tuple(type(each) for each in stated),
         ranges=_ranges,
         preflight=partial(_preflight, to_site=target == "site"),
         scales=_scales(start, vehicle, _at(given, _ranges)),

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -33,69 +33,35 @@ from perilune.models.limits import (
     speed_with_fall,
     thrust_against_weight,
 )
+from perilune.models.vehicle import Retro, Vehicle
 from perilune.problem.controls import Direction
+from perilune.problem.declared import given_of
 from perilune.problem.preflight import Finding
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.problem import Free, Phase, Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.problem.views import Beside, History, Views
+from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
 
-STANDARD_GRAVITY = 9.80665  # m/s^2, exact: 3rd CGPM (1901); the paper uses 9.81
 LEAST_LANDED_SHARE = 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
-class Vehicle:
-    """A lander at the end of the Hohmann coast: mass [kg], constant thrust [N], specific impulse [s].
-
-    `dry_mass` [kg] cannot be burnt; None leaves open how much can.
-    """
-
-    mass: float
-    thrust: float
-    specific_impulse: float
-    standard_gravity: float = STANDARD_GRAVITY
-    dry_mass: float | None = None
-
-    def __post_init__(self) -> None:
-        _positive("vehicle", self, "mass", "thrust", "specific_impulse", "standard_gravity")
-        if self.dry_mass is not None and not 0 <= self.dry_mass < self.mass:
-            raise PeriluneError(
-                "the vehicle's dry mass leaves no propellant",
-                got=f"dry mass {self.dry_mass:g} kg of {self.mass:g} kg",
-                expected="0 <= dry_mass < mass",
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Retro:
-    """The impulsive retro burn: specific impulse [s]; delta_v [m/s] is free unless it is given here."""
-
-    specific_impulse: float
-    delta_v: float | None = None
-
-    def __post_init__(self) -> None:
-        _positive("retro", self, "specific_impulse")
-        if self.delta_v is not None and not (math.isfinite(self.delta_v) and self.delta_v >= 0):
-            raise PeriluneError("retro delta_v must not be negative", got=f"{self.delta_v} m/s", expected=">= 0 m/s")
-
-
-@dataclass(frozen=True, kw_only=True)
+@record("orbit")
 class Orbit:
-    """Circular parking orbit and the perilune of the Hohmann transfer: altitudes [m] above the body's radius."""
+    """Circular parking orbit and the perilune of the Hohmann transfer, altitudes above the body's radius."""
 
-    parking_altitude: float
-    perilune_altitude: float
+    parking_altitude: float = quantity("m", "100 km", about="of the circular parking orbit, above the body's radius")
+    perilune_altitude: float = quantity("m", "15 km", about="of the perilune, where the burns begin")
 
 
-def _positive(section: str, record: Any, *names: str) -> None:
-    for name in names:
-        value = getattr(record, name)
-        if not (math.isfinite(value) and value > 0):
-            raise PeriluneError(f"{section} {name} must be positive and finite", got=str(value), expected="> 0")
+@record("landing")
+class LandingSite:
+    """Where the landing ends."""
+
+    altitude: float = quantity("m", "0 km", default=0.0, about="of the landing site, above the body's radius")
 
 
 def perilune_speed(p: Any, m: Any) -> Any:
@@ -205,23 +171,11 @@ def _typical_end(p: Any, m: Any) -> Sequence[Any]:
     return (r_ground, math.pi + 0.3, r_ground * p.body_rotation_rate, 0.0, 0.5 * p.vehicle_mass)
 
 
-def _check_given(p: Any) -> None:
-    """The records' own checks, for values that a sweep sets; what physics forbids is for `_preflight` to say."""
-    Vehicle(
-        mass=p.vehicle_mass,
-        thrust=p.vehicle_thrust,
-        specific_impulse=p.vehicle_specific_impulse,
-        standard_gravity=p.vehicle_standard_gravity,
-        dry_mass=getattr(p, "vehicle_dry_mass", None),
-    )
-    Retro(specific_impulse=p.retro_specific_impulse, delta_v=getattr(p, "retro_delta_v", None))
-    if not -p.body_radius < min(p.landing_altitude, p.orbit_perilune_altitude, p.orbit_parking_altitude):
-        raise PeriluneError("an altitude lies below the centre of the body", expected=f"above {-p.body_radius:g} m")
-
-
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the free parameters; refuses given values that make no sense together."""
-    _check_given(p)
+    lowest = m.fmin(m.fmin(p.landing_altitude, p.orbit_perilune_altitude), p.orbit_parking_altitude)
+    if not lowest > -p.body_radius:
+        raise PeriluneError("an altitude lies below the centre of the body", expected=f"above {-p.body_radius:g} m")
     speed = perilune_speed(p, m)
     exhausted = p.vehicle_mass * exhaust_speed(p) / p.vehicle_thrust  # all mass gone: the longest burn there can be
     # To stop the whole speed (rocket equation), and to drop the height by a burn down and a burn up.
@@ -381,21 +335,8 @@ def hybrid_landing(
         States r [m], phi [rad], u, v [m/s], m [kg]; free `retro_delta_v` [m/s] and `flight_time` [s]; J = -m(t_f) [kg],
         Cho et al. (6). Parameters are named like the scenario's keys with ``_`` for the dot.
     """
-    given = {
-        "body_gravitational_parameter": Given(value=body.gravitational_parameter, unit="m^3/s^2"),
-        "body_radius": Given(value=body.radius, unit="m"),
-        "body_rotation_rate": Given(value=body.rotation_rate, unit="rad/s"),
-        "vehicle_mass": Given(value=vehicle.mass, unit="kg"),
-        "vehicle_thrust": Given(value=vehicle.thrust, unit="N"),
-        "vehicle_specific_impulse": Given(value=vehicle.specific_impulse, unit="s"),
-        "vehicle_standard_gravity": Given(value=vehicle.standard_gravity, unit="m/s^2"),
-        "retro_specific_impulse": Given(value=(retro or vehicle).specific_impulse, unit="s"),
-        "orbit_parking_altitude": Given(value=orbit.parking_altitude, unit="m"),
-        "orbit_perilune_altitude": Given(value=orbit.perilune_altitude, unit="m"),
-        "landing_altitude": Given(value=landing_altitude, unit="m"),
-    }
-    if vehicle.dry_mass is not None:
-        given["vehicle_dry_mass"] = Given(value=vehicle.dry_mass, unit="kg")
+    burn = retro or Retro(specific_impulse=vehicle.specific_impulse, delta_v=0.0)
+    given = given_of(body, vehicle, replace(burn, delta_v=None), orbit, LandingSite(altitude=landing_altitude))
     descent = Phase(
         name="descent",
         states=(
@@ -433,8 +374,8 @@ def hybrid_landing(
         typical_end=_typical_end,
     )
     p = SimpleNamespace(**{name: g.value for name, g in given.items()})
-    _, speed, _ = _ranges(p, NUMERIC)["retro_delta_v"]
-    _, _, time = _ranges(p, NUMERIC)["flight_time"]
+    ranges = _ranges(p, NUMERIC)
+    speed, time = ranges["retro_delta_v"][1], ranges["flight_time"][2]
     problem = Problem(
         name="hybrid_landing",
         title=f"{vehicle.mass:g} kg lander from {orbit.perilune_altitude / 1e3:g} km to the {body.name}",
@@ -453,15 +394,14 @@ def hybrid_landing(
             Variable(name="perilune_speed", unit="m/s", description="before the retro burn"),
         ),
         maximised=LANDED_MASS.name,
+        declared=(Body, Vehicle, Retro, Orbit, LandingSite),
         ranges=_ranges,
         preflight=_preflight,
         bookkeeping=bookkeeping,
         views=_VIEWS,
-        scales=Scales(length=speed * time, time=time, mass=vehicle.mass),
+        scales=Scales(length=speed * time, time=time, mass=float(vehicle.mass)),
     )
-    if retro is None or retro.delta_v is not None:
-        problem = problem.with_given(retro_delta_v=retro.delta_v if retro and retro.delta_v else 0.0)
-    return problem
+    return problem if burn.delta_v is None else problem.with_given(retro_delta_v=burn.delta_v)
 
 
 def bookkeeping(solution: Solution) -> tuple[Check, ...]:

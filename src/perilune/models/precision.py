@@ -16,23 +16,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.models.bodies import MOON, Body
+from perilune.models.bodies import MOON, Body, oblate
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
-from perilune.models.descent import (
-    THROTTLE,
-    Site,
-    body_and_vehicle,
-    check_throttle,
-    section,
-    throttle_limits,
-    with_dry_mass,
-)
+from perilune.models.descent import THROTTLE, Site, with_dry_mass
 from perilune.models.descent_frames import mass_rate, thrust, variables
-from perilune.models.landing import Vehicle, mass_state
+from perilune.models.landing import mass_state
 from perilune.models.limits import (
     engine_holds_dry_mass,
     propellant_stops,
@@ -47,59 +38,44 @@ from perilune.models.rotating import (
     local_axes,
     seen_inertially,
 )
+from perilune.models.vehicle import Throttle, Vehicle
 from perilune.problem.controls import Direction
+from perilune.problem.declared import given_of
 from perilune.problem.preflight import Finding
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.problem import Free, Phase, Problem, Variable
 from perilune.problem.views import History, Views
+from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
 
 
-@dataclass(frozen=True, kw_only=True)
+@record("approach")
 class Approach:
-    """Position [m] from the site and velocity [m/s] relative to it at the start."""
+    """Where a precision landing begins: position and velocity from the site."""
 
-    east: float
-    north: float
-    up: float
-    east_speed: float = 0.0
-    north_speed: float = 0.0
-    up_speed: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not math.isfinite(value):
-                raise PeriluneError(f"approach {name} is not finite", got=str(value), expected="a finite number")
-        if self.up <= 0:
-            raise PeriluneError("the approach begins below the site", got=f"up {self.up:g} m", expected="> 0 m")
+    east: float = quantity("m", "-1800 m", about="position from the site")
+    north: float = quantity("m", "300 m", about="position from the site")
+    up: float = quantity("m", "1 km", above=0.0, outside="begins below the site", about="height above the site")
+    east_speed: float = quantity("m/s", "50 m/s", default=0.0, about="relative to the site")
+    north_speed: float = quantity("m/s", "0 m/s", default=0.0, about="relative to the site")
+    up_speed: float = quantity("m/s", "-30 m/s", default=0.0, about="negative when it descends")
 
 
-@dataclass(frozen=True, kw_only=True)
+@record("corridor")
 class Corridor:
-    """What the flight must keep to.
+    """What the flight must keep to."""
 
-    Parameters
-    ----------
-    tilt
-        Largest angle of the thrust from the vertical [rad].
-    slope
-        Least elevation of the vehicle above the horizon as seen from the site [rad].
-    pad_radius
-        Where the glide slope begins [m].
-    """
-
-    tilt: float
-    slope: float
-    pad_radius: float = 10.0
-
-    def __post_init__(self) -> None:
-        for name in ("tilt", "slope"):
-            degrees = math.degrees(getattr(self, name))
-            if not 0 < degrees < 90:
-                raise PeriluneError(f"corridor {name} is no angle", got=f"{degrees:g} deg", expected="0 to 90 deg")
-        if not self.pad_radius > 0:
-            raise PeriluneError("corridor pad_radius must be positive", got=f"{self.pad_radius:g} m", expected="> 0 m")
+    tilt: float = quantity(
+        "rad", "50 deg", above=0.0, below=0.5 * math.pi, outside="is no angle",
+        about="most angle of the thrust from the vertical",
+    )  # fmt: skip
+    slope: float = quantity(
+        "rad", "20 deg", above=0.0, below=0.5 * math.pi, outside="is no angle",
+        about="least elevation of the vehicle above the horizon as seen from the site",
+    )  # fmt: skip
+    pad_radius: float = quantity(
+        "m", "10 m", default=10.0, above=0.0, outside="must be positive", about="where the glide slope begins"
+    )
 
 
 def _centre_to(x: Any, p: Any) -> tuple[Any, Any, Any]:
@@ -234,22 +210,8 @@ def _throttle_floor(p: Any, m: Any) -> Finding:
     )
 
 
-def _given(
-    vehicle: Vehicle, approach: Approach, site: Site, corridor: Corridor, body: Body, j2: float
-) -> dict[str, Given]:
-    place = {"altitude": "m", "longitude": "rad", "latitude": "rad"}
-    units = {name: "m/s" if name.endswith("speed") else "m" for name in vars(approach)}
-    return {
-        **body_and_vehicle(body, vehicle, j2),
-        **section("site", site, place),
-        **section("approach", approach, units),
-        **section("corridor", corridor, {"tilt": "rad", "slope": "rad", "pad_radius": "m"}),
-    }
-
-
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
-    """Order of magnitude of the flight time; refuses given values that make no sense together."""
-    check_throttle(p)
+    """Order of magnitude of the flight time."""
     return {"flight_time": (0.0, math.inf, _typical_time(p))}
 
 
@@ -321,7 +283,9 @@ def precision_landing(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
-    given = _given(with_dry_mass(vehicle, dry_mass), approach, site, corridor, body, j2) | throttle_limits(throttle)
+    lander, shares = with_dry_mass(vehicle, dry_mass), Throttle(lower=throttle[0], upper=throttle[1])
+    stated = (oblate(body, j2), lander, site, approach, corridor, shares)
+    given = given_of(*stated)
     time = _ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)["flight_time"][2]
     way = math.hypot(approach.east, approach.north, approach.up)
     return Problem(
@@ -336,10 +300,11 @@ def precision_landing(
         results=landing,
         result_variables=LANDING,
         maximised=LANDED_MASS.name,
+        declared=tuple(type(each) for each in stated),
         ranges=_ranges,
         preflight=_preflight,
         views=_VIEWS,
-        scales=Scales(length=way, time=time, mass=vehicle.mass),
+        scales=Scales(length=way, time=time, mass=float(vehicle.mass)),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 from perilune.problem.controls import scalars
 from perilune.problem.form import stated
 from perilune.problem.views import check_views
+from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import Scales
 
@@ -30,7 +31,7 @@ def check_structure(problem: Any) -> None:
     both = set(problem.given) & set(problem.free_names)
     if both:
         raise PeriluneError("a parameter cannot be given and free at once", got=", ".join(sorted(both)))
-    check_values(problem)
+    check_free(problem)
     limits = [limit for phase in problem.phases for _, c in scalars(phase.controls) for limit in (c.lower, c.upper)]
     for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
         if name not in problem.given and name not in problem.free_names:
@@ -50,11 +51,17 @@ def check_structure(problem: Any) -> None:
     check_views(problem.views, quantities, {*problem.given, *problem.free_names}, results)
 
 
-def check_values(problem: Any) -> None:
-    """Refuse given values that are not finite, and ranges of free parameters that are empty."""
+def check_given(problem: Any) -> None:
+    """Refuse given values that are not finite, or outside what is declared of them."""
     for name, g in problem.given.items():
         if not math.isfinite(g.value):
             raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
+    for record in problem.declared:
+        check_values(record, vars(problem.parameters({})))
+
+
+def check_free(problem: Any) -> None:
+    """Refuse ranges of free parameters that are empty."""
     for f in problem.free:
         if not f.lower <= f.upper or math.isnan(f.typical):
             raise PeriluneError(

@@ -28,12 +28,13 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
-from perilune.problem.checks import check_homogeneous, check_structure, check_values
+from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
 from perilune.problem.controls import Control, Limit, limit_value, scalars
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, trace
 from perilune.problem.tape import Expression
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
+from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Physics
@@ -96,13 +97,20 @@ class Variable:
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """A parameter with a value in SI and its SI unit."""
+    """A parameter with a value in SI and its SI unit.
+
+    `stated` is the decimal text and unit in which a person stated it; a Python float is itself, and has none.
+    """
 
     value: float
     unit: str = "1"
+    stated: str = ""
 
     def __post_init__(self) -> None:
         _in_si("a given value", self.unit)
+        if not self.stated:
+            object.__setattr__(self, "stated", stated_text(self.value))
+        object.__setattr__(self, "value", float(self.value))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,6 +260,9 @@ class Problem:
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
         make no sense together.
+    declared
+        Classes of records (`perilune.words.declared`) whose numbers are parameters; each checks its values here again,
+        whoever gave them.
     preflight
         ``preflight(p, m)`` of the given parameters returns what physics says before anything is solved, as
         `perilune.problem.preflight.Finding`. Which comparisons there are may depend on which parameters `p` has,
@@ -277,6 +288,7 @@ class Problem:
     results: Physics | None = None
     result_variables: tuple[Variable, ...] = ()
     maximised: str = ""
+    declared: tuple[type, ...] = ()
     ranges: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
@@ -286,6 +298,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "given", MappingProxyType(dict(self.given)))
+        check_given(self)
         self._take_ranges()
         check_structure(self)
         check_homogeneous(self)
@@ -334,6 +347,7 @@ class Problem:
         own = self.expressed
         state = {f.name: getattr(own, f.name) for f in fields(own)}
         hooks = {name: _by_name(state[name]) for name in ("ranges", "preflight", "bookkeeping")}
+        hooks["declared"] = _by_name(self.declared) or ()
         return {**state, "given": dict(self.given), "form": self.form, **hooks}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -395,17 +409,18 @@ class Problem:
         Raises
         ------
         PeriluneError
-            If a name is no parameter of the problem.
+            If a name is no parameter of the problem, or a value is outside what is declared of it.
         """
         given, known = dict(self.given), {*self.given, *self.free_names}
         for name, value in values.items():
             if name not in known:
                 raise unknown_name("parameter", name, sorted(known))
-            given[name] = Given(value=float(value), unit=self.unit_of(name))
+            given[name] = Given(value=value, unit=self.unit_of(name))
         free = tuple(f for f in self.free if f.name not in values)
         new = self._changed(given=MappingProxyType(given), free=free)
+        check_given(new)
         new._take_ranges()
-        check_values(new)
+        check_free(new)
         return new
 
 

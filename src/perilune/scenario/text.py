@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from perilune.scenario.sections import DOCUMENTS, sections_of
+from perilune.models.kinds import KINDS
 from perilune.words.outcome import PeriluneError, unknown_name
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
@@ -110,7 +110,7 @@ def apply(document: dict[str, Any], change: str) -> None:
             expected="SECTION.KEY=VALUE",
             advice='for example --set "vehicle.thrust=500 N"',
         )
-    known = list(dict.fromkeys(name for form in DOCUMENTS.values() for name in sections_of(form)))
+    known = list(dict.fromkeys(name for kind in KINDS.values() for name in kind.sections))
     if section not in known:
         raise unknown_name("section", section, known)
     table = document.setdefault(section, {})

@@ -5,7 +5,8 @@ The step is dy = -J^-1 h. Damping alpha is accepted when the *simplified* correc
 side. Damping and outcome belong to the lane; a lane that has ended drops out.
 
 Early iterates are computed with a tolerance fitted to their residual (an inexact Newton method); none counts as
-converged before it is computed at the full one. Where no step improves a residual that is round-off, that is a root.
+converged before it is computed at the full one. Where damping does not help a step that came of a rough
+evaluation, the iterate is computed again. Where no step improves a residual that is round-off, that is a root.
 
 Source: Deuflhard, *Newton Methods for Nonlinear Problems*, Springer 2011, sections 2.1 (inexact) and 3.3 (natural
 monotonicity).
@@ -33,7 +34,8 @@ ROUGHEST = 1e-6  # accuracy of the first evaluations
 ROUND_OFF = 1e-12
 _SETTLED = 1e-7  # a last undamped step below this, relative to |y|: its square is round-off
 _NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
-_FORCING = 1e-4  # accuracy of the next evaluation, in units of the residual squared
+_FORCING = 1e-3  # accuracy of the next evaluation, in units of the residual squared
+_DOUBTED = 0.25  # damping at whose refusal a rough evaluation is blamed, and made again
 _LEAST_DAMPING = 1e-4
 _ASTRAY = 1e200  # squares beyond this are of a lost iterate; a NaN compares as lost too
 
@@ -122,14 +124,17 @@ class Ends:
     evaluations: NDArray[np.int64]
     history: tuple[Iteration, ...] = ()
 
-    def keep(self, lanes: Lanes, y: Matrix, rows: Matrix, root: NDArray[np.bool_], number: int) -> None:
-        """Note where the lanes at work stand after evaluation `number`."""
-        if len(lanes) == len(self.y):
+    def keep(
+        self, lanes: Lanes, y: Matrix, rows: Matrix, root: NDArray[np.bool_], which: NDArray[np.bool_], number: int
+    ) -> None:
+        """Note how those of the lanes at work end that do so at evaluation `number`."""
+        if len(lanes) == len(self.y) and which.all():
             self.y, self.rows, self.converged = y, rows, root
             self.evaluations[:] = number
         else:
-            self.y[lanes], self.rows[lanes], self.converged[lanes] = y, rows, root
-            self.evaluations[lanes] = number
+            at = lanes[which]
+            self.y[at], self.rows[at], self.converged[at] = y[which], rows[which], root[which]
+            self.evaluations[at] = number
 
 
 def newton(
@@ -170,23 +175,29 @@ def newton(
     count = len(y)
     lanes, flown = np.arange(count), np.full(count, accuracy)
     row = evaluate(lanes, y, flown, np.zeros((count, columns.n**2)))
-    ends = Ends(y=y, rows=row, converged=np.zeros(count, dtype=bool), evaluations=np.ones(count, dtype=np.int64))
-    alpha = _limited(np.ones(count), row, columns, max_step)
+    ends = Ends(
+        y=y.copy(), rows=row.copy(), converged=np.zeros(count, dtype=bool), evaluations=np.ones(count, dtype=np.int64)
+    )
+    alpha, again = _limited(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
     active = row[:, 2] < _ASTRAY
     for number in range(2, limit + 1):
         if not active.all():
-            lanes, y, row, alpha, flown = (array[active] for array in (lanes, y, row, alpha, flown))
+            lanes, y, row = lanes[active], y[active], row[active]
+            alpha, flown, again = alpha[active], flown[active], again[active]
             if not len(lanes):
                 break
-        trial = y + alpha[:, None] * row[:, columns.step]
-        finer = np.clip(_FORCING * row[:, 0] ** 2, FINEST, ROUGHEST)  # a full step squares the residual
+        trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
+        finer = np.where(again, FINEST, np.clip(_FORCING * row[:, 0] ** 2, FINEST, ROUGHEST))
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
-        good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, tolerance)
-        better = good[:, None]
-        y, row, flown = np.where(better, trial, y), np.where(better, new, row), np.where(good, finer, flown)
+        good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
+        lost, again = again & ~good, ~good & (flown > FINEST) & (alpha <= _DOUBTED)
+        refused = np.nonzero(~good)[0]
+        for ahead, here in ((trial, y), (new, row), (finer, flown)):
+            ahead[refused] = here[refused]
+        y, row, flown = trial, new, finer
         alpha = _limited(np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha), row, columns, max_step)
-        active = ~root & (alpha > _LEAST_DAMPING)
-        ends.keep(lanes, y, row, root, number)
+        active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit)
+        ends.keep(lanes, y, row, root, ~active, number)
     return ends
 
 
@@ -202,36 +213,39 @@ def _one(
 ) -> Ends:
     """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
     lanes, history = np.zeros(1, dtype=np.int64), []
-    y, flown, alpha, root, number = np.array(start, dtype=float), accuracy, 1.0, False, 1
+    y, flown, again, root, lost, number = np.array(start, dtype=float), accuracy, False, False, False, 1
     row = evaluate(lanes, y, np.array([flown]), np.zeros((1, columns.n**2)))
     head = row[0, :4].tolist()
-    alpha = _limited(alpha, row, columns, max_step)
-    while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root:
-        trial = y + alpha * row[:, columns.step]
-        finer = min(max(_FORCING * head[0] ** 2, FINEST), ROUGHEST)
+    alpha = _limited(1.0, row, columns, max_step)
+    while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
+        trial = y if again else y + alpha * row[:, columns.step]
+        finer = FINEST if again else min(max(_FORCING * head[0] ** 2, FINEST), ROUGHEST)
         new = evaluate(lanes, trial, np.array([finer]), row[:, columns.inverse])
         number, ahead = number + 1, new[0, :4].tolist()
-        good, root = _judged(head, ahead, alpha, flown, finer, tolerance)
-        if good:
+        good, root = _judged(head, ahead, alpha, flown, finer, again, tolerance)
+        if good and not again:
             history.append(
                 Iteration(number=len(history) + 1, residual=ahead[0], step=math.sqrt(head[2]), damping=float(alpha))
             )
             if watch is not None:
                 watch(history[-1])
+        lost, again = again and not good, not good and flown > FINEST and alpha <= _DOUBTED
+        if good:
             y, row, head, flown = trial, new, ahead, finer
         alpha = _limited(min(1.0, 2.0 * alpha) if good else 0.5 * alpha, row, columns, max_step)
     return Ends(y=y, rows=row, converged=np.array([root]), evaluations=np.array([number]), history=tuple(history))
 
 
-def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, tolerance: float) -> tuple[Any, Any]:
+def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, tolerance: float) -> tuple[Any, Any]:
     """Whether a trial is accepted, and whether a root is reached by it: of numbers, or of arrays of lanes.
 
-    `row` and `new` are the first four columns before and after.
+    `row` and `new` are the first four columns before and after; `again` says that the trial is the old iterate, only
+    more accurate, as the next step was refused that its rough evaluation had led to.
     """
     residual, _, length, size = row
     left, simplified, ahead, _ = new
     length, size = length**0.5, 1.0 + size**0.5
-    good = (simplified**0.5 <= (1.0 - 0.5 * alpha) * length) | (length < 1e-12 * size)
+    good = again | (simplified**0.5 <= (1.0 - 0.5 * alpha) * length) | (length < 1e-12 * size)
     # Within the error of a rough evaluation nothing can be compared.
     good |= (flown > FINEST) & (left <= _NOISE * flown) | (finer > FINEST) & (left <= _NOISE * finer)
     good &= ahead < _ASTRAY
@@ -239,7 +253,7 @@ def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, tolerance: f
     root = good & settled & (alpha == 1.0) & (finer <= FINEST) & (left <= tolerance)
     # At round-off no step is an improvement: that is a root, if the residual says so.
     stuck = (flown <= FINEST) & ((residual <= ROUND_OFF) | settled & (residual <= tolerance))
-    return good, root | (good ^ True) & stuck
+    return good, (root | (good ^ True) & stuck) & (again ^ True)
 
 
 def _limited(alpha: Any, row: Matrix, columns: Columns, max_step: float) -> Any:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.pontryagin import PhaseExtremal
+from perilune.conditions.canonical import PhaseExtremal
 from perilune.kernels import DenseArc, Engine, Event, compile_arcs, prune
 from perilune.words.types import Vector
 
@@ -28,6 +28,7 @@ class Equations:
     kept: NDArray[np.int64]
     numbers: NDArray[np.int64]
     modes: tuple[ca.Function, ...]
+    solved: tuple[ca.Function | None, ...]
     switches: tuple[Event, ...]
 
 
@@ -53,7 +54,17 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     jumps = [None if event.jump is None else ca.simplify(event.jump(whole, p)[kept]) for event in extremal.events]
     used = ca.vertcat(*rates, *crossings, *(jump for jump in jumps if jump is not None))
     known = [i for i in range(numbers) if ca.depends_on(used, p[i])]
-    modes = tuple(ca.Function("rhs", [z, p[known]], [ca.cse(rate)]) for rate in rates)
+    modes, solved = list[ca.Function](), list[ca.Function | None]()
+    for rate, found in zip(rates, extremal.solved, strict=True):
+        w = ca.SX(0, 1)
+        if found is None:
+            solved.append(None)
+        else:  # the control is solved for inside the arc: derivatives need not go through Newton's method
+            values = found[0](whole, p)
+            w = ca.SX.sym("w", values.numel())
+            rate = found[1](whole, ca.vertcat(p, w))[kept]
+            solved.append(ca.Function("solved", [z, p[known]], [values]))
+        modes.append(ca.Function("rhs", [z, ca.vertcat(p[known], w)], [ca.cse(rate)]))
     switches = tuple(
         replace(
             event,
@@ -62,7 +73,13 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
         )
         for event, S, jump in zip(extremal.events, crossings, jumps, strict=True)
     )
-    return Equations(kept=np.array(kept), numbers=np.array(known, dtype=int), modes=modes, switches=switches)
+    return Equations(
+        kept=np.array(kept),
+        numbers=np.array(known, dtype=int),
+        modes=tuple(modes),
+        solved=tuple(solved),
+        switches=switches,
+    )
 
 
 Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may be nonzero, row by row
@@ -71,7 +88,9 @@ Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may 
 @lru_cache(maxsize=256)
 def engine(flown: Equations, seeds: Pattern = ()) -> Engine:
     """Engine with the variational columns that such seeds need, made once."""
-    return compile_arcs(flown.modes, columns=np.array(seeds) if seeds else 0, events=flown.switches)
+    return compile_arcs(
+        flown.modes, solved=flown.solved, columns=np.array(seeds) if seeds else 0, events=flown.switches
+    )
 
 
 def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 from perilune.words.outcome import PeriluneError
 
@@ -179,7 +179,14 @@ class Scales:
             if not (value := getattr(self, name)) > 0 or not math.isfinite(value):
                 raise PeriluneError(f"a scale must be positive: {name}", got=str(value), expected="> 0 and finite")
 
+    @cached_property
+    def _sizes(self) -> dict[str, float]:
+        return {}  # asked for a score of times in each solve
+
     def of(self, unit_text: str) -> float:
         """SI size of one canonical unit of the given unit's dimension: ``canonical = SI / scale``."""
-        a, b, c, d = unit(unit_text)[1]
-        return self.length**a * self.time**b * self.mass**c * self.temperature**d
+        size = self._sizes.get(unit_text)
+        if size is None:
+            a, b, c, d = unit(unit_text)[1]
+            size = self._sizes[unit_text] = self.length**a * self.time**b * self.mass**c * self.temperature**d
+        return size

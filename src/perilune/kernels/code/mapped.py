@@ -84,12 +84,13 @@ def compile_map(function: Any, *, cache: bool = True, backend: str | None = None
     rows = function.size1_out(0)
 
     def mapped(*arguments: Matrix) -> Matrix:
-        held = [np.ascontiguousarray(a, dtype=float).reshape(-1, n) for a, n in zip(arguments, sizes, strict=True)]
+        held = [_rows_in_one_piece(a, n) for a, n in zip(arguments, sizes, strict=True)]
         lanes = max(len(a) for a in held)
         out = np.empty((lanes, rows))
         entries = [native.address(out)]
-        for a, n in zip(held, sizes, strict=True):
-            entries += [native.address(a), n if len(a) == lanes else 0]
+        for a in held:
+            place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
+            entries += [place, a.strides[0] // a.itemsize if len(a) == lanes else 0]
         table = np.array([lanes, *entries], dtype=np.int64)
         most = lanes // _LANES_PER_THREAD
         threads = min(os.cpu_count() or 1, most) if most > 1 else 1
@@ -108,6 +109,14 @@ def compile_map(function: Any, *, cache: bool = True, backend: str | None = None
         return out
 
     return mapped
+
+
+def _rows_in_one_piece(array: Matrix, size: int) -> Matrix:
+    """The array as (lanes, size), the entries of a row beside each other; rows may lie apart, as in a slice."""
+    rows = np.asarray(array, dtype=float).reshape(-1, size)
+    apart, beside = rows.strides
+    whole = beside == rows.itemsize and apart >= 0 and apart % rows.itemsize == 0
+    return rows if whole else np.ascontiguousarray(rows)
 
 
 def compile_single(function: Any, *, cache: bool = True, backend: str | None = None) -> SingleMap:

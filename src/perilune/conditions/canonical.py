@@ -1,0 +1,256 @@
+"""The canonical equations of one phase: state, constant states and costate on the minimising control.
+
+With H = lambda . f(x, u, p), which the control minimises, lambda' = -dH/dx (Cho et al. 2015 (11), (12), (14), where
+(12) prints H_r for H_x). A free parameter q in the dynamics becomes a constant state, whose costate collects the
+integral of dH/dq.
+
+The equations are smooth in each *mode*: a regime for each scalar control (`perilune.conditions.control_law`) and a side
+for each kink of the dynamics (`perilune.problem.symbolic.trace_sides`). What leads from mode to mode are events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import accumulate
+
+import casadi as ca
+import numpy as np
+
+from perilune.conditions.control_law import ControlLaw, minimising_control
+from perilune.kernels import Event
+from perilune.problem.controls import Bounded, Regime, scalars
+from perilune.problem.problem import Phase, Problem
+from perilune.problem.symbolic import Kinked, Parameters, canonical_given, trace_sides
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Vector
+
+_REFRACTIONS = 7  # steps of Newton's method for the costate behind a surface; a step too many changes nothing
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhaseExtremal:
+    """The canonical equations of one phase, z = (x, constant states, lambda) in canonical units.
+
+    Parameters
+    ----------
+    modes
+        (z, p) -> z' for each mode. p is `extremal_parameters`.
+    solved
+        For each mode None, or where its control is found by Newton's method (z, p) -> w and (z, [p; w]) -> z'.
+    reports
+        (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
+    regimes
+        For each mode the regime of each scalar control.
+    events
+        What leads from mode to mode.
+    mode
+        (z, p) -> number of the mode in which H is least.
+    state_count
+        Number of x's own components; z has 2 (state_count + constants) components.
+    constants
+        Indices of the free parameters that were made constant states.
+    """
+
+    modes: tuple[ca.Function, ...]
+    solved: tuple[tuple[ca.Function, ca.Function] | None, ...]
+    reports: tuple[ca.Function, ...]
+    regimes: tuple[tuple[Regime, ...], ...]
+    events: tuple[Event, ...]
+    mode: ca.Function
+    state_count: int
+    constants: tuple[int, ...]
+
+    @property
+    def half(self) -> int:
+        """Length of lambda."""
+        return self.state_count + len(self.constants)
+
+
+def extremal_parameters(problem: Problem) -> Vector:
+    """The numbers p of the canonical equations: the given parameters, then the limits that are numbers of their own."""
+    limits = [limit / problem.scales.of(control.unit) for control, limit in _plain_limits(problem)]
+    return np.concatenate([canonical_given(problem), limits])
+
+
+def _plain_limits(problem: Problem) -> list[tuple[Bounded, float]]:
+    """Every finite limit of a scalar control that is a number and not a parameter's name."""
+    return [
+        (control, limit)
+        for phase in problem.phases
+        for _, control in scalars(phase.controls)
+        for limit in (control.lower, control.upper)
+        if not isinstance(limit, str) and np.isfinite(limit)
+    ]
+
+
+def limit_symbols(problem: Problem, p: Parameters) -> tuple[ca.SX, list[dict[str, tuple[ca.SX, ca.SX]]]]:
+    """Symbols of the plain limits, and for each phase (lower, upper) of each scalar by name."""
+    symbols, found = list[ca.SX](), []
+    for phase in problem.phases:
+        pairs = {}
+        for _, control in scalars(phase.controls):
+            pair = []
+            for limit in (control.lower, control.upper):
+                if isinstance(limit, str):
+                    pair.append(ca.SX(getattr(p.record, limit)))
+                elif np.isfinite(limit):
+                    symbols.append(ca.SX.sym(f"{phase.name}_{control.name}"))
+                    pair.append(symbols[-1])
+                else:
+                    pair.append(ca.SX(limit))
+            pairs[control.name] = (pair[0], pair[1])
+        found.append(pairs)
+    return ca.vertcat(ca.SX(0, 1), *symbols), found
+
+
+def canonical_equations(
+    phase: Phase,
+    p: Parameters,
+    limits: dict[str, tuple[ca.SX, ca.SX]],
+    numbers: ca.SX,
+    free_names: tuple[str, ...],
+) -> PhaseExtremal:
+    """Derive the canonical equations of a phase.
+
+    Parameters
+    ----------
+    phase, p
+        The phase, and the symbols of all parameters.
+    limits, numbers
+        Of `limit_symbols`: lower and upper limit of each scalar control of the phase; all numbers that the equations
+        take, the given parameters and the limits.
+    free_names
+        Names of the free parameters.
+
+    Raises
+    ------
+    PeriluneError
+        If a control's minimum of H is not known, or the dynamics depend on the phase's own duration.
+    """
+    n = len(phase.states)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
+    dynamics = trace_sides(phase, x, u, p.record)
+    acting = ca.vertcat(*dynamics.rates, *dynamics.margins, *(limit for pair in limits.values() for limit in pair))
+    constants = tuple(
+        i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(acting, p.free[i])
+    )
+    if phase.duration in free_names and ca.depends_on(acting, p.free[free_names.index(phase.duration)]):
+        raise PeriluneError(
+            f"the dynamics of {phase.name} depend on the phase's own duration",
+            advice="make time a state with rate 1",
+        )
+    q = ca.vertcat(ca.SX(0, 1), *[p.free[i] for i in constants])
+    lam = ca.SX.sym("lam", n + len(constants))
+    # The constant states are symbols of p.free; as entries of z they need symbols of their own.
+    z = ca.vertcat(x, q, lam)
+    symbol = ca.SX.sym("z", z.numel())
+
+    def function(name: str, *expressions: ca.SX) -> ca.Function:
+        return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
+
+    laws, flows, solved, reports = [], [], [], []
+    for f in dynamics.rates:
+        hamiltonian = ca.dot(lam[:n], f)
+        law = minimising_control(phase, hamiltonian, u, limits)
+        # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
+        gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
+        for control, found in zip(law.control, law.solved, strict=True):
+            # A limit that is a free parameter moves the control with it.
+            pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, limits, q))
+            whole = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
+            rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
+            flows.append(rate)
+            if found is None:
+                solved.append(None)
+            else:
+                stepped, w, values = found
+                held = ca.cse(ca.substitute(ca.substitute(whole, u, stepped), z, symbol))
+                solved.append(
+                    (function("solved", values), ca.Function("rhs", [symbol, ca.vertcat(numbers, w)], [held]))
+                )
+            reports.append(function("report", control, ca.jtimes(control, z, rate), value))
+        laws.append(law)
+    return PhaseExtremal(
+        modes=tuple(function("rhs", rate) for rate in flows),
+        solved=tuple(solved),
+        reports=tuple(reports),
+        regimes=tuple(regimes for law in laws for regimes in law.regimes),
+        events=tuple(_events(dynamics, laws, flows, z, function)),
+        mode=function("mode", _mode(dynamics, laws)),
+        state_count=n,
+        constants=constants,
+    )
+
+
+def _mode(dynamics: Kinked, laws: list[ControlLaw]) -> ca.SX:
+    """Number of the mode at a point: the side of each kink, and there the regimes in which H is least."""
+    number, first = ca.SX(0.0), 0
+    for sides, law in zip(dynamics.sides, laws, strict=True):
+        here = ca.SX(1.0)
+        for side, margin in zip(sides, dynamics.margins, strict=True):
+            here = ca.logic_and(here, margin > 0 if side else margin <= 0)
+        number = ca.if_else(here, first + law.mode, number)
+        first += len(law.control)
+    return number
+
+
+def _events(
+    dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX, function: Callable[..., ca.Function]
+) -> Iterator[Event]:
+    """What leads from mode to mode: the control's transitions on each side, and the kinks."""
+    firsts = list(accumulate((len(law.control) for law in laws), initial=0))
+    grouped: dict[tuple[str, int], tuple[ca.Function, dict[int, int]]] = {}
+    for first, law in zip(firsts, laws, strict=False):
+        for way in law.transitions:
+            S = function("S", way.function)
+            switches = grouped.setdefault((S.serialize(), way.direction), (S, {}))[1]
+            switches |= {first + before: first + after for before, after in way.switches.items()}
+    for (_, direction), (S, switches) in grouped.items():
+        yield Event(function=S, direction=direction, switches=switches)
+    for number, (sides, law) in enumerate(zip(dynamics.sides, laws, strict=True)):
+        for i, margin in enumerate(dynamics.margins):
+            other = dynamics.sides.index((*sides[:i], not sides[i], *sides[i + 1 :]))
+            for k, regimes in enumerate(law.regimes):
+                if regimes in laws[other].regimes:
+                    before, after = firsts[number] + k, firsts[other] + laws[other].regimes.index(regimes)
+                    yield Event(
+                        function=function("kink", margin),
+                        direction=-1 if sides[i] else 1,
+                        switches={before: after},
+                        jump=function("jump", _refracted(z, margin, flows[before], flows[after])),
+                    )
+
+
+def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, after: ca.SX) -> ca.SX:
+    """z beyond a surface g = 0 on which the dynamics change: lambda+ = lambda- - nu g_x, and H goes on as it was.
+
+    nu is 0 where the rates are continuous (Bryson, Ho 1975, section 3.7). As the control behind the surface is that of
+    lambda+, nu is found by Newton's method: dH+/dnu = -g_x . f+, H being stationary in the control.
+    """
+    half = z.numel() // 2
+    x, lam = z[:half], z[half:]
+    normal, kept = ca.gradient(margin, x), ca.dot(lam, before[:half])
+    behind = lam
+    for _ in range(_REFRACTIONS):
+        rate = ca.substitute(after[:half], lam, behind)
+        behind = behind - (ca.dot(behind, rate) - kept) / ca.dot(normal, rate) * normal
+    return ca.vertcat(x, behind)
+
+
+def _through_limits(
+    hamiltonian: ca.SX, u: ca.SX, control: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], q: ca.SX
+) -> ca.SX:
+    """dH/dq through a control that sits at a limit which depends on the free parameters q."""
+    if not ca.depends_on(ca.vertcat(ca.SX(0, 1), *(limit for pair in limits.values() for limit in pair)), q):
+        return ca.SX.zeros(q.numel(), 1)
+    # On a bound dH/du is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
+    return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
+
+
+def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
+    """H on the minimising control, that of the mode in which it is least."""
+    value, mode = extremal.reports[0](z, numbers)[2], extremal.mode(z, numbers)
+    for k, report in enumerate(extremal.reports[1:], 1):
+        value = ca.if_else(mode == k, report(z, numbers)[2], value)
+    return value

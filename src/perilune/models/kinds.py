@@ -1,0 +1,167 @@
+"""The kinds of problems that a file can state: which records are its sections, and the function that makes a problem.
+
+Nothing else knows of them: the reader of scenarios, the templates and the reference page follow from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from perilune.models.bodies import BODIES, Body, OblateBody
+from perilune.models.descent import Choices, Ignition, Site, Steering, powered_descent
+from perilune.models.landing import LandingSite, Orbit, hybrid_landing
+from perilune.models.precision import Approach, Corridor, precision_landing
+from perilune.models.vehicle import Retro, Throttle, Vehicle
+from perilune.problem.problem import Problem
+from perilune.words.declared import record
+
+
+@record("problem")
+class Undecided:
+    """What is flown, where the kind leaves nothing to choose."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A section of a file.
+
+    Parameters
+    ----------
+    record
+        Class of its record.
+    required
+        Whether it must be there.
+    otherwise
+        Its record where it is left out.
+    known
+        Records that may be stated by their name alone.
+    """
+
+    record: type
+    required: bool = True
+    otherwise: Any = None
+    known: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """One kind of problem.
+
+    Parameters
+    ----------
+    name, about
+        ``problem.kind``, and what it is.
+    sections
+        By name, in the order of a file.
+    make
+        Called with the record of each section by the section's name.
+    example
+        Values that together are a problem worth solving, where they differ from the examples of the records; a key or
+        a section that may be left out is shown in the template as one to be used if it is here.
+    """
+
+    name: str
+    about: str
+    sections: Mapping[str, Section]
+    make: Callable[..., Problem]
+    example: Mapping[str, str]
+
+
+def _hybrid(
+    problem: Undecided, body: Body, vehicle: Vehicle, retro: Retro | None, orbit: Orbit, landing: LandingSite
+) -> Problem:
+    return hybrid_landing(vehicle, retro, orbit, body, landing.altitude)
+
+
+def _descent(
+    problem: Choices,
+    body: OblateBody,
+    vehicle: Vehicle,
+    start: Ignition,
+    site: Site,
+    steering: Steering | None,
+    throttle: Throttle | None,
+) -> Problem:
+    shares = None if throttle is None else (throttle.lower, throttle.upper)
+    return powered_descent(
+        vehicle, start, site, body, **vars(problem), steering=steering, throttle=shares, j2=body.j2
+    )  # fmt: skip
+
+
+def _precision(
+    problem: Undecided,
+    body: OblateBody,
+    vehicle: Vehicle,
+    throttle: Throttle,
+    approach: Approach,
+    site: Site,
+    corridor: Corridor,
+) -> Problem:
+    return precision_landing(
+        vehicle, approach, site, corridor, (throttle.lower, throttle.upper), body, j2=body.j2
+    )  # fmt: skip
+
+
+_ANY = Section(record=Undecided, required=False, otherwise=Undecided())
+HYBRID = Kind(
+    name="hybrid_landing",
+    about="A lander on its way from a circular parking orbit to the ground: an impulsive retro burn, then thrust.",
+    sections={
+        "problem": _ANY,
+        "body": Section(record=Body, known=BODIES),
+        "vehicle": Section(record=Vehicle),
+        "retro": Section(record=Retro, required=False),
+        "orbit": Section(record=Orbit),
+        "landing": Section(record=LandingSite, required=False, otherwise=LandingSite()),
+    },
+    make=_hybrid,
+    example={"retro.specific_impulse": "310 s", "landing.altitude": "0 km"},
+)
+DESCENT = Kind(
+    name="powered_descent",
+    about="A descent in three dimensions from a state over a body to rest above it.",
+    sections={
+        "problem": Section(record=Choices),
+        "body": Section(record=OblateBody, known=BODIES),
+        "vehicle": Section(record=Vehicle),
+        "start": Section(record=Ignition),
+        "site": Section(record=Site),
+        "steering": Section(record=Steering, required=False),
+        "throttle": Section(record=Throttle, required=False),
+    },
+    make=_descent,
+    example={
+        "problem.target": "site",
+        "vehicle.mass": "15 t",
+        "vehicle.thrust": "45 kN",
+        "vehicle.specific_impulse": "365 s",
+        "vehicle.dry_mass": "8 t",
+        "site.altitude": "2 km",
+    },
+)
+PRECISION = Kind(
+    name="precision_landing",
+    about="The last kilometres: down to a named point with the least propellant, within a corridor.",
+    sections={
+        "problem": Section(record=Undecided),
+        "body": Section(record=OblateBody, known=BODIES),
+        "vehicle": Section(record=Vehicle),
+        "throttle": Section(record=Throttle),
+        "approach": Section(record=Approach),
+        "site": Section(record=Site),
+        "corridor": Section(record=Corridor),
+    },
+    make=_precision,
+    example={
+        "vehicle.mass": "2 t",
+        "vehicle.thrust": "8 kN",
+        "vehicle.dry_mass": "1200 kg",
+        "approach.east_speed": "50 m/s",
+        "approach.up_speed": "-30 m/s",
+        "site.longitude": "0 deg",
+        "site.latitude": "-85 deg",
+    },
+)
+KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION)}

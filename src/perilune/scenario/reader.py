@@ -1,0 +1,146 @@
+"""From a tree of sections to the problem it states, by the records that its kind declares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from perilune.models.kinds import HYBRID, KINDS, Kind, Section
+from perilune.problem.problem import Problem
+from perilune.scenario.plausible import recognised, refuse_slips
+from perilune.words.declared import Key, Quantity, Words, keys_of, made_of, named
+from perilune.words.outcome import PeriluneError, unknown_name
+
+KIND = Words(example=HYBRID.name, choices=tuple(KINDS), about="which kind of problem the file states")
+_COMPARE = "compare with `perilune new`"
+
+
+def problem_of(document: Mapping[str, Any]) -> Problem:
+    """Build the problem that a file states.
+
+    Raises
+    ------
+    PeriluneError
+        For the first thing that is wrong, with its key: a misspelt one before what it leaves missing.
+    """
+    kind = _kind_of(document)
+    for name, table in document.items():
+        _check_names(kind, name, table)
+    records = {name: _record(name, section, document.get(name)) for name, section in kind.sections.items()}
+    if "body" in records:
+        records["body"] = recognised(records["body"])
+    refuse_slips(records)
+    return kind.make(**records)
+
+
+def quantity_of(key: str) -> Quantity:
+    """What is declared of a key such as ``"vehicle.thrust"``.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no such key or it is no quantity.
+    """
+    known = {
+        f"{name}.{k}": found.declared
+        for kind in KINDS.values()
+        for name, section in kind.sections.items()
+        for k, found in keys_of(section.record).items()
+        if isinstance(found.declared, Quantity)
+    }
+    if key not in known:
+        raise unknown_name("key with a quantity", key, list(known))
+    return known[key]
+
+
+def names_of(section_name: str, section: Section) -> dict[str, Key]:
+    """Keys that a section may have, in order."""
+    kind = {"kind": Key(field="kind", declared=KIND, default=HYBRID.name)} if section_name == "problem" else {}
+    return kind | keys_of(section.record)
+
+
+def _kind_of(document: Mapping[str, Any]) -> Kind:
+    stated = document.get("problem")
+    name = stated.get("kind", HYBRID.name) if isinstance(stated, Mapping) else HYBRID.name
+    if not isinstance(name, str):
+        return HYBRID  # what is no text is refused with its section
+    if name not in KINDS:
+        raise unknown_name("problem.kind", name[:60], list(KINDS))
+    return KINDS[name]
+
+
+def _check_names(kind: Kind, name: str, table: Any) -> None:
+    if name not in kind.sections:
+        elsewhere = [other.name for other in KINDS.values() if name in other.sections]
+        if elsewhere:
+            raise PeriluneError(
+                f"[{name}] belongs to another kind of problem",
+                got=f"a section [{name}]",
+                expected="sections of the problem.kind that the file states",
+                advice="or ".join(f'kind = "{other}" ' for other in elsewhere).strip() + " in a section [problem]",
+            )
+        raise unknown_name("section", name[:60], list(kind.sections))
+    known = names_of(name, kind.sections[name])
+    for key in table if isinstance(table, Mapping) else ():
+        if key not in known:
+            error = unknown_name("key", key[:60], list(known))
+            what = f"{error.what} in [{name}]"
+            raise PeriluneError(what, got=error.got, expected=error.expected, advice=error.advice)
+
+
+def _record(name: str, section: Section, table: Any) -> Any:
+    """The record that a section states."""
+    if table is None:
+        if not section.required:
+            return section.otherwise
+        raise PeriluneError(f"{name} is missing", expected=f"a section [{name}]", advice=_COMPARE)
+    if not isinstance(table, Mapping):
+        expected = f"a section [{name}]"
+        raise PeriluneError(f"{name} has the wrong type", got=str(table)[:60], expected=expected, advice=_COMPARE)
+    values = {key: _value(f"{name}.{key}", found, table[key]) for key, found in names_of(name, section).items()
+              if key in table}  # fmt: skip
+    values.pop("kind", None)
+    if section.known:
+        values = _known(name, section, values)
+    for key, found in keys_of(section.record).items():
+        if key not in values and found.required:
+            raise PeriluneError(f"{name}.{key} is missing", expected=_line(key, found), advice=_COMPARE)
+    return made_of(section.record, values)
+
+
+def _known(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any]:
+    """Values of a record that may be stated by its name, in place of all keys that it must have."""
+    own = {key: k for key, k in keys_of(section.record).items() if k.required and key != "name"}
+    if "name" not in values:
+        missing = next((key for key in own if key not in values), None)
+        if missing is not None:
+            raise PeriluneError(
+                f"{name}.{missing} is missing",
+                expected="a name, or " + ", ".join(own),
+                advice=f'{_line(missing, own[missing])}, or name = "{next(iter(section.known))}" alone',
+            )
+        return {**values, "name": name}
+    if own.keys() & values.keys():
+        raise PeriluneError(
+            f"{name} has a name and quantities of its own",
+            got=values["name"][:60],
+            expected="one or the other",
+            advice=f"leave out {name}.name to use the quantities",
+        )
+    if values["name"].lower() not in section.known:
+        raise unknown_name(name, values["name"][:60], list(section.known))
+    return {**vars(section.known[values["name"].lower()]), **values, "name": values["name"].lower()}
+
+
+def _value(key: str, found: Key, stated: Any) -> Any:
+    try:
+        return found.declared.read(stated)
+    except PeriluneError as error:
+        said = named(key, error)
+        raise said if said.advice else PeriluneError(
+            said.what, got=said.got, expected=said.expected, advice=_COMPARE
+        ) from None  # fmt: skip
+
+
+def _line(key: str, found: Key) -> str:
+    return f'{key} = "{found.declared.example}"'

@@ -1,0 +1,90 @@
+"""What can be stated, written out of the declarations: templates to start from, and the reference page of all keys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from perilune.models.kinds import KINDS, Kind, Section
+from perilune.scenario.reader import names_of
+from perilune.words.declared import Key, Quantity
+from perilune.words.outcome import unknown_name
+
+_COMMENT_COLUMN = 38
+_HEAD = """\
+# {about}
+# Every quantity is a text with its unit.
+# Solve it:        perilune solve THIS_FILE --out my_landing
+# Change a value:  perilune solve THIS_FILE --set "vehicle.thrust=500 N"
+"""
+
+
+def template(kind: str = "hybrid_landing") -> str:
+    """A commented scenario to start from.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no such kind of problem.
+    """
+    if kind not in KINDS:
+        raise unknown_name("kind of problem", kind[:60], list(KINDS))
+    found = KINDS[kind]
+    sections = ("\n".join(_section(found, name, section)) for name, section in found.sections.items())
+    return "\n\n".join([_HEAD.format(about=found.about).rstrip("\n"), *sections]) + "\n"
+
+
+def _section(kind: Kind, name: str, section: Section) -> Iterator[str]:
+    stated = {key.partition(".")[2] for key in kind.example if key.startswith(f"{name}.")}
+    away = not section.required and not stated
+    head = f"{'# ' if away else ''}[{name}]"
+    yield head if section.required or section.otherwise is not None else _beside(head, "may be left out")
+    for key, found in names_of(name, section).items():
+        by_name = bool(section.known) and key != "name" and found.required
+        needed = (found.required and not by_name) or (key == "kind" and section.required)
+        value = kind.name if key == "kind" else kind.example.get(f"{name}.{key}", found.declared.example)
+        text = str(value) if _bare(found) else f'"{value}"'
+        used = not away and (needed or key in stated)
+        yield _beside(f"{'' if used else '# '}{key} = {text}", found.declared.about)
+
+
+def _bare(found: Key) -> bool:
+    return isinstance(found.declared, Quantity) and found.declared.unit == "1"
+
+
+def _beside(line: str, comment: str) -> str:
+    return f"{line:{_COMMENT_COLUMN - 1}} # {comment}"
+
+
+def reference() -> str:
+    """The reference page of all keys, in Markdown."""
+    lines = [
+        "# Every key of a scenario",
+        "",
+        "Written by `python docs/make_reference.py` from the declarations in `perilune.models`. A quantity is a number",
+        'and a unit of its dimension in quotes, `"15 km"`; what has no unit may stand without quotes. The parameter of',
+        "the problem, for `p.`, `with_given` and `pl.sweep`, is section and key with `_` for the dot: `vehicle.thrust`",
+        "is `vehicle_thrust`. `perilune new KIND` writes a file to start from.",
+    ]
+    for kind in KINDS.values():
+        lines += ["", f"## {kind.name}", "", kind.about]
+        for name, section in kind.sections.items():
+            left_out = "" if section.required else ", may be left out"
+            lines += ["", f"### [{name}]{left_out}", ""]
+            lines += ["| key | unit | range | default | for example | what it is |", "|---|---|---|---|---|---|"]
+            lines += [_row(key, found, bool(section.known)) for key, found in names_of(name, section).items()]
+    return "\n".join(lines) + "\n"
+
+
+def _row(key: str, found: Key, known: bool) -> str:
+    declared = found.declared
+    if isinstance(declared, Quantity):
+        unit, span = "–" if declared.unit == "1" else declared.spoken_unit, declared.range
+    else:
+        unit, span = "text", " or ".join(f"`{c}`" for c in declared.choices)
+    if found.required:
+        default = "in place of the others" if known and key == "name" else "must be stated"
+    elif found.default is None:
+        default = "left open"
+    else:
+        default = declared.shown(found.default) if isinstance(declared, Quantity) else f"`{found.default}`"
+    return f"| `{key}` | {unit} | {span} | {default} | `{declared.example}` | {declared.about} |"

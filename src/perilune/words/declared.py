@@ -1,0 +1,337 @@
+"""A number of a model is declared once, where its record is: unit, example, range, hint, what it is.
+
+    @record("vehicle")
+    class Vehicle:
+        mass: float = quantity("kg", "300 kg", above=0.0, about="before the retro burn, propellant included")
+
+From that follow the section and the key of a scenario (``[vehicle]`` ``mass``), the parameter ``vehicle_mass`` of the
+problem, the check of its range wherever a value enters, the template and the reference page. A record is a frozen
+dataclass with keywords only, and checks itself when it is made.
+
+Inside, a value is a float in SI; one that was read is a `Stated`, which remembers the text it was stated in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, TypeVar, dataclass_transform
+
+from perilune.words.outcome import PeriluneError
+from perilune.words.units import parse_quantity, unit
+
+LONGEST_VALUE = 200  # characters
+T = TypeVar("T")
+
+
+def parameter_name(key: str) -> str:
+    """Name of the parameter that a key of a scenario states: ``vehicle.thrust`` is ``vehicle_thrust``."""
+    return key.replace(".", "_")
+
+
+class Stated(float):
+    """A number in SI that remembers the decimal text and unit it was stated in; what is computed of it does not."""
+
+    text: str
+
+    def __new__(cls, value: float, text: str) -> Stated:
+        """Number and text."""
+        number = super().__new__(cls, value)
+        number.text = text
+        return number
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Stated, (float(self), self.text)
+
+
+def stated_text(value: float) -> str:
+    """The text in which a value was stated; empty for a plain number."""
+    return value.text if isinstance(value, Stated) else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """What is known of one number beforehand; bounds in SI, and what stands behind a value outside of them."""
+
+    unit: str
+    example: str
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    open_high: bool = False
+    outside: str = "is out of range"
+    hint: str = ""
+    about: str = ""
+
+    def read(self, value: object) -> Stated:
+        """Value in SI of a scenario's text, or of a bare number where there is no unit to guess.
+
+        Raises
+        ------
+        PeriluneError
+            With what is wrong, without the key.
+        """
+        if self.unit == "1" and _is_number(value):
+            value = repr(value)
+        if not isinstance(value, str):
+            raise PeriluneError(
+                "must be a number and a unit in quotes",
+                got=f"{str(value)[:60]} without a unit" if _is_number(value) else str(value)[:60],
+                expected=f'for example "{self.example}"',
+                advice="a bare number is refused, as its unit could only be guessed",
+            )
+        if len(value) > LONGEST_VALUE:
+            raise PeriluneError(
+                "the text is too long",
+                got=f"{len(value)} characters",
+                expected=f'for example "{self.example}"',
+                advice="a number and a unit, nothing else",
+            )
+        try:
+            number = parse_quantity(value, self.unit)
+        except PeriluneError as error:
+            raise PeriluneError(
+                error.what,
+                got=error.got,
+                expected=f'for example "{self.example}"',
+                advice=self.hint or error.advice or "write a number of ordinary size",
+            ) from None
+        self.check(number, repr(value))
+        return Stated(number, value.strip())
+
+    def check(self, value: float, got: str = "") -> None:
+        """PeriluneError, without the key, for a value in SI that is not finite or out of range."""
+        if not math.isfinite(value):
+            raise PeriluneError("is not finite", got=str(value), expected="a finite number")
+        above = value > self.low if self.open_low else value >= self.low
+        below = value < self.high if self.open_high else value <= self.high
+        if not (above and below):
+            raise PeriluneError(
+                self.outside,
+                got=got or self.shown(value),
+                expected=self.range,
+                advice=self.hint or f'for example "{self.example}"',
+            )
+
+    @property
+    def spoken_unit(self) -> str:
+        """The unit in which people say it: degrees for angles, else SI."""
+        return "deg" if self.unit == "rad" else self.unit
+
+    def shown(self, value: float) -> str:
+        """A value in SI with its spoken unit."""
+        return f"{value / unit(self.spoken_unit)[0]:g} {self.spoken_unit}".removesuffix(" 1")
+
+    @property
+    def range(self) -> str:
+        """The range in words; empty where there is none."""
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            low = f"{self.low / unit(self.spoken_unit)[0]:g}"
+            return f"between {low} and {self.shown(self.high)}"
+        if math.isfinite(self.low):
+            return f"{'>' if self.open_low else '>='} {self.shown(self.low)}"
+        return f"{'<' if self.open_high else '<='} {self.shown(self.high)}" if math.isfinite(self.high) else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """A text of a record: any, or one of `choices`."""
+
+    example: str
+    choices: tuple[str, ...] = ()
+    about: str = ""
+
+    def read(self, value: object) -> str:
+        """The text."""
+        if not isinstance(value, str):
+            raise PeriluneError("has the wrong type", got=str(value)[:60], expected=f'a text such as "{self.example}"')
+        return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Key:
+    """One key of a record's section: the field that it fills, and at which place of a pair.
+
+    `default` is MISSING (of `dataclasses`) where the key must be stated.
+    """
+
+    field: str
+    declared: Quantity | Words
+    default: Any
+    place: int | None = None
+
+    @property
+    def required(self) -> bool:
+        """Whether it must be stated."""
+        return self.default is MISSING
+
+
+def quantity(
+    unit: str,
+    example: str,
+    *,
+    default: Any = MISSING,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+    outside: str = "is out of range",
+    hint: str = "",
+    about: str = "",
+) -> Any:
+    """Field of a record that is a number in SI.
+
+    Parameters
+    ----------
+    unit, example
+        SI unit, and the text of a value as a scenario would state it.
+    default
+        None where the number may be left open.
+    above, least, below, most
+        Range in SI, without (above, below) or with (least, most) its end.
+    outside
+        What is said of a value outside, after its name.
+    hint, about
+        What to try, and what it is.
+    """
+    declared = Quantity(
+        unit=unit,
+        example=example,
+        low=next((v for v in (above, least) if v is not None), -math.inf),
+        high=next((v for v in (below, most) if v is not None), math.inf),
+        open_low=above is not None,
+        open_high=below is not None,
+        outside=outside,
+        hint=hint,
+        about=about,
+    )
+    return field(default=default, metadata={"keys": {"": declared}})
+
+
+def span(unit: str, lower: str, upper: str, *, default: tuple[float, float], name: str, about: str = "") -> Any:
+    """Field of a record that is a pair of numbers, lower and upper, within the default; keys ``…_lower``, ``…_upper``.
+
+    `name` is what it is called in messages.
+    """
+    low, high = (v * (1 + 1e-12) for v in default)  # a bound in degrees need not be the same to the last digit
+    declared = {
+        f"_{side}": Quantity(
+            unit=unit,
+            example=example,
+            low=low,
+            high=high,
+            about=f"{word} {about or name}",
+        )
+        for side, word, example in (("lower", "least", lower), ("upper", "greatest", upper))
+    }
+    return field(default=default, metadata={"keys": declared, "span": name})
+
+
+def words(example: str, *choices: str, default: Any = MISSING, about: str = "") -> Any:
+    """Field of a record that is a text, one of the choices where there are any."""
+    return field(default=default, metadata={"keys": {"": Words(example=example, choices=choices, about=about)}})
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(quantity, span, words))
+def record(section: str) -> Callable[[type[T]], type[T]]:
+    """Make a class a declared record, whose numbers are the keys of a section."""
+
+    def make(cls: type[T]) -> type[T]:
+        together = cls.__dict__.get("__post_init__")
+
+        def check(self: Any) -> None:
+            _check_fields(self)
+            if together is not None:
+                together(self)
+
+        cls.__post_init__ = check  # type: ignore[attr-defined]
+        cls.__section__ = section  # type: ignore[attr-defined]
+        return dataclass(frozen=True, kw_only=True)(cls)
+
+    return make
+
+
+def section_of(kind: type) -> str:
+    """Section of a record's class."""
+    return kind.__section__  # type: ignore[attr-defined]
+
+
+def keys_of(kind: type) -> dict[str, Key]:
+    """Keys of a record's section, in order."""
+    found = {}
+    for f in fields(kind):
+        for place, (ending, declared) in enumerate(f.metadata.get("keys", {}).items()):
+            default = f.default
+            paired = "span" in f.metadata
+            if paired and default is not MISSING:
+                default = default[place]
+            found[f.name + ending] = Key(
+                field=f.name, declared=declared, default=default, place=place if paired else None
+            )
+    return found
+
+
+def values_of(made: Any) -> dict[str, Any]:
+    """Value of each key of a record."""
+    return {
+        name: getattr(made, key.field) if key.place is None else getattr(made, key.field)[key.place]
+        for name, key in keys_of(type(made)).items()
+    }
+
+
+def made_of(kind: type[T], values: Mapping[str, Any]) -> T:
+    """The record with these values of its keys, checked; what is left out has its default."""
+    arguments: dict[str, Any] = {}
+    for name, key in keys_of(kind).items():
+        value = values.get(name, key.default)
+        if key.place is None:
+            if value is not MISSING:
+                arguments[key.field] = value
+        else:
+            arguments[key.field] = (*arguments.get(key.field, ()), value)
+    return kind(**arguments)
+
+
+def check_values(kind: type, parameters: Mapping[str, float]) -> None:
+    """PeriluneError if the parameters that a record declares could not be its values; other parameters may be there."""
+    section, keys = section_of(kind), keys_of(kind)
+    values = {n: parameters[f"{section}_{n}"] for n in keys if f"{section}_{n}" in parameters}
+    texts = {n: key.declared.example for n, key in keys.items() if isinstance(key.declared, Words)}
+    if all(n in values or n in texts or key.default is not MISSING for n, key in keys.items()):
+        made_of(kind, {**texts, **values})
+
+
+def _check_fields(made: Any) -> None:
+    section = section_of(type(made))
+    values = values_of(made)
+    for name, key in keys_of(type(made)).items():
+        if values[name] is None and key.default is None:
+            continue
+        if isinstance(key.declared, Quantity) and key.place is None:
+            try:
+                key.declared.check(values[name])
+            except PeriluneError as error:
+                raise named(f"{section}.{name}", error) from None
+        elif isinstance(key.declared, Words) and key.declared.choices and values[name] not in key.declared.choices:
+            known = ", ".join(map(repr, key.declared.choices))
+            raise PeriluneError(f"unknown {name}", got=repr(values[name])[:60], expected=f"one of {known}")
+    for f in fields(made):
+        if "span" in f.metadata:
+            (lower, upper), bound = getattr(made, f.name), next(iter(f.metadata["keys"].values()))
+            if not bound.low <= lower < upper <= bound.high:
+                raise PeriluneError(
+                    f"bounds of {f.metadata['span']} are not a range",
+                    got=f"{bound.shown(lower)} to {bound.shown(upper)}",
+                    expected=f"lower < upper, {bound.range}",
+                )
+
+
+def named(key: str, error: PeriluneError) -> PeriluneError:
+    """The same error with the key in front."""
+    what = f"- {error.what}" if error.what.startswith(("this ", "the ")) else error.what
+    return PeriluneError(f"{key} {what}", got=error.got, expected=error.expected, advice=error.advice)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

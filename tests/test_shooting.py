@@ -1,0 +1,184 @@
+"""The shooting function: its derivative, one lane against many, one piece against several, and what is held."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from many_problems import KINDS, Kind
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
+from perilune.methods.indirect import Indirect
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.shooting import plan as planning
+from perilune.shooting.flyer import Fleet, ManyLanes, OneLane
+from perilune.shooting.function import Root, Shooting
+from perilune.shooting.newton import FINEST
+from perilune.shooting.plan import plan
+from test_bounds import push, shove
+
+kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+
+
+def jacobian(root: Root) -> np.ndarray:
+    return np.linalg.inv(root.inverse)
+
+
+def near(shooting: Shooting, Y: np.ndarray, size: float = 1e-3, seed: int = 1) -> np.ndarray:
+    """Y moved at random in the unknowns that Newton moves."""
+    moved = Y.copy()
+    moved[shooting.plan.active] += size * np.random.default_rng(seed).normal(size=len(shooting.plan.active))
+    return moved
+
+
+@kinds
+def test_the_derivative_is_that_of_differences(kind: Kind) -> None:
+    """Links, switches, durations and joints included: each column against central differences."""
+    shooting, guesses, p = kind.batch(1)
+    plan, nothing = shooting.plan, shooting.holding({})
+    Y = near(shooting, guesses[0])
+    J, step = jacobian(shooting.at(Y[None], p, nothing)[0]), 1e-5
+    moved = np.zeros((len(plan.active), plan.size))
+    moved[np.arange(len(plan.active)), plan.active] = step
+    ahead, behind = (shooting.at(Y + sign * moved, p[0], nothing) for sign in (1, -1))
+    residual = plan.columns.residual
+    slope = (ahead.rows[:, residual] - behind.rows[:, residual]).T / (2 * step)
+    assert J == pytest.approx(slope, abs=2e-7 * np.abs(slope).max())
+
+
+@kinds
+def test_a_lane_of_many_is_a_lane_alone(kind: Kind) -> None:
+    """To the last bit, for residual, derivative and cost, and for the roots."""
+    shooting, guesses, p = kind.batch(7)
+    nothing = shooting.holding({})
+    Y = np.array([near(shooting, guesses[0], seed=i) for i in range(7)])
+    many = shooting.at(Y, p, nothing)
+    roots = shooting.solve(Y, p, nothing)
+    assert roots.converged.all()
+    for i in range(7):
+        assert shooting.at(Y[i : i + 1], p[i], nothing).rows[0] == pytest.approx(many.rows[i], rel=1e-13, abs=1e-15)
+        alone = shooting.root(Y[i], p[i], nothing)
+        assert alone.converged
+        assert alone.y == pytest.approx(roots.y[i], abs=1e-12)
+        assert alone.cost == pytest.approx(roots[i].cost, rel=1e-12)
+
+
+@kinds
+def test_dispersed_problems_all_converge(kind: Kind) -> None:
+    shooting, guesses, p = kind.batch(256)
+    roots = shooting.solve(guesses, p, shooting.holding({}))
+    assert roots.converged.all()
+    assert roots.residuals.max() <= 1e-11
+    assert np.ptp([root.cost for root in roots]) > 1e-3  # they are different problems
+
+
+@pytest.mark.parametrize("kind", KINDS[:3], ids=lambda kind: kind.name)
+def test_several_pieces_find_what_one_finds(kind: Kind) -> None:
+    """From disturbed joints, for two phases with a link and for switches as well; many lanes at once."""
+    one, guesses, p = kind.batch(5)
+    several, joined, _ = replace(kind, segments=3).batch(5)
+    single = one.solve(guesses, p, one.holding({}))
+    multiple = several.solve(np.array([near(several, Y, 1e-4) for Y in joined]), p, several.holding({}))
+    assert multiple.converged.all()
+    assert multiple.y[:, : one.plan.size] == pytest.approx(single.y, abs=1e-9)
+    assert [r.cost for r in multiple] == pytest.approx([r.cost for r in single], rel=1e-11)
+
+
+@pytest.mark.parametrize("kind", KINDS[:3], ids=lambda kind: kind.name)
+def test_the_step_compiled_is_the_step_of_lapack(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For many lanes and for one."""
+    shooting, guesses, p = kind.batch(3)
+    Y, nothing = near(shooting, guesses[0])[None, shooting.plan.active], shooting.holding({})[None]
+    old = np.eye(Y.shape[1]).ravel()[None]
+    found = []
+    for limit in (0, 1000):
+        monkeypatch.setattr(planning, "COMPILED", limit)
+        own = plan(shooting.conditions, kind.segments)
+        assert own.compiled == (limit > 0)
+        found.append(ManyLanes(own)(np.tile(Y, (3, 1)), nothing, p, np.full(3, FINEST), np.tile(old, (3, 1))))
+        alone = OneLane(own)(Y, nothing, p[:1], np.full(1, FINEST), old)
+        assert alone == pytest.approx(found[-1][:1], rel=1e-12, abs=1e-14)
+    assert found[1] == pytest.approx(found[0], rel=1e-8, abs=1e-9)
+
+
+def test_what_is_held_is_there_and_the_rest_is_stationary(landing: Problem, hybrid: Solution) -> None:
+    """Each lane holds another value of the retro burn; dJ/dq is the slope of J over these values."""
+    shooting, p = Shooting(derive(landing)), extremal_parameters(landing)
+    assert hybrid.unknowns is not None
+    values = hybrid.unknowns[shooting.conditions.free_at.start] + np.array([-1e-3, 0.0, 1e-3])
+    choices = np.array([shooting.holding({0: value}) for value in values])
+    roots = shooting.solve(np.tile(hybrid.unknowns, (3, 1)), p, choices)
+    assert roots.converged.all()
+    assert roots.y[:, shooting.conditions.free_at.start].tolist() == values.tolist()
+    costs = [root.cost for root in roots]
+    assert abs(roots[1].slopes[0]) < 1e-10
+    assert roots[2].slopes[0] - roots[0].slopes[0] == pytest.approx(
+        2 * (costs[0] - 2 * costs[1] + costs[2]) / 1e-3, rel=1e-4
+    )
+    tangent = (roots.y[2] - roots.y[0]) / 2e-3
+    assert shooting.tangent(roots[1], 0) == pytest.approx(tangent, abs=1e-4 * np.abs(tangent).max())
+    free = shooting.root(hybrid.unknowns, p, shooting.holding({}))
+    curvature = (costs[0] - 2 * costs[1] + costs[2]) / 1e-6
+    assert shooting.curvature(free, 0) == pytest.approx(curvature, rel=1e-3)
+
+
+def test_any_subset_is_held() -> None:
+    """Two of three free parameters in one lane, none in the next; a range at its bound in the third."""
+    problem = shove((-1.0, 1.0), (-1.0, 2.0), (0.2, 5.0))
+    shooting, p = Shooting(derive(problem)), extremal_parameters(problem)
+    answer = Indirect().run(problem)
+    assert answer.unknowns is not None
+    choices = np.array([shooting.holding({0: 0.1, 2: 0.9}), shooting.holding({}), shooting.holding({}, {0: 1.2})])
+    roots = shooting.solve(np.tile(answer.unknowns, (3, 1)), p, choices)
+    assert roots.converged.all()
+    first = shooting.conditions.free_at.start
+    assert roots.y[0, [first, first + 2]].tolist() == [0.1, 0.9]
+    assert abs(roots[0].slopes[1]) < 1e-11 < abs(roots[0].slopes[0])
+    assert np.abs(roots[1].slopes).max() < 1e-11
+    assert roots[2].ranges[0] == pytest.approx(1.2, abs=1e-12)
+
+
+def test_first_order_changes_with_given_parameters() -> None:
+    problem, moved = push(0.0, 1.0), push(0.0, 1.0, length=1.0001)
+    shooting, p = Shooting(derive(problem)), extremal_parameters(problem)
+    answer, other = Indirect().run(problem), Indirect().run(moved)
+    assert answer.unknowns is not None and other.unknowns is not None
+    root = shooting.root(answer.unknowns, p, shooting.holding({}, {0: 1.0}))
+    shift = shooting.shift(root, extremal_parameters(moved), p)
+    assert root.y + shift == pytest.approx(other.unknowns, abs=1e-9)  # the equations are linear
+
+
+def test_a_lost_arc_is_not_a_number() -> None:
+    """A mass that runs out on the way: that lane alone is lost."""
+    shooting, guesses, p = KINDS[0].batch(3)
+    guesses[1, shooting.conditions.free_at] = 3.0
+    roots = shooting.at(guesses, p, shooting.holding({}))
+    assert np.isnan(roots.rows[1]).all()
+    assert np.isfinite(roots.rows[[0, 2]]).all()
+    assert shooting.solve(guesses, p, shooting.holding({})).converged.tolist() == [True, False, True]
+
+
+def test_threads_share_a_fleet() -> None:
+    """What flies one lane is lent to one thread at a time: all get their own answers."""
+    shooting, guesses, p = KINDS[0].batch(40)
+    expected = shooting.solve(guesses, p, shooting.holding({}))
+
+    def solve(lane: int) -> np.ndarray:
+        own = Shooting(shooting.conditions)
+        return own.root(guesses[lane], p[lane], own.holding({})).y
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(solve, range(40)))
+    assert np.array(found) == pytest.approx(expected.y, abs=1e-12)
+
+
+def test_a_fleet_lends_one_object_to_one_caller() -> None:
+    fleet = Fleet(plan(derive(push()), 1))
+    with fleet.flyer(1) as first, fleet.flyer(1) as second:
+        assert first is not second
+    with fleet.flyer(1) as again:
+        assert again in (first, second)
