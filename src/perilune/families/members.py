@@ -59,11 +59,17 @@ class Members:
 
     def solved(self, todo: Sequence[int], executor: Submits | None) -> Found:
         """Each of the members `todo` with its number, as soon as it is there."""
-        if executor is not None:
-            return self._elsewhere(todo, executor)
-        if len(self.names) == 1 and isinstance(self.method, Indirect):
-            return self._continued(todo, self.method)
-        return self._one_by_one(todo)
+        if executor is None and len(self.names) == 1 and isinstance(self.method, Indirect):
+            yield from self._continued(todo, self.method)
+            return
+        try:
+            yield from self._one_by_one(todo) if executor is None else self._elsewhere(todo, executor)
+        except BrokenExecutor as error:
+            raise PeriluneError(
+                "a worker of the sweep was lost",
+                got=f"{type(error).__name__}: {error}",
+                advice="with store=DIR (--out DIR) what was done is kept: run it again there (--resume)",
+            ) from error
 
     def problem_of(self, i: int) -> Problem:
         """The problem of a member, which its own records may refuse."""
@@ -141,14 +147,7 @@ class Members:
                 break
             except Empty:
                 continue
-        try:
-            point: FamilyPoint = begun.pop(i).result()
-        except BrokenExecutor as error:
-            raise PeriluneError(
-                "a worker of the sweep was lost",
-                got=f"{type(error).__name__}: {error}",
-                advice="with store=DIR (--out DIR) what was done is kept: run it again there (--resume)",
-            ) from error
+        point: FamilyPoint = begun.pop(i).result()
         if point.solution is None:
             return i, point
         # What came back has a copy of the problem; the caller has the problem itself.
