@@ -20,7 +20,7 @@ from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import best_misses, kept_flight, not_converged, ridden_condition
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
-from perilune.problem.symbolic import Unnumbered, canonical_free, free_scales
+from perilune.problem.symbolic import canonical_free, free_scales
 from perilune.shooting.active import Limits, settle
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import Found, HeldFamily, scan
@@ -31,7 +31,7 @@ from perilune.words.watch import Iteration, Watch
 
 _SPHERE = "costates on the unit sphere"
 _ROUGHEST = 0.05  # relative mesh error beyond which a direct solution is not worth quoting
-_PATIENCE = 32  # evaluations of a random start: the first to reach an extremal take 6 to 27, on a hundred landers
+_PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 _STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
 _AT_BOUND = 1e-8  # canonical distance at which a guess counts as lying on a bound
 _SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
@@ -131,7 +131,7 @@ class Search:
     def _known(self, guess: Solution) -> Vector:
         """Unknowns of a guess: its own where it is of this method and form, else read off its curves."""
         own = guess.unknowns is not None and guess.method == self.settings.name
-        same = guess.problem.scales == self.problem.scales and Unnumbered(guess.problem) == Unnumbered(self.problem)
+        same = (guess.problem.scales, guess.problem.structure) == (self.problem.scales, self.problem.structure)
         if own and same:
             return np.array(guess.unknowns)
         return unknowns_from(self.problem, guess)
@@ -207,9 +207,9 @@ class Search:
         """Different roots within the bounds, best first."""
         kept: list[Root] = []
         for lane in lanes:
-            root = roots[lane]
-            if self._outside(root) is None and not any(_same(r.y, root.y, 1e-6) for r in kept):
-                kept.append(root)
+            if not any(_same(root.y, roots.y[lane], 1e-6) for root in kept):
+                root = roots[lane]
+                kept += [root] if self._outside(root) is None else []
         self.met += len(kept)
         return sorted(kept, key=lambda root: root.cost)
 

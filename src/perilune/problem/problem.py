@@ -319,6 +319,22 @@ class Problem:
         """What is stated, without the numbers: traced once, and shared by all `with_given`."""
         return trace(self)
 
+    @cached_property
+    def structure(self) -> tuple[Any, ...]:
+        """What a derivation depends on: the form, what is given and what is free, and which bounds there are.
+
+        Whether a limit is a number, and of which sign, decides on the regimes of a control; whether an end condition is
+        a range decides on its row.
+        """
+        bounds = tuple(
+            limit if isinstance(limit, str) else (math.isfinite(limit), limit < 0)
+            for phase in self.phases
+            for _, c in scalars(phase.controls)
+            for limit in (c.lower, c.upper)
+        )
+        ranges = tuple(c.ranged for phase in self.phases for c in phase.end_conditions)
+        return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges)
+
     @property
     def text(self) -> str:
         """Which text of the physics its functions are: the user's own, or expressions and where they came from."""

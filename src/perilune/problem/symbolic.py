@@ -6,7 +6,6 @@ same text holds when states and parameters are divided by their `Scales`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +16,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.problem.controls import scalars
 from perilune.problem.problem import Free, Phase, Problem
 from perilune.words.maths import NUMPY_NAMES, Table
 from perilune.words.outcome import PeriluneError
@@ -46,24 +44,11 @@ class Unnumbered:
         """The problem with its functions as expressions."""
         return self.stated.expressed
 
-    @cached_property
-    def _key(self) -> tuple[Any, ...]:
-        # Whether a limit is a number, and of which sign, decides on the regimes of a control; whether an end condition
-        # is a range decides on its row.
-        bounds = tuple(
-            limit if isinstance(limit, str) else (math.isfinite(limit), limit < 0)
-            for phase in self.stated.phases
-            for _, c in scalars(phase.controls)
-            for limit in (c.lower, c.upper)
-        )
-        ranges = tuple(c.ranged for phase in self.stated.phases for c in phase.end_conditions)
-        return (self.stated.form.digest, tuple(self.stated.given), self.stated.free_names, bounds, ranges)
-
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Unnumbered) and self._key == other._key
+        return isinstance(other, Unnumbered) and self.stated.structure == other.stated.structure
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self.stated.structure)
 
 
 @dataclass(frozen=True, kw_only=True)
