@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SCENARIO = str(ROOT / "examples" / "hybrid_lander.toml")
 SOLVE = [sys.executable, "-m", "perilune", "solve", SCENARIO, "--json"]
-IMPORTS = "import numpy, casadi, llvmlite.binding, scipy.integrate, typer"
+IMPORTS = "import numpy, casadi, llvmlite.binding, scipy.integrate"
 
 
 def timed(action: Callable[[], object], runs: int) -> list[float]:

@@ -6,9 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NoReturn
-
-import typer
+from typing import Any
 
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
@@ -25,8 +23,8 @@ class Answer:
     exit_code: int = 0
 
 
-def deliver(as_json: bool, work: Callable[[], Answer]) -> NoReturn:
-    """Do the work of a command, say its answer or why there is none, and leave with the exit code."""
+def deliver(as_json: bool, work: Callable[[], Answer]) -> int:
+    """Do the work of a command, say its answer or why there is none; the exit code."""
     try:
         answer = work()
     except PeriluneError as error:
@@ -50,7 +48,7 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> NoReturn:
             advice="report it with your scenario and what PERILUNE_TRACEBACK=1 shows",
         )
         answer = refusal(fault, 1)
-    raise typer.Exit(say(answer, as_json))
+    return say(answer, as_json)
 
 
 def stopped() -> PeriluneError:
@@ -86,14 +84,20 @@ def say(answer: Answer, as_json: bool) -> int:
             from perilune.io.files import json_text
 
             text = json_text(answer.document)
-        try:
-            print(text.rstrip("\n"), flush=True)
-        except OSError as error:
-            forsake_stdout()
-            if not isinstance(error, BrokenPipeError):  # a reader who has seen enough is no fault
-                print(f"perilune: the answer cannot be written\n  got: stdout: {error.strerror}", file=sys.stderr)
-                return answer.exit_code or 2
+        return tell(text.rstrip("\n"), answer.exit_code)
     return answer.exit_code
+
+
+def tell(text: str, code: int = 0) -> int:
+    """Print a text on stdout; the exit code, that of a fault where stdout cannot be written."""
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        forsake_stdout()
+        if not isinstance(error, BrokenPipeError):  # a reader who has seen enough is no fault
+            print(f"perilune: the answer cannot be written\n  got: stdout: {error.strerror}", file=sys.stderr)
+            return code or 2
+    return code
 
 
 def forsake_stdout() -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import signal
+from argparse import Namespace
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,23 +23,7 @@ if TYPE_CHECKING:
 MEMBERS = "members"  # in the output directory: what a sweep goes on from
 
 
-@dataclass(frozen=True, kw_only=True)
-class SweepOrder:
-    """What was typed."""
-
-    file: Path
-    vary: Sequence[str]
-    changes: Sequence[str]
-    out: Path | None
-    resume: bool
-    verbose: bool
-    force: bool
-    level: int
-    method: str
-    workers: int
-
-
-def sweep_answer(order: SweepOrder) -> Answer:
+def sweep_answer(order: Namespace) -> Answer:
     """Solve the family and show it."""
     from perilune.scenario import values_of
 

@@ -12,9 +12,9 @@ import csv
 import io
 import math
 import platform
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -210,11 +210,18 @@ def versions() -> dict[str, str]:
     """Versions of this program and of what it computes with."""
     found = {"perilune": perilune_version, "python": platform.python_version()}
     for package in ("numpy", "scipy", "casadi", "llvmlite"):
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed as a package"
+        loaded = sys.modules.get(package)  # to ask the package index takes longer than to write the document
+        found[package] = getattr(loaded, "__version__", "") or _installed(package)
     return found
+
+
+def _installed(package: str) -> str:
+    from importlib import metadata
+
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed as a package"
 
 
 def _phase_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -> dict[str, Any]:

@@ -1,0 +1,190 @@
+"""What may be typed: the commands, their arguments and options, and the help that lists them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from perilune.reproductions.papers import PAPERS
+from perilune.words.outcome import PeriluneError
+
+_EXIT_CODES = "Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converged, 5 not proved, 130 stopped."
+
+
+class Told(Exception):
+    """What was asked for is a text: the help or the version."""
+
+
+def parsed(arguments: Sequence[str]) -> argparse.Namespace:
+    """The command line as a record, `command` among its fields.
+
+    Raises
+    ------
+    PeriluneError
+        If it is none.
+    Told
+        With the text, where only that is wanted.
+    """
+    return _parser().parse_args(arguments)
+
+
+def help_text() -> str:
+    """The help of the whole program."""
+    return _parser().format_help()
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong by an error of ours, and its help by `Told`, so that both leave as all answers do."""
+
+    def error(self, message: str) -> NoReturn:
+        raise PeriluneError(message, advice="perilune --help")
+
+
+class _Help(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        raise Told(parser.format_help())
+
+
+class _Version(argparse.Action):
+    def __call__(self, *_: Any) -> NoReturn:
+        from perilune import __version__
+
+        raise Told(f"perilune {__version__}")
+
+
+def _number(least: int, most: int | None = None) -> Callable[[str], int]:
+    def whole(text: str) -> int:
+        number = int(text)
+        if number < least or (most is not None and number > most):
+            raise argparse.ArgumentTypeError(f"{number} is not {_range(least, most)}")
+        return number
+
+    whole.__name__ = "whole number"  # what argparse calls it
+    return whole
+
+
+def _range(least: int, most: int | None) -> str:
+    return f"at least {least}" if most is None else f"from {least} to {most}"
+
+
+_Option = tuple[tuple[str, ...], dict[str, Any]]  # its flags, and what argparse is told of it
+
+
+def _option(*flags: str, **settings: Any) -> _Option:
+    return flags, settings
+
+
+def _switch(flag: str, about: str, **settings: Any) -> _Option:
+    return _option(flag, action="store_true", help=about, **settings)
+
+
+def _level(least: int, usual: int) -> _Option:
+    text = f"Verification level to prove, {_range(least, 3)}" + ("; 0 for none" if not least else "")
+    help_ = f"{text}. Usually {usual}."
+    return _option("--level", metavar="LEVEL", type=_number(least, 3), default=usual, help=help_)
+
+
+_FILE = _option("file", metavar="FILE", type=Path, help="Scenario in TOML; `perilune new` writes one.")
+_SET = _option(
+    "--set",
+    dest="changes",
+    metavar="KEY=VALUE",
+    action="append",
+    default=[],
+    help='Change a value, e.g. "vehicle.thrust=500 N"; may be repeated.',
+)
+_OUT = _option("--out", metavar="DIR", type=Path, help="Write everything into this directory.")
+_JSON = _switch("--json", "One JSON document on stdout.", dest="as_json")
+_VERBOSE = _switch("--verbose", "Show every iteration on stderr, and every check.")
+_FORCE = _switch("--force", "Replace files that are there.")
+_NO_CACHE = _switch("--no-cache", "Compile anew and keep no machine code on disk.")
+_METHOD = _option(
+    "--method",
+    metavar="METHOD",
+    default="indirect",
+    help="indirect (unless given); direct, which also flies along a limit; hybrid: genetic search, then direct.",
+)
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog="perilune",
+        description="Optimal finite-thrust landings, each with its proof.",
+        epilog=_EXIT_CODES,
+        add_help=False,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", nargs=0, action=_Version, help="Show the version and leave.")
+    parser.add_argument("--help", nargs=0, action=_Help, help="Show this message and leave.")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="Commands")
+
+    def command(name: str, about: str, *options: _Option) -> None:
+        made = commands.add_parser(name, help=about, description=about, add_help=False, allow_abbrev=False)
+        for flags, settings in (*options, _JSON):
+            made.add_argument(*flags, **settings)
+        made.add_argument("--help", nargs=0, action=_Help, help="Show this message and leave.")
+
+    find = (_SET, _OUT, _VERBOSE, _FORCE)
+    command(
+        "solve", "Find the best landing, without a guess, and prove it.", _FILE, *find, _level(0, 3), _METHOD, _NO_CACHE
+    )
+    command(
+        "sweep",
+        "Solve along parameters; table as CSV on stdout, with --out also as JSON and figure, and every member.",
+        _FILE,
+        _option(
+            "--vary",
+            metavar="KEY=START:STOP:STEP",
+            action="append",
+            required=True,
+            help='E.g. "retro.delta_v=0:1600:50 m/s"; given more than once, the family is the grid.',
+        ),
+        *find,
+        _level(0, 1),
+        _METHOD,
+        _option(
+            "--workers",
+            metavar="N",
+            type=_number(1),
+            default=1,
+            help="Processes that solve members side by side. Usually 1.",
+        ),
+        _switch("--resume", "Go on with the members that are in --out DIR already."),
+        _NO_CACHE,
+    )
+    command(
+        "check", "Validate a scenario and compare it with what physics allows, without solving.", _FILE, _SET
+    )  # fmt: skip
+    command(
+        "verify",
+        "Prove a saved solution again, from its file alone.",
+        _option("directory", metavar="DIR", type=Path, help="What `perilune solve --out` wrote."),
+        _switch("--verbose", "Show every check."),
+        _level(1, 3),
+        _NO_CACHE,
+    )
+    command(
+        "reproduce",
+        "Compute every number and figure of a paper and set them beside the printed ones.",
+        _option("paper", metavar="PAPER", help=" or ".join(PAPERS)),
+        _option("--out", metavar="DIR", type=Path, required=True, help="Where the report goes."),
+        _VERBOSE,
+        _FORCE,
+        _NO_CACHE,
+    )
+    kinds = "hybrid_landing (unless given), powered_descent or precision_landing."
+    command(
+        "new",
+        "Write a commented scenario to start from.",
+        _option("kind", metavar="KIND", nargs="?", help=kinds),
+        _option("place", metavar="FILE", nargs="?", type=Path, help="Where to write; to stdout if left out."),
+        _FORCE,
+    )
+    command(
+        "doctor",
+        "Show versions, which optional parts are there, and the machine code kept on disk.",
+        _switch("--clear-cache", "Remove the machine code kept on disk."),
+    )
+    return parser
