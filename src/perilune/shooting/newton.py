@@ -190,12 +190,14 @@ def newton(
         finer = np.where(again, FINEST, np.clip(_FORCING * row[:, 0] ** 2, FINEST, ROUGHEST))
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
         good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
+        # What damped the steps was the rough evaluation: from the better one the whole step is tried.
+        after = np.where(again, 1.0, np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha))
         lost, again = again & ~good, ~good & (flown > FINEST) & (alpha <= _DOUBTED)
         refused = np.nonzero(~good)[0]
         for ahead, here in ((trial, y), (new, row), (finer, flown)):
             ahead[refused] = here[refused]
         y, row, flown = trial, new, finer
-        alpha = _limited(np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha), row, columns, max_step)
+        alpha = _limited(after, row, columns, max_step)
         active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit)
         ends.keep(lanes, y, row, root, ~active, number)
     return ends
@@ -229,10 +231,12 @@ def _one(
             )
             if watch is not None:
                 watch(history[-1])
-        lost, again = again and not good, not good and flown > FINEST and alpha <= _DOUBTED
+        # What damped the steps was the rough evaluation: from the better one the whole step is tried.
+        alpha = 1.0 if again else min(1.0, 2.0 * alpha) if good else 0.5 * alpha
+        lost, again = again and not good, not good and flown > FINEST and 2.0 * alpha <= _DOUBTED
         if good:
             y, row, head, flown = trial, new, ahead, finer
-        alpha = _limited(min(1.0, 2.0 * alpha) if good else 0.5 * alpha, row, columns, max_step)
+        alpha = _limited(alpha, row, columns, max_step)
     return Ends(y=y, rows=row, converged=np.array([root]), evaluations=np.array([number]), history=tuple(history))
 
 
