@@ -177,7 +177,7 @@ def test_threads_share_a_fleet() -> None:
 
 
 def test_a_fleet_lends_one_object_to_one_caller() -> None:
-    fleet = Fleet(plan(derive(push()), 1))
+    fleet = Fleet(plan(derive(push()), 1), patience=0)
     with fleet.flyer(1) as first, fleet.flyer(1) as second:
         assert first is not second
     with fleet.flyer(1) as again:

@@ -20,6 +20,7 @@ from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan
 from perilune.words.types import Matrix, Vector
 
+PATIENCE = 25  # runs of one lane before code of its own is built for it
 _FLOWN = (0, 1)  # ArcStatus.REACHED, ArcStatus.EVENT
 
 
@@ -94,15 +95,16 @@ class OneLane:
 class Fleet:
     """A plan and what flies it, made when first needed and shared by all threads."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, patience: int = PATIENCE) -> None:
         self.plan = plan
         self._many: ManyLanes | None = None
+        self._patience = patience
         self._idle: list[OneLane] = []  # a list's pop and append are atomic
 
     @contextmanager
     def flyer(self, lanes: int) -> Iterator[ManyLanes | OneLane]:
         """What flies so many lanes, for the caller alone."""
-        if lanes != 1:
+        if lanes != 1 or self._waits():
             self._many = self._many or ManyLanes(self.plan)
             yield self._many
             return
@@ -114,6 +116,17 @@ class Fleet:
             yield one
         finally:
             self._idle.append(one)
+
+    def _waits(self) -> bool:
+        """Whether one lane goes with the code for many, as building its own costs more than it saves at first."""
+        if not self._patience or self._idle:
+            return False
+        arcs = [leg.arcs for leg in self.plan.legs]
+        if all(a.at_hand(single=True) for a in arcs) or not all(a.at_hand(single=False) for a in arcs):
+            self._patience = 0
+            return False
+        self._patience -= 1
+        return True
 
 
 @lru_cache(maxsize=64)

@@ -90,6 +90,12 @@ def load(name: str) -> bytes | None:
     return None
 
 
+def kept(name: str) -> bool:
+    """Whether the object of a key is on disk; whether it is whole shows when it is loaded."""
+    folder = directory()
+    return folder is not None and (folder / (name + _SUFFIX)).is_file()
+
+
 def save(name: str, body: bytes) -> bool:
     """Keep an object; returns False where there is no directory that can be written, which is no error."""
     folder = directory()

@@ -138,6 +138,10 @@ class Engine(Protocol):
         """Return what flies one arc at a time without allocating; see `kernels.flight.single.SingleArc`."""
         ...
 
+    def at_hand(self, *, single: bool) -> bool:
+        """Whether arcs with columns can be flown, one at a time or many, without compiling first."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True)
 class Request:

@@ -101,9 +101,17 @@ class NativeEngine:
 
                 return native.compile_ir(driver.module(system, width))
 
-            name = disk.key(system.key, str(width), *native.processor(), *native.versions())
-            self._code[which] = native.MachineCode(disk.fetch(name, build, enabled=self._cache))
+            code = disk.fetch(_name(system, width), build, enabled=self._cache)
+            self._code[which] = native.MachineCode(code)
         return self._code[which]
+
+    def at_hand(self, *, single: bool) -> bool:
+        """Whether arcs with columns can be flown, one at a time or many, without compiling first."""
+        return self._at_hand(bool(self.system.nc), 1 if single else LANES)
+
+    def _at_hand(self, columns: bool, width: int) -> bool:
+        system = self.system if columns else self._bare
+        return (columns, width) in self._code or (self._cache and disk.kept(_name(system, width)))
 
     def propagate(
         self,
@@ -176,7 +184,7 @@ class NativeEngine:
         lanes, with_columns = len(asked.z0), asked.seeds is not None
         # A batch that has shrunk to its last lane goes on with the code it has: another build costs more than it saves.
         # Nodes are written by the code for one lane only.
-        at_hand = nodes is None and (with_columns, LANES) in self._calls
+        at_hand = lanes == 1 and nodes is None and self._at_hand(with_columns, LANES)
         width = 1 if lanes == 1 and not at_hand else LANES
         order = np.argsort(np.abs(asked.duration), kind="stable") if lanes > LANES else np.arange(lanes)
         z, rates, info = np.empty_like(asked.z0), np.empty_like(asked.z0), np.empty((lanes, 5))
@@ -241,6 +249,11 @@ class NativeEngine:
         held = [np.ascontiguousarray(array) for array in (z, p, mode, out)]
         rates(len(z), *map(native.address, held))
         return out
+
+
+def _name(system: ArcSystem, width: int) -> str:
+    """Key of a system's machine code."""
+    return disk.key(system.key, str(width), *native.processor(), *native.versions())
 
 
 def _table(held: dict[str, Any], numbers: dict[str, int]) -> NDArray[np.int64]:

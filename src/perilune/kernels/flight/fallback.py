@@ -36,6 +36,10 @@ class ScipyEngine:
         self._functions = {False: _Functions(system.without_columns() if system.nc else system)}
         self._functions[True] = _Functions(system) if system.nc else self._functions[False]
 
+    def at_hand(self, *, single: bool) -> bool:
+        """Whether arcs can be flown without compiling first: always."""
+        return True
+
     def propagate(
         self,
         z0: ArrayLike,
