@@ -114,12 +114,15 @@ def test_no_root_is_claimed_from_a_rough_evaluation(copies: int) -> None:
 
 @pytest.mark.parametrize("copies", [1, 3])
 def test_a_rough_evaluation_that_leads_nowhere_is_made_again(copies: int) -> None:
-    """A slope whose rough value has the wrong sign: no damping helps, another look does."""
+    """A slope whose rough value has the wrong sign: no damping helps, another look does, and it is kept to."""
+    asked: list[float] = []
 
     def misleading(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+        asked.append(float(accuracy.max()))
         slope = np.where(accuracy > FINEST, -1.0, 1.0)
         return rows(y, y - 1, slope[:, None, None], inverse, np.zeros((len(y), 0)))
 
     ends = run(misleading, *[0.0] * copies)
     assert ends.converged.all()
     assert ends.y == pytest.approx(1.0, abs=1e-12)
+    assert set(asked[asked.index(FINEST) :]) == {FINEST}

@@ -16,7 +16,6 @@ from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
 from perilune.shooting.propagate import flight
-from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -58,13 +57,6 @@ def fly(problem: Problem, conditions: Conditions, y: Vector, **settings: float) 
         flown.append(flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings}))
         before = flown[-1].z[-1]
     return flown
-
-
-def objective(problem: Problem, end: Vector, free: dict[str, float]) -> float:
-    """J in SI from the last phase's canonical end state."""
-    phase = problem.phases[-1]
-    x = end[: len(phase.states)] * state_scales(problem, phase)
-    return float(problem.objective(phase.state_record(*x), problem.parameters(free), NUMERIC))
 
 
 def controls(extremal: PhaseExtremal, arc: DenseArc, t: Vector, p: Vector) -> Matrix:

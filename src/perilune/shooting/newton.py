@@ -5,8 +5,9 @@ The step is dy = -J^-1 h. Damping alpha is accepted when the *simplified* correc
 side. Damping and outcome belong to the lane; a lane that has ended drops out.
 
 Early iterates are computed with a tolerance fitted to their residual (an inexact Newton method); none counts as
-converged before it is computed at the full one. Where damping does not help a step that came of a rough
-evaluation, the iterate is computed again. Where no step improves a residual that is round-off, that is a root.
+converged before it is computed at the full one. Where damping does not help a step that came of a rough evaluation, the
+iterate is computed again, and that lane accurately from then on. Where no step improves a residual that is round-off,
+that is a root.
 
 Source: Deuflhard, *Newton Methods for Nonlinear Problems*, Springer 2011, sections 2.1 (inexact) and 3.3 (natural
 monotonicity).
@@ -179,15 +180,17 @@ def newton(
         y=y.copy(), rows=row.copy(), converged=np.zeros(count, dtype=bool), evaluations=np.ones(count, dtype=np.int64)
     )
     alpha, again = _limited(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
+    coarsest = np.full(count, ROUGHEST)
     active = row[:, 2] < _ASTRAY
     for number in range(2, limit + 1):
         if not active.all():
             lanes, y, row = lanes[active], y[active], row[active]
-            alpha, flown, again = alpha[active], flown[active], again[active]
+            alpha, flown, again, coarsest = alpha[active], flown[active], again[active], coarsest[active]
             if not len(lanes):
                 break
         trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
-        finer = np.where(again, FINEST, np.clip(_FORCING * row[:, 0] ** 2, FINEST, ROUGHEST))
+        coarsest = np.where(again, FINEST, coarsest)  # who was misled once is told the truth from then on
+        finer = np.clip(_FORCING * row[:, 0] ** 2, FINEST, coarsest)
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
         good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
         # What damped the steps was the rough evaluation: from the better one the whole step is tried.
@@ -216,12 +219,14 @@ def _one(
     """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
     lanes, history = np.zeros(1, dtype=np.int64), []
     y, flown, again, root, lost, number = np.array(start, dtype=float), accuracy, False, False, False, 1
+    coarsest = ROUGHEST
     row = evaluate(lanes, y, np.array([flown]), np.zeros((1, columns.n**2)))
     head = row[0, :4].tolist()
     alpha = _limited(1.0, row, columns, max_step)
     while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
         trial = y if again else y + alpha * row[:, columns.step]
-        finer = FINEST if again else min(max(_FORCING * head[0] ** 2, FINEST), ROUGHEST)
+        coarsest = FINEST if again else coarsest
+        finer = min(max(_FORCING * head[0] ** 2, FINEST), coarsest)
         new = evaluate(lanes, trial, np.array([finer]), row[:, columns.inverse])
         number, ahead = number + 1, new[0, :4].tolist()
         good, root = _judged(head, ahead, alpha, flown, finer, again, tolerance)
