@@ -46,10 +46,10 @@ def test_light_bends_at_a_choice() -> None:
     """The costate along the surface is kept, the other jumps; sin(a)/sin(b) is the ratio of speeds."""
     from scipy.optimize import minimize_scalar
 
-    best = minimize_scalar(lambda c: math.hypot(c, 1) + 2 * math.hypot(1 - c, 1), bounds=(0, 1), method="bounded",
+    best: Any = minimize_scalar(lambda c: math.hypot(c, 1) + 2 * math.hypot(1 - c, 1), bounds=(0, 1), method="bounded",
                            options={"xatol": 1e-12})  # fmt: skip
     solution = pl.solve(refraction(), level=0)
-    assert solution.objective == pytest.approx(best["fun"], abs=1e-10)
+    assert solution.objective == pytest.approx(best.fun, abs=1e-10)
     path = solution.trajectories[0]
     lam = path.costate
     assert lam is not None
