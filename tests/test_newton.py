@@ -126,3 +126,22 @@ def test_a_rough_evaluation_that_leads_nowhere_is_made_again(copies: int) -> Non
     assert ends.converged.all()
     assert ends.y == pytest.approx(1.0, abs=1e-12)
     assert set(asked[asked.index(FINEST) :]) == {FINEST}
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+def test_amplified_round_off_is_a_root_where_y_cannot_be_better(copies: int) -> None:
+    """1e5 (y^2 - 2) with errors of 2e-10: y is right to 1e-15. With errors of 2e-6 it is not, and that is no root."""
+
+    def amplified(size: float) -> Evaluate:
+        state = np.random.default_rng(1)
+
+        def evaluate(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+            h = 1e5 * (y**2 - 2) + size * (1 + state.random(y.shape))
+            return rows(y, h, (2e5 * y)[:, :, None], inverse, np.zeros((len(y), 0)))
+
+        return evaluate
+
+    ends = run(amplified(2e-10), *[1.0] * copies)
+    assert ends.converged.all()
+    assert ends.y == pytest.approx(np.sqrt(2), abs=1e-14)
+    assert not run(amplified(2e-6), *[1.0] * copies).converged.any()

@@ -34,6 +34,9 @@ ROUGHEST = 1e-6  # accuracy of the first evaluations
 #: The largest residual that is the function's own error: arcs are flown with a local error of `FINEST`.
 ROUND_OFF = 1e-12
 _SETTLED = 1e-7  # a last undamped step below this, relative to |y|: its square is round-off
+_LAST_DIGITS = 1e-12  # a step below this, relative to |y|, moves it by its round-off
+_AMPLIFIED = 100.0  # how far beyond the tolerance a residual may be amplified round-off
+_FEW = 0.1  # damping below which enough steps of amplified round-off were tried
 _NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
 _FORCING = 1e-3  # accuracy of the next evaluation, in units of the residual squared
 _DOUBTED = 0.25  # damping at whose refusal a rough evaluation is blamed, and made again
@@ -254,14 +257,20 @@ def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, 
     residual, _, length, size = row
     left, simplified, ahead, _ = new
     length, size = length**0.5, 1.0 + size**0.5
-    good = again | (simplified**0.5 <= (1.0 - 0.5 * alpha) * length) | (length < 1e-12 * size)
+    # A residual that a change of y in its last digits explains is amplified round-off: the least of a few is taken.
+    last_digits = length < _LAST_DIGITS * size
+    explained = last_digits & (residual <= _AMPLIFIED * tolerance)
+    good = again | (simplified**0.5 <= (1.0 - 0.5 * alpha) * length) | last_digits & (left < residual)
+    good |= last_digits & (explained ^ True)
     # Within the error of a rough evaluation nothing can be compared.
     good |= (flown > FINEST) & (left <= _NOISE * flown) | (finer > FINEST) & (left <= _NOISE * finer)
     good &= ahead < _ASTRAY
     settled = length <= _SETTLED * size
     root = good & settled & (alpha == 1.0) & (finer <= FINEST) & (left <= tolerance)
     # At round-off no step is an improvement: that is a root, if the residual says so.
-    stuck = (flown <= FINEST) & ((residual <= ROUND_OFF) | settled & (residual <= tolerance))
+    stuck = (flown <= FINEST) & (
+        (residual <= ROUND_OFF) | settled & (residual <= tolerance) | explained & (alpha < _FEW)
+    )
     return good, (root | (good ^ True) & stuck) & (again ^ True)
 
 
