@@ -13,13 +13,15 @@ from newton_toys import toy
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
+from perilune.methods.judge import Breach
+from perilune.methods.refusals import best_misses
 from perilune.problem.problem import Free, Given, Problem, Variable
 from perilune.problem.solution import Curve, Solution, hermite_nodes
 from perilune.shooting.continuation import Member, follow
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import Columns, newton
 from perilune.solve import solve
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.words.watch import Iteration
 from problems.ascents import tangent_steering
 
@@ -156,3 +158,14 @@ def test_curves_interpolate_what_they_promise() -> None:
     dense = np.linspace(0, 2, 5001)
     assert np.abs(curve(dense) - fast(dense)[0]).max() < 2e-9
     assert np.diff(nodes)[0] > 4 * np.diff(nodes).min()
+
+
+def test_the_best_of_those_that_miss_is_named() -> None:
+    """Compared in canonical units: 3 m of 1000 km are less than half a radian."""
+    low = Breach(name="height", text="height falls to -3 m", miss=3.0, unit="m", canonical=3e-6)
+    wide = Breach(name="angle", text="angle falls to -0.5 rad", miss=0.5, unit="rad", canonical=0.5)
+    error = best_misses([wide, low])
+    assert isinstance(error, InfeasibleError) and error.exit_code == 3
+    assert error.what == "the best of 2 found misses height by 3 m"
+    assert error.reason == "the best of n found misses it" and error.reason in str(error)
+    assert InfeasibleError("too heavy").reason == "cannot be flown"
