@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from perilune.families.sweep import sweep
 from perilune.models.bodies import MARS, MOON, Body
-from perilune.models.descent import Site
+from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.controls import Direction
@@ -317,3 +317,36 @@ def test_the_throttle_counts() -> None:
     assert finding(half, "thrust against weight at ignition").value == pytest.approx(4000 / (2000 * 1.624), rel=1e-3)
     assert finding(descent(60.0, 1000.0), "fall before full thrust can stop it").passed
     assert not finding(descent(60.0, 1000.0, upper=0.3), "fall before full thrust can stop it").passed
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-3e-4, 3e-4), st.floats(0.0, 6.28), st.floats(-1.5, 1.5), st.floats(0.0, 0.02))
+def test_turning_bodies_keep_the_bound_of_the_rocket_equation(
+    rotation: float, heading: float, elevation: float, turning: float
+) -> None:
+    """Flown by SciPy in axes that turn with a body, by any thrust: no ideal velocity change is below the fall of w."""
+    body = replace(MOON, rotation_rate=rotation)
+    start = Ignition(
+        altitude=40e3, longitude=0.4, latitude=0.6, heading=heading, forward_speed=1200.0, vertical_speed=-40.0
+    )
+    lander = Vehicle(mass=2000.0, thrust=8000.0, specific_impulse=310.0, dry_mass=500.0)
+    problem = powered_descent(lander, start, Site(altitude=0.0, longitude=0.5, latitude=0.5), body, target="anywhere")
+    p, phase, c = problem.parameters({}), problem.phases[0], 310.0 * 9.80665
+    r_site, omega = body.radius, np.array([0.0, 0.0, rotation])
+
+    def rates(t: float, x: np.ndarray) -> list[float]:
+        a, b = elevation + turning * t, heading + 0.01 * t
+        u = (math.cos(a) * math.cos(b), math.cos(a) * math.sin(b), math.sin(a))
+        return list(phase.rates(list(x), u, p))
+
+    x0 = np.array(problem.start(p, NUMERIC), dtype=float)
+    flown = solve_ivp(rates, (0.0, 400.0), x0, "DOP853", rtol=1e-10, atol=1e-6)
+    r = np.linalg.norm(flown.y[:3], axis=0)
+    above = np.logical_and.accumulate(r >= r_site)
+    speed = np.linalg.norm(flown.y[3:6] + np.cross(omega, flown.y[:3].T).T, axis=0)
+    w = np.sqrt(np.maximum(speed**2 + 2 * body.gravitational_parameter * (1 / r_site - 1 / r), 0.0))
+    spent = c * np.log(2000.0 / flown.y[6])
+    assert (spent >= w[0] - w - 1e-4)[above].all()
+    found = finding(problem, "speed to lose")
+    assert found.value == pytest.approx(w[0] - abs(rotation) * r_site, rel=1e-9)
+    assert found.limit == pytest.approx(1.02 * c * math.log(4.0), rel=1e-9)

@@ -6,11 +6,6 @@ direction is the unit vector (cos beta, sin beta) on (transverse, radial), so th
 
 The retro burn is not a phase: it only moves the *free initial state* along the rocket equation (8),
 u0 = V0 - delta_v, m0 = M exp(-delta_v / c_imp); (9) of the paper prints m for M there.
-
-Before solving, the bounds of `perilune.models.limits` are compared with the least mass that must land. An ideal
-vehicle can burn all of its mass, so without such a mass nothing is fatal. It is `vehicle_dry_mass` where that is given,
-and else 10 % of the mass: that much propellant is found in the first stages of launchers, which do not carry it to
-another body. Stating the dry mass replaces this judgement by a fact.
 """
 
 from __future__ import annotations
@@ -25,18 +20,11 @@ import numpy as np
 
 from perilune.models.bodies import MOON, Body
 from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, spent
-from perilune.models.limits import (
-    braking,
-    exhaust_speed,
-    mass_held,
-    speed_of_ground,
-    speed_with_fall,
-    thrust_against_weight,
-)
+from perilune.models.landing_preflight import compare_landing, perilune_speed
+from perilune.models.limits import braking, exhaust_speed
 from perilune.models.vehicle import Retro, Vehicle
 from perilune.problem.controls import Direction
 from perilune.problem.declared import given_of
-from perilune.problem.preflight import Finding
 from perilune.problem.problem import Free, Phase, Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
@@ -45,8 +33,6 @@ from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
-
-LEAST_LANDED_SHARE = 0.1
 
 
 @record("orbit")
@@ -62,13 +48,6 @@ class LandingSite:
     """Where the landing ends."""
 
     altitude: float = quantity("m", "0 km", default=0.0, about="of the landing site, above the body's radius")
-
-
-def perilune_speed(p: Any, m: Any) -> Any:
-    """Inertial speed at the perilune of the Hohmann transfer, Cho et al. (7). `p` as in `hybrid_landing`."""
-    r0 = p.body_radius + p.orbit_perilune_altitude
-    r_parking = p.body_radius + p.orbit_parking_altitude
-    return m.sqrt(p.body_gravitational_parameter * (2 / r0 - 2 / (r0 + r_parking)))
 
 
 def _dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
@@ -188,135 +167,6 @@ def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     }
 
 
-def _preflight(p: Any, m: Any) -> tuple[Finding, ...]:
-    return (*_geometry(p), *_burns(p, m), *_warnings(p, m))
-
-
-def _geometry(p: Any) -> tuple[Finding, ...]:
-    """Comparisons of the three altitudes above the body's radius, all binding."""
-
-    def at_least(name: str, value: Any, limit: float, meaning: str, advice: str) -> Finding:
-        return Finding(
-            name=name, value=value, limit=limit, at_least=True, unit="m", binding=True, meaning=meaning, advice=advice
-        )
-
-    perilune, parking, site = p.orbit_perilune_altitude, p.orbit_parking_altitude, p.landing_altitude
-    # A millimetre stands for "strictly above".
-    return (
-        at_least(
-            "perilune above the surface", perilune, 1e-3,
-            "the perilune lies below the surface: the orbit hits the ground", "raise orbit.perilune_altitude",
-        ),
-        at_least(
-            "perilune above the landing site", perilune - site, 1e-3,
-            "the perilune lies below the landing site: the orbit hits the ground",
-            "raise orbit.perilune_altitude or lower landing.altitude",
-        ),
-        at_least(
-            "perilune below the parking orbit", parking - perilune, 0.0,
-            "the perilune lies above the parking orbit", "exchange the two, or look for km in place of m",
-        ),
-    )  # fmt: skip
-
-
-def _burns(p: Any, m: Any) -> tuple[Finding, ...]:
-    """Comparisons of velocity changes and masses, all binding."""
-    speed, least = perilune_speed(p, m), LEAST_LANDED_SHARE * p.vehicle_mass
-    said = f"{LEAST_LANDED_SHARE:.0%} of vehicle.mass (assumed: no vehicle.dry_mass is stated)"
-    if hasattr(p, "vehicle_dry_mass"):
-        least, said = p.vehicle_dry_mass, "vehicle.dry_mass"
-    found = []
-    if hasattr(p, "retro_delta_v"):
-        impulsive = p.retro_specific_impulse * p.vehicle_standard_gravity
-        # Whatever follows, the impulsive burn alone must leave the least mass.
-        for limit, meaning in (
-            (speed, "the retro burn exceeds the speed at the perilune: the lander would fly backwards"),
-            (impulsive * m.log(p.vehicle_mass / least),
-             f"the retro burn needs more propellant than there is above {said}"),
-        ):  # fmt: skip
-            found.append(
-                Finding(
-                    name="retro.delta_v",
-                    value=p.retro_delta_v,
-                    limit=limit,
-                    at_least=False,
-                    unit="m/s",
-                    binding=True,
-                    meaning=meaning,
-                    advice="lower retro.delta_v, or leave it out and the best one is found",
-                )
-            )
-    for name, value, meaning, advice in (
-        (
-            "landed mass that the thrust can hold", mass_held(p.body_radius + p.landing_altitude, p, m),
-            f"the lander is too weak: its thrust cannot carry {said} at touchdown",
-            "raise vehicle.thrust, lower vehicle.mass, or state what must land as vehicle.dry_mass",
-        ),
-        (
-            "landed mass by the rocket equation", _mass_by_rocket_equation(p, m, speed),
-            f"there is not enough propellant: even an ideal landing leaves less than {said}",
-            "raise the specific impulse, or state what must land as vehicle.dry_mass",
-        ),
-    ):  # fmt: skip
-        found.append(
-            Finding(
-                name=name,
-                value=value,
-                limit=least,
-                at_least=True,
-                unit="kg",
-                binding=True,
-                meaning=meaning,
-                advice=advice,
-            )
-        )
-    return tuple(found)
-
-
-def _mass_by_rocket_equation(p: Any, m: Any, speed: Any) -> Any:
-    """Upper bound of the landed mass [kg] from the least ideal velocity change."""
-    r_site, r_start = p.body_radius + p.landing_altitude, p.body_radius + p.orbit_perilune_altitude
-    ground = speed_of_ground(r_site, p, m)
-    main, impulsive = exhaust_speed(p), p.retro_specific_impulse * p.vehicle_standard_gravity
-    if not hasattr(p, "retro_delta_v"):
-        change = m.fmax(speed_with_fall(speed, r_start, r_site, p, m) - ground, 0.0)
-        return p.vehicle_mass * m.exp(-change / m.fmax(main, impulsive))
-    rest = m.fmax(speed_with_fall(speed - p.retro_delta_v, r_start, r_site, p, m) - ground, 0.0)
-    return p.vehicle_mass * m.exp(-p.retro_delta_v / impulsive - rest / main)
-
-
-def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
-    """Comparisons that make a landing hard or look like a slip, none binding."""
-
-    def at_most(name: str, unit: str, value: Any, limit: Any, meaning: str, advice: str) -> Finding:
-        return Finding(
-            name=name, value=value, limit=limit, at_least=False, unit=unit, binding=False, meaning=meaning,
-            advice=advice,
-        )  # fmt: skip
-
-    r = p.body_radius + p.landing_altitude
-    return (
-        thrust_against_weight(p.landing_altitude, p),
-        at_most(
-            "braking distance without gravity", "km",
-            braking(perilune_speed(p, m), p, m)[0] / 1e3, math.pi * p.body_radius / 1e3,
-            "braking takes more than half a revolution: expect a long spiral that is hard to solve",
-            "raise vehicle.thrust",
-        ),
-        at_most(
-            "speed of the ground", "m/s",
-            speed_of_ground(r, p, m), 0.1 * m.sqrt(p.body_gravitational_parameter / r),
-            "the ground moves at more than a tenth of orbital speed",
-            "check that body.rotation_rate is in rad/s and not in deg/s",
-        ),
-        at_most(
-            "perilune altitude", "km", p.orbit_perilune_altitude / 1e3, 0.2 * p.body_radius / 1e3,
-            "the perilune is very high for a landing",
-            "altitudes are above the surface, not distances from the centre",
-        ),
-    )  # fmt: skip
-
-
 def hybrid_landing(
     vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Body = MOON, landing_altitude: float = 0.0
 ) -> Problem:
@@ -396,7 +246,7 @@ def hybrid_landing(
         maximised=LANDED_MASS.name,
         declared=(Body, Vehicle, Retro, Orbit, LandingSite),
         ranges=_ranges,
-        preflight=_preflight,
+        preflight=compare_landing,
         bookkeeping=bookkeeping,
         views=_VIEWS,
         scales=Scales(length=speed * time, time=time, mass=float(vehicle.mass)),
