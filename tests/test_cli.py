@@ -383,3 +383,8 @@ def test_ctrl_c_before_the_work_has_begun(capsys: pytest.CaptureFixture[str], mo
     monkeypatch.setattr(importlib.import_module("perilune.cli.commands"), "deliver", stopped)
     assert run(["solve", HYBRID, "--json"]) == 130
     assert read_json(capsys.readouterr().out)["outcome"] == "INTERRUPTED"
+
+
+def test_a_misspelt_kind_is_no_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["new", "powerd_descent"]) == 2
+    assert "powered_descent" in capsys.readouterr().err

@@ -142,3 +142,9 @@ def test_what_has_no_minimum_is_named() -> None:
     )
     with pytest.raises(PeriluneError, match="no control law for push"):
         pl.solve(replace(base, phases=(pushed,)), level=0)
+
+
+def test_a_bound_of_another_dimension_is_refused() -> None:
+    base = slide("strength")
+    with pytest.raises(PeriluneError, match="strength of u has another dimension"):
+        replace(base, given={**base.given, "strength": pl.Given(value=5.0, unit="kg")})

@@ -8,6 +8,7 @@ from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from perilune.cli.answer import Answer, deliver, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import InfeasibleError, PeriluneError, unknown_name
 
 if TYPE_CHECKING:
     from perilune.problem.solution import Solution
@@ -151,6 +152,8 @@ def _new(typed: Namespace) -> Answer:
 
     kind, file = typed.kind, typed.place
     if kind is not None and kind not in KINDS and file is None:  # `perilune new FILE`
+        if get_close_matches(kind, KINDS, n=1, cutoff=0.8):
+            raise unknown_name("kind", kind, list(KINDS))
         kind, file = None, Path(kind)
     text = template(kind or "hybrid_landing")
     if file is None:

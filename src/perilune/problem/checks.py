@@ -7,6 +7,7 @@ The functions here take a `Problem`, whose file stands above this one.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +16,7 @@ from perilune.problem.form import stated
 from perilune.problem.views import check_views
 from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.units import Scales
+from perilune.words.units import Scales, unit
 
 
 def check_structure(problem: Any) -> None:
@@ -40,6 +41,8 @@ def check_structure(problem: Any) -> None:
         for name in (limit for limit in (state.lower, state.upper) if isinstance(limit, str)):
             if name not in problem.given:
                 raise unknown_name(f"given parameter for a bound of {state.name}", name, sorted(problem.given))
+    for phase in problem.phases:
+        _check_bound_units(problem, (*phase.states, *phase.end_conditions, *(c for _, c in scalars(phase.controls))))
     results = [v.name for v in problem.result_variables]
     if problem.maximised and problem.maximised not in results:
         raise unknown_name("result", problem.maximised, results)
@@ -58,6 +61,19 @@ def check_given(problem: Any) -> None:
             raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
     for record in problem.declared:
         check_values(record, vars(problem.parameters({})))
+
+
+def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:
+    """A parameter that is a bound has the dimension of what it bounds."""
+    for one in bounded:
+        for name in (limit for limit in (one.lower, one.upper) if isinstance(limit, str)):
+            of = problem.unit_of(name)
+            if unit(of)[1] != unit(one.unit)[1]:
+                raise PeriluneError(
+                    f"the bound {name} of {one.name} has another dimension",
+                    got=f"{name} in {of}",
+                    expected=f"a parameter in {one.unit}",
+                )
 
 
 def check_free(problem: Any) -> None:

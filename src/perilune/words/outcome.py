@@ -15,7 +15,7 @@ class Outcome(Enum):
     """How a solve ended; the value is the advice to the reader."""
 
     PROVED = "every check of the requested verification level passed"
-    SOLVED = "the optimality conditions hold; not verified yet: run verify"
+    SOLVED = "the method converged; nothing is verified yet: run verify"
     NOT_PROVED = "solved, but at least one check failed: read the failed checks before using it"
     NOT_CONVERGED = "no solution found: the residual report names the condition and what to try"
     INFEASIBLE = "physics forbids it: the message names the limit and by how much it is exceeded"
