@@ -172,7 +172,7 @@ class Search:
         choices = np.tile(self.shooting.holding({}), (len(Y), 1))
         if self.scanned is not None:
             choices[:, self.scanned], choices[:, self.shooting.plan.held + self.scanned] = 1.0, held
-        roots = self._settled(Y, choices, limits=self.others, limit=_PATIENCE, max_step=_STRIDE)
+        roots = self._settled(Y, choices, limits=self.others, limit=_PATIENCE, max_step=_STRIDE, doubt=0.0)
         if not roots.converged.any():
             self._hold_ranges(choices)
             roots = self._settled(roots.y, choices, limits=self.others, limit=3 * _PATIENCE, max_step=_STRIDE)

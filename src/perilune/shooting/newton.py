@@ -39,7 +39,6 @@ _AMPLIFIED = 100.0  # how far beyond the tolerance a residual may be amplified r
 _FEW = 0.1  # damping below which enough steps of amplified round-off were tried
 _NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
 _FORCING = 1e-3  # accuracy of the next evaluation, in units of the residual squared
-_DOUBTED = 0.25  # damping at whose refusal a rough evaluation is blamed, and made again
 _LEAST_DAMPING = 1e-4
 _ASTRAY = 1e200  # squares beyond this are of a lost iterate; a NaN compares as lost too
 
@@ -150,6 +149,7 @@ def newton(
     accuracy: float = ROUGHEST,
     limit: int = 100,
     max_step: float = np.inf,
+    doubt: float = 0.25,
     watch: Watch | None = None,
 ) -> Ends:
     """Find a root in each lane.
@@ -170,11 +170,13 @@ def newton(
         Most evaluations of a lane.
     max_step
         Largest component of one step; keeps a far start from leaving where the function is defined.
+    doubt
+        Damping at whose refusal a rough evaluation is blamed, and made again; 0 for starts that are cheaper given up.
     watch
         Called after each iteration of a single lane.
     """
     if len(start) == 1:
-        return _one(evaluate, start, columns, tolerance, accuracy, limit, max_step, watch)
+        return _one(evaluate, start, columns, tolerance, accuracy, limit, max_step, doubt, watch)
     y = np.array(start, dtype=float)
     count = len(y)
     lanes, flown = np.arange(count), np.full(count, accuracy)
@@ -198,7 +200,7 @@ def newton(
         good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
         # What damped the steps was the rough evaluation: from the better one the whole step is tried.
         after = np.where(again, 1.0, np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha))
-        lost, again = again & ~good, ~good & (flown > FINEST) & (alpha <= _DOUBTED)
+        lost, again = again & ~good, ~good & (flown > FINEST) & (alpha <= doubt)
         refused = np.nonzero(~good)[0]
         for ahead, here in ((trial, y), (new, row), (finer, flown)):
             ahead[refused] = here[refused]
@@ -217,6 +219,7 @@ def _one(
     accuracy: float,
     limit: int,
     max_step: float,
+    doubt: float,
     watch: Watch | None,
 ) -> Ends:
     """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
@@ -241,7 +244,7 @@ def _one(
                 watch(history[-1])
         # What damped the steps was the rough evaluation: from the better one the whole step is tried.
         alpha = 1.0 if again else min(1.0, 2.0 * alpha) if good else 0.5 * alpha
-        lost, again = again and not good, not good and flown > FINEST and 2.0 * alpha <= _DOUBTED
+        lost, again = again and not good, not good and flown > FINEST and 2.0 * alpha <= doubt
         if good:
             y, row, head, flown = trial, new, ahead, finer
         alpha = _limited(alpha, row, columns, max_step)
