@@ -35,14 +35,16 @@ def test_the_main_job_in_a_process_of_its_own() -> None:
     assert {delta_v for delta_v, _ in natures} == {1201, 0, 129}
 
 
-def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(tmp_path: Path) -> None:
-    out = tmp_path / "out"
+def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    out, empty = tmp_path / "out", tmp_path_factory.mktemp("empty")  # kernels to compile keep it at work long enough
     process = subprocess.Popen(
         [*COMMAND, "solve", HYBRID, "--out", str(out), "--verbose", "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=ENVIRONMENT,
+        env={**ENVIRONMENT, "PERILUNE_CACHE": str(empty)},
     )
     assert process.stderr is not None
     for line in process.stderr:

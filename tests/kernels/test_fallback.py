@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import casadi as ca
@@ -12,6 +13,7 @@ import pytest
 from perilune.cli import run
 from perilune.kernels import compile_arcs
 from perilune.kernels.flight import engine
+from perilune.shooting import flyer, propagate
 
 
 def decay() -> ca.Function:
@@ -20,10 +22,17 @@ def decay() -> ca.Function:
 
 
 @pytest.fixture
-def without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What was compiled before is not used, and what is made here not afterwards."""
     monkeypatch.setitem(sys.modules, "llvmlite", None)
     monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
     monkeypatch.setattr(engine, "_told", [])
+    kept = (propagate.engine, flyer.fleet)
+    for cache in kept:
+        cache.cache_clear()
+    yield
+    for cache in kept:
+        cache.cache_clear()
 
 
 @pytest.mark.usefixtures("without_llvmlite")
