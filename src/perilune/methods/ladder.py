@@ -11,21 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
-    """What the rungs are tried with; see `perilune.methods.indirect.Indirect`.
-
-    Parameters
-    ----------
-    starts
-        Random starts of the first rung.
-    seed
-        Of the random starts; the same seed gives the same answer.
-    scan_points
-        Values visited along a free parameter between finite bounds.
-    segments
-        Arcs for each phase in multiple shooting (third rung).
-    transcription
-        The direct method of the second rung; its mesh need not be fine. None: 40 nodes, not refined.
-    """
+    """What the rungs are tried with; `perilune.methods.indirect.Indirect` says what each means."""
 
     starts: int = 24
     seed: int = 0

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,7 +176,21 @@ def newton(
         Called after each iteration of a single lane.
     """
     if len(start) == 1:
-        return _one(evaluate, start, columns, tolerance, accuracy, limit, max_step, doubt, watch)
+        return _one(evaluate, start, columns, _Settings(tolerance, accuracy, limit, max_step, doubt), watch)
+    return _many(evaluate, start, columns, _Settings(tolerance, accuracy, limit, max_step, doubt))
+
+
+class _Settings(NamedTuple):
+    tolerance: float
+    accuracy: float
+    limit: int
+    max_step: float
+    doubt: float
+
+
+def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings) -> Ends:
+    """Lanes side by side; those that have ended drop out."""
+    tolerance, accuracy, limit, max_step, doubt = settings
     y = np.array(start, dtype=float)
     count = len(y)
     lanes, flown = np.arange(count), np.full(count, accuracy)
@@ -211,18 +225,9 @@ def newton(
     return ends
 
 
-def _one(
-    evaluate: Evaluate,
-    start: Matrix,
-    columns: Columns,
-    tolerance: float,
-    accuracy: float,
-    limit: int,
-    max_step: float,
-    doubt: float,
-    watch: Watch | None,
-) -> Ends:
+def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
     """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
+    tolerance, accuracy, limit, max_step, doubt = settings
     lanes, history = np.zeros(1, dtype=np.int64), []
     y, flown, again, root, lost, number = np.array(start, dtype=float), accuracy, False, False, False, 1
     coarsest = ROUGHEST
