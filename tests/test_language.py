@@ -59,6 +59,102 @@ def test_light_bends_at_a_choice() -> None:
     assert np.linalg.norm(after) == pytest.approx(2.0, abs=1e-10)
 
 
+def flipped() -> pl.Problem:
+    """From rest to rest over 1 m in least time, thrust at most 1 m/s^2 either way, its sign turned beyond 0.3 m."""
+    phase = pl.Phase(
+        name="go",
+        states=variables(x="m", v="m/s"),
+        controls=(pl.Bounded(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (x.v, m.where(x.x > p.border, -1.0, 1.0) * u.a),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far, x.v),
+        end_conditions=variables(place="m", rest="m/s"),
+    )
+    return pl.Problem(
+        name="flipped",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0),
+        given=given(far=(1.0, "m"), border=(0.3, "m")),
+        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
+        objective=lambda x, p, m: p.T,
+        objective_unit="s",
+    )
+
+
+def test_a_control_changes_its_regime_at_a_choice() -> None:
+    """Full thrust to 0.3 m, full thrust the other way, which goes on accelerating, and back at half way."""
+    solution = pl.solve(flipped(), level=0)
+    assert solution.objective == pytest.approx(2.0, abs=1e-10)
+    control, border = solution.trajectories[0].control, math.sqrt(0.6)
+    times = [0.5 * border, 0.5 * (border + 1), 1.5]
+    assert [control(t)[0] for t in times] == pytest.approx([1.0, -1.0, 1.0])
+
+
+KNOTS = tuple(np.linspace(0.0, 1.0, 21))
+FORCES = {
+    "where": lambda x, p, m: m.where(x.x > p.start, x.x - p.start, 0.0 * p.start),
+    "fmax": lambda x, p, m: m.fmax(x.x - p.start, 0.0 * p.start),
+    "fmin": lambda x, p, m: -m.fmin(p.start - x.x, 0.0 * p.start),
+    "fabs": lambda x, p, m: 0.5 * (m.fabs(x.x - p.start) + x.x - p.start),
+    "table": lambda x, p, m: p.far * m.table(pl.Table((0.0, 0.3, 1.0), (0.0, 0.0, 0.7), "linear"), x.x / p.far),
+    "many": lambda x, p, m: (
+        p.far * m.table(pl.Table(KNOTS, tuple(np.fmax(np.array(KNOTS) - 0.3, 0.0)), "linear"), x.x / p.far)
+    ),
+}
+
+
+def transfer(force: str, speed: float = 0.0) -> pl.Problem:
+    """From (0, speed) to rest at 100 m in 20 s with least integral of a^2/2 against a spring that is met at 30 m."""
+    phase = pl.Phase(
+        name="go",
+        states=variables(x="m", v="m/s", e="m^2/s^3"),
+        controls=(pl.Bounded(name="a", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.a - p.stiff * FORCES[force](x, p, m), u.a**2 / 2),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far, x.v),
+        end_conditions=variables(place="m", rest="m/s"),
+    )
+    return pl.Problem(
+        name="transfer",
+        phases=(phase,),
+        start=lambda p, m: (0.0, p.speed, 0.0),
+        given=given(far=(100.0, "m"), T=(20.0, "s"), stiff=(0.003, "1/s^2"), start=(30.0, "m"), speed=(speed, "m/s")),
+        free=(),
+        objective=lambda x, p, m: x.e,
+        objective_unit="m^2/s^3",
+    )
+
+
+def least_effort(speed: float) -> float:
+    """Both parts of `transfer` are linear: J = r' W^-1 r / 2 with Gramians W, at the best (T1, v1) where they meet."""
+    from scipy.integrate import quad_vec
+    from scipy.linalg import expm
+    from scipy.optimize import minimize
+
+    def part(stiff: float, start: Any, end: Any, T: float) -> float:
+        A = np.array([[0.0, 1.0], [-stiff, 0.0]])
+        W = quad_vec(lambda s: np.outer(expm(A * s)[:, 1], expm(A * s)[:, 1]), 0.0, T, epsabs=1e-12, epsrel=1e-12)[0]
+        r = np.array(end) - expm(A * T) @ np.array(start)
+        return float(0.5 * r @ np.linalg.solve(W, r))
+
+    def whole(y: Any) -> float:
+        return part(0.0, (0.0, speed), (30.0, y[1]), y[0]) + part(0.003, (0.0, y[1]), (70.0, 0.0), 20.0 - y[0])
+
+    return float(minimize(whole, (7.0, 7.0), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-13}).fun)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0])
+def test_kinks_are_met_whatever_makes_them(speed: float) -> None:
+    """At rest the flight begins and ends on a knot of the tables; at -1 m/s it leaves by the first and comes back."""
+    best = least_effort(speed)
+    for force in FORCES:
+        solution = pl.solve(transfer(force, speed), level=0)
+        assert solution.objective == pytest.approx(best, abs=2e-10), force
+        curve = solution.trajectories[0].state
+        breaks = curve.time[1:][np.diff(curve.time) == 0]
+        assert np.abs(curve(breaks)[:, 0] - 30.0).min() < 1e-9, force
+
+
 def layered(kind: str) -> pl.Problem:
     """A fall with drag through air of two layers, its density continuous; the landing speed is known by quadrature."""
 

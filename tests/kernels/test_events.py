@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -82,9 +84,43 @@ def test_a_ball_bounces_with_its_columns(backend: str) -> None:
 def test_a_ball_that_bounces_for_ever_is_stopped(backend: str) -> None:
     rhs, height = fall()
     z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
-    bounce = ca.Function("bounce", [z, p], [ca.vertcat(z[0], -0.5 * z[1])])
+    bounce = ca.Function("bounce", [z, p], [ca.vertcat(z[0], -0.9 * z[1])])
     e = compile_arcs(rhs, events=[Event(function=height, direction=-1, jump=bounce)], backend=backend)
-    assert e.propagate([1.0, 0.0], [2.0], 9.0).status[0] == ArcStatus.STEP_LIMIT
+    assert e.propagate([1.0, 0.0], [2.0], 30.0).status[0] == ArcStatus.STEP_LIMIT
+
+
+def test_a_polygon_is_flown_from_knot_to_knot(backend: str) -> None:
+    """z' = f(z), f a polygon: one event with a level in each mode; dz(T)/dz(0) = f(z(T))/f(z(0))."""
+    knots, slopes = (0.0, 1.0, 2.0), (0.5, 1.0, -0.5, -0.25)
+    z, p = ca.SX.sym("z", 1), ca.SX.sym("p")
+    lines = [p + slopes[0] * z, p + slopes[1] * z, p + 1 + slopes[2] * (z - 1), p + 0.5 + slopes[3] * (z - 2)]
+    modes = [ca.Function(f"f{k}", [z, p], [line]) for k, line in enumerate(lines)]
+    place = ca.Function("z", [z, p], [z])
+    up = Event(function=place, direction=1, steady=True, switches={0: 1, 1: 2, 2: 3}, levels=dict(enumerate(knots)))
+    down = Event(
+        function=place, direction=-1, steady=True, switches={1: 0, 2: 1, 3: 2}, levels={1: 0.0, 2: 1.0, 3: 2.0}
+    )
+    e = compile_arcs(modes, columns=1, events=[up, down], backend=backend)
+    # ln f grows by slope times time on each line: times from knot to knot, from f(-0.5) = 0.75 on.
+    times = np.cumsum([math.log(1 / 0.75) / 0.5, math.log(2), math.log(1.5 / 2) / -0.5])
+    arcs = e.propagate([-0.5], [1.0], times[-1] + 0.4, np.eye(1))
+    end = 1.5 * math.exp(-0.25 * 0.4)
+    np.testing.assert_allclose(arcs.event_time[0][:3], times, atol=1e-11)
+    np.testing.assert_allclose(arcs.z[0], 2.0 + (1.5 - end) / 0.25, atol=1e-11)
+    np.testing.assert_allclose(arcs.columns[0], end / 0.75, atol=1e-11)
+    back = e.propagate(arcs.z, [1.0], -(times[-1] + 0.4), mode=3)
+    np.testing.assert_allclose(back.z[0], -0.5, atol=1e-11)
+    assert [arcs.mode[0], back.mode[0]] == [3, 0]
+
+
+def test_a_zero_that_is_only_touched_holds_nothing_up(backend: str) -> None:
+    """z = 1 - (t - 1)^2 comes to 1 at the very end, where rounding may meet the level many times."""
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    f = ca.Function("f", [z, p], [ca.vertcat(z[1], -2.0)])
+    event = Event(function=ca.Function("z", [z, p], [z[0]]), direction=1, steady=True, switches={0: 1}, levels={0: 1.0})
+    arcs = compile_arcs([f, f], events=[event], backend=backend).propagate([0.0, 2.0], [0.0], 1.0)
+    assert arcs.status[0] == ArcStatus.REACHED
+    np.testing.assert_allclose(arcs.z[0], [1.0, 0.0], atol=1e-12)
 
 
 def test_meditch_lands_by_its_switch(backend: str) -> None:

@@ -11,7 +11,7 @@ for each kink of the dynamics (`perilune.problem.symbolic.trace_sides`). What le
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import casadi as ca
@@ -131,7 +131,9 @@ def canonical_equations(
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
     dynamics = trace_sides(phase, x, u, p.record)
-    acting = ca.vertcat(*dynamics.rates, *dynamics.margins, *(limit for pair in limits.values() for limit in pair))
+    acting = ca.vertcat(
+        *dynamics.rates, *(c.argument for c in dynamics.choices), *(limit for pair in limits.values() for limit in pair)
+    )
     constants = tuple(
         i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(acting, p.free[i])
     )
@@ -177,65 +179,113 @@ def canonical_equations(
         reports=tuple(reports),
         regimes=tuple(regimes for law in laws for regimes in law.regimes),
         events=tuple(_events(dynamics, laws, flows, z, function)),
-        mode=function("mode", _mode(dynamics, laws)),
+        mode=function("mode", _mode(dynamics, laws, flows, z)),
         state_count=n,
         constants=constants,
     )
 
 
-def _mode(dynamics: Kinked, laws: list[ControlLaw]) -> ca.SX:
-    """Number of the mode at a point: the side of each kink, and there the regimes in which H is least."""
+def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX) -> ca.SX:
+    """Number of the mode at a point: the side of each choice, and there the regimes in which H is least.
+
+    Exactly on a knot it is the side to which the flight moves.
+    """
     number, first = ca.SX(0.0), 0
     for sides, law in zip(dynamics.sides, laws, strict=True):
+        flow = _of_mode(flows[first : first + len(law.control)], law.mode)
+
+        def beyond(margin: ca.SX, flow: ca.SX = flow) -> ca.SX:
+            rate = ca.jtimes(margin, z, flow)
+            rate_of_rate = ca.jtimes(rate, z, flow)
+            return ca.if_else(margin == 0, ca.if_else(rate == 0, rate_of_rate, rate), margin) > 0
+
         here = ca.SX(1.0)
-        for side, margin in zip(sides, dynamics.margins, strict=True):
-            here = ca.logic_and(here, margin > 0 if side else margin <= 0)
+        for side, choice in zip(sides, dynamics.choices, strict=True):
+            if side:
+                here = ca.logic_and(here, beyond(choice.argument - choice.knots[side - 1]))
+            if side < len(choice.knots):
+                here = ca.logic_and(here, ca.logic_not(beyond(choice.argument - choice.knots[side])))
         number = ca.if_else(here, first + law.mode, number)
         first += len(law.control)
     return number
 
 
+def _of_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
+    """The value that belongs to the number of a mode."""
+    chosen = values[0]
+    for k, value in enumerate(values[1:], 1):
+        chosen = ca.if_else(mode == k, value, chosen)
+    return chosen
+
+
 def _events(
     dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX, function: Callable[..., ca.Function]
 ) -> Iterator[Event]:
-    """What leads from mode to mode: the control's transitions on each side, and the kinks."""
+    """What leads from mode to mode: the control's transitions on each side, kinks, and jumps of the rates."""
     firsts = list(accumulate((len(law.control) for law in laws), initial=0))
-    grouped: dict[tuple[str, int], tuple[ca.Function, dict[int, int]]] = {}
+    grouped: dict[tuple[str, int, bool], Event] = {}
+
+    def together(
+        expression: ca.SX, direction: int, steady: bool, switches: dict[int, int], level: float | None = None
+    ) -> None:
+        """Add to the event of the same function, its value `level` in the modes switched from."""
+        S = function("S", expression)
+        key = S.serialize(), direction, steady
+        known = grouped.get(key, Event(function=S, direction=direction, steady=steady))
+        levels = {} if level is None else dict.fromkeys(switches, level)
+        grouped[key] = replace(known, switches={**known.switches, **switches}, levels={**known.levels, **levels})
+
     for first, law in zip(firsts, laws, strict=False):
         for way in law.transitions:
-            S = function("S", way.function)
-            switches = grouped.setdefault((S.serialize(), way.direction), (S, {}))[1]
-            switches |= {first + before: first + after for before, after in way.switches.items()}
-    for (_, direction), (S, switches) in grouped.items():
-        yield Event(function=S, direction=direction, switches=switches)
+            switches = {first + a: first + b for a, b in way.switches.items()}
+            together(way.function, way.direction, way.steady, switches)
+    jumping = list[Event]()
     for number, (sides, law) in enumerate(zip(dynamics.sides, laws, strict=True)):
-        for i, margin in enumerate(dynamics.margins):
-            other = dynamics.sides.index((*sides[:i], not sides[i], *sides[i + 1 :]))
-            for k, regimes in enumerate(law.regimes):
-                if regimes in laws[other].regimes:
-                    before, after = firsts[number] + k, firsts[other] + laws[other].regimes.index(regimes)
-                    yield Event(
-                        function=function("kink", margin),
-                        direction=-1 if sides[i] else 1,
-                        switches={before: after},
-                        jump=function("jump", _refracted(z, margin, flows[before], flows[after])),
-                    )
+        for i, choice in enumerate(dynamics.choices):
+            for side, direction in ((sides[i] + 1, 1), (sides[i] - 1, -1)):
+                if not 0 <= side <= len(choice.knots):
+                    continue
+                other = dynamics.sides.index((*sides[:i], side, *sides[i + 1 :]))
+                knot = choice.knots[min(side, sides[i])]
+                if choice.steady and law.regimes == laws[other].regimes:
+                    # A control's regime changes by its own event: H goes on without a jump, and so do its slopes.
+                    switches = {firsts[number] + k: firsts[other] + k for k in range(len(law.regimes))}
+                    together(choice.argument, direction, True, switches, knot)
+                    continue
+                margin, behind = choice.argument - knot, flows[firsts[other] : firsts[other + 1]]
+                for before in range(firsts[number], firsts[number + 1]):
+                    reached, least = _refracted(z, margin, flows[before], behind, laws[other].mode)
+                    for k in range(len(behind)):
+                        # Each mode behind has an event of its own, silent where H is not least in it.
+                        met = margin if len(behind) == 1 else ca.if_else(least == k, margin, -direction)
+                        jumping.append(
+                            Event(
+                                function=function("kink", met),
+                                direction=direction,
+                                switches={before: firsts[other] + k},
+                                jump=function("jump", reached),
+                            )
+                        )
+    yield from grouped.values()
+    yield from jumping
 
 
-def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, after: ca.SX) -> ca.SX:
-    """z beyond a surface g = 0 on which the dynamics change: lambda+ = lambda- - nu g_x, and H goes on as it was.
+def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], least: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """z beyond a surface g = 0 on which the rates jump, and which of the modes `behind` it is in.
 
-    nu is 0 where the rates are continuous (Bryson, Ho 1975, section 3.7). As the control behind the surface is that of
-    lambda+, nu is found by Newton's method: dH+/dnu = -g_x . f+, H being stationary in the control.
+    lambda+ = lambda- - nu g_x, and H goes on as it was; nu is 0 where the rates are continuous (Bryson, Ho 1975,
+    section 3.7). As the control behind the surface is the one that is best for lambda+, nu is found by Newton's method:
+    dH+/dnu = -g_x . f+, H being stationary in the control.
     """
     half = z.numel() // 2
     x, lam = z[:half], z[half:]
     normal, kept = ca.gradient(margin, x), ca.dot(lam, before[:half])
-    behind = lam
+    rates = _of_mode([rate[:half] for rate in behind], least)
+    at = lam
     for _ in range(_REFRACTIONS):
-        rate = ca.substitute(after[:half], lam, behind)
-        behind = behind - (ca.dot(behind, rate) - kept) / ca.dot(normal, rate) * normal
-    return ca.vertcat(x, behind)
+        rate = ca.substitute(rates, lam, at)
+        at = at - (ca.dot(at, rate) - kept) / ca.dot(normal, rate) * normal
+    return ca.vertcat(x, at), ca.substitute(least, lam, at)
 
 
 def _through_limits(
@@ -250,7 +300,4 @@ def _through_limits(
 
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
     """H on the minimising control, that of the mode in which it is least."""
-    value, mode = extremal.reports[0](z, numbers)[2], extremal.mode(z, numbers)
-    for k, report in enumerate(extremal.reports[1:], 1):
-        value = ca.if_else(mode == k, report(z, numbers)[2], value)
-    return value
+    return _of_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))

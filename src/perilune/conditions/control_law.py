@@ -31,10 +31,11 @@ _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
 
 @dataclass(frozen=True, kw_only=True)
 class Transition:
-    """A zero of `function` rising (+1) or falling (-1) leads from mode to mode."""
+    """A zero of `function` rising (+1) or falling (-1) leads from mode to mode; a `steady` one without a jump of u."""
 
     function: ca.SX
     direction: int
+    steady: bool
     switches: dict[int, int]
 
 
@@ -232,7 +233,8 @@ def _transitions(
             for after, function, direction in _ways(kind, regime, controls[before], u):
                 target = modes.index((*regimes[:i], after, *regimes[i + 1 :]))
                 key = _text(function), direction
-                known = found.setdefault(key, Transition(function=function, direction=direction, switches={}))
+                way = Transition(function=function, direction=direction, steady=not kind.linear, switches={})
+                known = found.setdefault(key, way)
                 known.switches[before] = target
     return list(found.values())
 

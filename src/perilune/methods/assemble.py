@@ -23,6 +23,7 @@ from perilune.words.types import Matrix, Vector
 # in controls (canonical): the re-flight integrates the control's error over the whole burn, and 3e-11 rad of a few
 # m/s^2 over 1000 s stays below 1e-6 m/s.
 _FINE = {"rtol": 1e-13, "atol": 1e-13}
+_NOTHING = 1e-12  # of a duration: a shorter piece is none
 
 
 def objective_scale(problem: Problem) -> float:
@@ -102,14 +103,17 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
     duration = float(arc.t[-1])
     size = np.maximum(1.0, np.abs(arc.z).max(axis=0))
     tolerance = np.concatenate([1e-10 * size[:n], 1e-9 * size[half : half + n], np.full(width, 3e-11)])
-    switches = arc.end.event_time[0][~np.isnan(arc.end.event_time[0])]
+    # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
+    inside = np.abs(arc.end.event_time[0] - 0.5 * duration) < (0.5 - _NOTHING) * duration
     pieces = []
-    for left, right in pairwise([0.0, *switches.tolist(), duration]):
+    for left, right in pairwise([0.0, *arc.end.event_time[0][inside].tolist(), duration]):
         step = int(np.clip(np.searchsorted(arc.t, 0.5 * (left + right)) - 1, 0, len(arc.mode) - 1))
         mode = int(arc.mode[step])
 
-        def evaluate(t: Vector, left: float = left, mode: int = mode) -> tuple[Matrix, Matrix]:
-            z = arc(left + t)
+        def evaluate(
+            t: Vector, left: float = left, mode: int = mode, before: float = np.nextafter(right, left)
+        ) -> tuple[Matrix, Matrix]:
+            z = arc(np.minimum(left + t, before))  # at the switch itself the costate may have jumped
             rate, u, u_rate = _report(extremal, mode, z, p)
             values = np.hstack([z[:, :n], z[:, half : half + n], u])
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])

@@ -6,8 +6,9 @@ same text holds when states and parameters are divided by their `Scales`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from types import SimpleNamespace
@@ -86,7 +87,27 @@ def trace_rates(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> ca.SX:
     return column(phase.rates(elements(x), elements(u), p, SYMBOLIC))
 
 
-MOST_KINKS = 4  # of one phase: each doubles the modes
+MOST_CONDITIONS = 4  # in the m.where of one phase
+MOST_SIDES = 64  # that are held for tables and the like; each multiplies the modes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What the dynamics choose by: between which of its `knots` an expression of the states lies.
+
+    Parameters
+    ----------
+    argument
+        The expression.
+    knots
+        Its values where the choice changes, in increasing order.
+    steady
+        Whether the rates go on there without a jump, as those of a table do.
+    """
+
+    argument: ca.SX
+    knots: tuple[float, ...]
+    steady: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,49 +116,100 @@ class Kinked:
 
     Parameters
     ----------
-    margins
-        One expression of x for each condition of an ``m.where`` that changes in flight, positive where it holds.
+    choices
+        What changes in flight.
     sides
-        Each combination of conditions that hold (True) or do not.
+        Each combination of places: for each choice how many of its knots lie below.
     rates
         The rates on each of `sides`.
     """
 
-    margins: tuple[ca.SX, ...]
-    sides: tuple[tuple[bool, ...], ...]
+    choices: tuple[Choice, ...]
+    sides: tuple[tuple[int, ...], ...]
     rates: tuple[ca.SX, ...]
 
 
 def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
-    """The phase's dynamics with each ``m.where`` decided one way and the other.
+    """The phase's dynamics on each side of each ``m.where``, kink and end of a smooth table.
+
+    What depends on a control, or would make too many sides, stays a choice inside the rates.
 
     Raises
     ------
     PeriluneError
-        If a condition depends on a control, compares for equality, or there are too many.
+        If the condition of an ``m.where`` depends on a control, compares for equality, or there are too many.
     """
-    margins: list[ca.SX] = []
-
-    def rates(sides: tuple[bool, ...]) -> ca.SX:
-        def where(condition: ca.SX, yes: Any, no: Any) -> Any:
-            number = _kink(phase, condition, x, u, margins)
-            if number is None:
-                return ca.if_else(condition, yes, no)
-            return yes if number >= len(sides) or sides[number] else no
-
-        namespace = SimpleNamespace(**{**vars(SYMBOLIC), "where": where})
-        return column(phase.rates(elements(x), elements(u), p, namespace))
-
-    rates(())
-    sides = tuple(product((True, False), repeat=len(margins)))
-    return Kinked(margins=tuple(margins), sides=sides, rates=tuple(rates(side) for side in sides))
+    choices = list[Choice]()
+    most = 1  # the jumps first, that they find room
+    while True:
+        known = len(choices)
+        sides = tuple(product(*(range(len(choice.knots) + 1) for choice in choices)))
+        rates = tuple(_on_side(phase, x, u, p, side, choices, most) for side in sides)
+        if len(choices) == known:  # a choice inside another may show on one side only
+            if most == MOST_SIDES:
+                return Kinked(choices=tuple(choices), sides=sides, rates=rates)
+            most = MOST_SIDES
 
 
-def _kink(phase: Phase, condition: Any, x: ca.SX, u: ca.SX, margins: list[ca.SX]) -> int | None:
-    """Number of the margin of a condition that may change in flight; None where it cannot."""
-    condition = ca.SX(condition)
-    if not ca.depends_on(condition, ca.vertcat(x, u)):
+def _on_side(
+    phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace, sides: tuple[int, ...], choices: list[Choice], most: int
+) -> ca.SX:
+    """The rates with every choice held on its side; adds new choices, steady ones up to `most` sides."""
+
+    def side(argument: Any, knots: tuple[float, ...], steady: bool = True) -> int | None:
+        argument = ca.SX(argument)
+        if not ca.depends_on(argument, x) or ca.depends_on(argument, u):
+            return None
+        number = _number(Choice(argument=argument, knots=knots, steady=steady), choices, most)
+        return None if number is None else sides[number] if number < len(sides) else 0
+
+    def where(condition: Any, yes: Any, no: Any) -> Any:
+        if not ca.depends_on(ca.SX(condition), ca.vertcat(x, u)):
+            return ca.if_else(condition, yes, no)
+        held = side(_margin(phase, condition, u), (0.0,), steady=False)
+        if sum(not choice.steady for choice in choices) > MOST_CONDITIONS:
+            raise PeriluneError(
+                f"too many choices in the dynamics of {phase.name}",
+                got=f"more than {MOST_CONDITIONS} different conditions in m.where",
+                advice="m.table for tabulated data; phases of their own for what follows in a known order",
+            )
+        return yes if held else no
+
+    def either(above: Any, below: Any, argument: Any, whole: Any) -> Any:
+        here = side(argument, (0.0,))
+        return whole if here is None else above if here else below
+
+    def table(of: Table, value: Any) -> Any:
+        return of.chosen(value, ca.if_else, side(value, of.kinks))
+
+    namespace = SimpleNamespace(
+        **{
+            **vars(SYMBOLIC),
+            "where": where,
+            "table": table,
+            "fmax": lambda a, b: either(a, b, a - b, ca.fmax(a, b)),
+            "fmin": lambda a, b: either(b, a, a - b, ca.fmin(a, b)),
+            "fabs": lambda a: either(a, -a, a, ca.fabs(a)),
+        }
+    )
+    return column(phase.rates(elements(x), elements(u), p, namespace))
+
+
+def _number(new: Choice, choices: list[Choice], most: int) -> int | None:
+    """Place of a choice among all; None where it cannot be held."""
+    for number, known in enumerate(choices):
+        if known.knots == new.knots and ca.is_equal(known.argument, new.argument, 30):
+            choices[number] = replace(known, steady=known.steady and new.steady)
+            return number
+    if new.steady and math.prod(len(choice.knots) + 1 for choice in (*choices, new)) > most:
         return None
+    choices.append(new)
+    return len(choices) - 1
+
+
+def _margin(phase: Phase, condition: Any, u: ca.SX) -> ca.SX:
+    """What is positive where the condition of an ``m.where`` holds."""
+    condition = ca.SX(condition)
     order = condition.is_op(ca.OP_LT) or condition.is_op(ca.OP_LE)
     if ca.depends_on(condition, u) or not order:
         raise PeriluneError(
@@ -146,18 +218,7 @@ def _kink(phase: Phase, condition: Any, x: ca.SX, u: ca.SX, margins: list[ca.SX]
             expected="a comparison by < or > of functions of the states and parameters",
             advice="m.where(x.h > p.h1, above, below); what depends on a control belongs into its bounds",
         )
-    margin = condition.dep(1) - condition.dep(0)
-    for number, known in enumerate(margins):
-        if ca.is_equal(known, margin, 30):
-            return number
-    margins.append(margin)
-    if len(margins) > MOST_KINKS:
-        raise PeriluneError(
-            f"too many choices in the dynamics of {phase.name}",
-            got=f"more than {MOST_KINKS} different conditions in m.where",
-            advice="m.table for tabulated data; phases of their own for what follows in a known order",
-        )
-    return len(margins) - 1
+    return condition.dep(1) - condition.dep(0)
 
 
 def trace_at_end(phase: Phase, x: ca.SX, p: SimpleNamespace) -> ca.SX:

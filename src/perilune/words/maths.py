@@ -44,6 +44,8 @@ NUMPY_NAMES = {
 
 MOST_KNOTS = 200  # each is a choice in machine code
 
+Choose = Callable[[Any, Any, Any], Any]  # (condition, yes, no)
+
 
 @dataclass(frozen=True)
 class Table:
@@ -117,12 +119,21 @@ class Table:
         i = np.searchsorted(self.x, np.real(value), side="right")
         return _horner(self.pieces[:, i], value - self.knots[i])
 
-    def chosen(self, value: Any, choose: Callable[[Any, Any, Any], Any]) -> Any:
-        """The same by choices between pieces, for symbols: ``choose(condition, yes, no)``."""
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The knots where a high derivative jumps: all of them, or of a smooth spline its ends."""
+        return (self.x[0], self.x[-1]) if self.kind == "smooth" else self.x
+
+    def chosen(self, value: Any, choose: Choose, side: int | None = None) -> Any:
+        """The same by choices between pieces, for symbols; the `side` between two `kinks` goes on beyond them."""
+        first, last = 0, len(self.x)
+        if side is not None:
+            inner = self.kind == "smooth"
+            first, last = [(0, 0), (1, last - 1), (last, last)][side] if inner else (side, side)
         rows = [[float(v) for v in row] for row in (self.knots, *self.pieces)]
-        found = [row[0] for row in rows]
-        for k, knot in enumerate(self.x, 1):
-            beyond = value >= knot
+        found = [row[first] for row in rows]
+        for k in range(first + 1, last + 1):
+            beyond = value >= self.x[k - 1]
             found = [choose(beyond, row[k], before) for row, before in zip(rows, found, strict=True)]
         return _horner(found[1:], value - found[0])
 

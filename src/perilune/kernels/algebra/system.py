@@ -41,6 +41,8 @@ class Event:
     ----------
     function
         SX ``casadi.Function`` (z, p) -> g, a scalar, smooth near its zero.
+    levels
+        Where it is met at another value of g than 0: mode -> value.
     direction
         -1: g falls through zero as the flight proceeds, +1: rises, 0: either.
     terminal
@@ -50,6 +52,9 @@ class Event:
         mode.
     jump
         SX ``casadi.Function`` (z, p) -> z after the event; None for a continuous state.
+    steady
+        Whether the rates of the two modes agree at the event, so that nothing is carried over it. A flight may then
+        touch the zero without crossing it.
     """
 
     function: Any
@@ -57,6 +62,8 @@ class Event:
     terminal: bool = False
     switches: Mapping[int, int] = field(default_factory=dict)
     jump: Any = None
+    steady: bool = False
+    levels: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the direction and that something happens only once."""
@@ -147,7 +154,8 @@ class ArcSystem:
         for function in (*self.modes, *self.solved):
             digest.update(_text(function))
         for event in self.events:
-            digest.update(repr((event.direction, event.terminal, sorted(event.switches.items()))).encode())
+            ways = sorted(event.switches.items()), sorted(event.levels.items())
+            digest.update(repr((event.direction, event.terminal, event.steady, *ways)).encode())
             for function in (event.function, event.jump):
                 digest.update(_text(function))
         digest.update(repr(self.seeds.shape).encode() + self.seeds.tobytes())
@@ -164,7 +172,7 @@ class ArcSystem:
             grown = pattern
             for mode in self.modes:
                 grown = _closed(grown, _jacobian(mode).sparsity())
-            for event, before, _ in self.transitions:
+            for event, before in self.carried:
                 grown = _closed(grown, self._saltation(event, before)[2].sparsity())  # [2]: the saltation matrix
             if grown.nnz() == pattern.nnz():
                 return pattern
@@ -212,15 +220,31 @@ class ArcSystem:
         ]
 
     def crossings(self) -> Any:
-        """(z, z', p) -> (g, g') of all events."""
+        """(z, z', mode, p) -> (g, g') of all events, g counted from its level."""
         import casadi as ca
 
-        z, rate, p = ca.SX.sym("z", self.nz), ca.SX.sym("rate", self.nz), ca.SX.sym("p", self.np)
-        g = ca.densify(ca.vertcat(*(event.function(z, p) for event in self.events)))
-        return ca.Function("crossings", [z, rate, p], [ca.vertcat(g, ca.densify(ca.jtimes(g, z, rate)))])
+        z, rate, p, mode = (
+            ca.SX.sym("z", self.nz),
+            ca.SX.sym("rate", self.nz),
+            ca.SX.sym("p", self.np),
+            ca.SX.sym("mode"),
+        )
+        values = []
+        for event in self.events:
+            level = ca.SX(0.0)
+            for number, value in event.levels.items():
+                level = ca.if_else(mode == number, value, level)
+            values.append(event.function(z, p) - level)
+        g = ca.densify(ca.vertcat(*values))
+        return ca.Function("crossings", [z, rate, mode, p], [ca.vertcat(g, ca.densify(ca.jtimes(g, z, rate)))])
+
+    @property
+    def carried(self) -> list[tuple[int, int]]:
+        """(event, mode before) of the transitions that change Y."""
+        return [(event, before) for event, before, _ in self.transitions if not self.events[event].steady]
 
     def transition(self, event: int, before: int) -> Any:
-        """(Y, p) -> Y after an event met in a mode."""
+        """(Y, p) -> Y after an event met in a mode, one of those `carried`."""
         import casadi as ca
 
         z, p, matrix, after = self._saltation(event, before)

@@ -16,7 +16,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Batch, Matrix, Vector
 
 #: Events recorded for each lane; an arc that meets more ends with `ArcStatus.STEP_LIMIT`.
-MAX_EVENTS = 16
+MAX_EVENTS = 64
 #: Step attempts allowed to an arc when nothing else is asked.
 MAX_STEPS = 5000
 

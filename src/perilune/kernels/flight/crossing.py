@@ -24,7 +24,8 @@ from perilune.kernels.flight.frame import Frame, Table
 TOLERANCE = 1e-13
 _AFTER = 1e-150  # stands for "just beyond zero": the sign of g after its own event; products of it stay finite
 _BISECTIONS = 20  # after them Newton has two steps to the last digit
-_WHOLE = 1.0 - 1e-15  # a refused step becomes shorter, if only by this
+# A refused step becomes shorter at least by this: where a flight grazes its zero, g beyond it is rounding for a while.
+_WHOLE = 1.0 - 1e-5
 
 
 class Crossing:
@@ -39,14 +40,21 @@ class Crossing:
     def begin(self) -> None:
         """Evaluate the events at the start."""
         f, w = self.f, self.w
-        f.call("crossings", f.state, f.slopes, self.old)
+        f.call("crossings", f.state, f.slopes, f.mode, self.old)
         for number in range(self.count):
+            w.store(self._just_after(self.old, number), self.old, number)
             w.store(w.const_mask(False), self.fired, number)
+
+    def _just_after(self, values: Ptr[Vec], number: int) -> Vec:
+        """g of an event; where it is 0, the sign it is about to have."""
+        w, g = self.w, self.w.load(values, number)
+        sign = w.intrinsic("copysign", w.const(_AFTER), w.load(values, self.count + number))
+        return w.select(w.compare("oeq", g, w.const(0.0)), sign, g)
 
     def locate(self, h: Vec, held: Ptr[Mask]) -> None:
         """Look for crossings in an accepted step; where there are, refuse it or let the event fire at its end."""
         f, w, count = self.f, self.w, self.count
-        f.call("crossings", f.new, f.slopes_after, self.new)
+        f.call("crossings", f.new, f.slopes_after, f.mode, self.new)
         accepted = w.load(held)
         theta, ahead = w.buffer(1), w.buffer(1)
         w.store(w.const(2.0), theta)
@@ -157,22 +165,25 @@ class Crossing:
         new_mode = mode
         for number, before, after in f.system.transitions:
             here = w.both(masks[number], w.compare("oeq", mode, w.const(float(before))))
-            with w.when(w.any(here)):
-                f.call(f"transition{number}_{before}", f.state, f.new)
-                f.blend(here, f.new, f.state, f.n)
+            if not f.system.events[number].steady:
+                with w.when(w.any(here)):
+                    f.call(f"transition{number}_{before}", f.state, f.new)
+                    f.blend(here, f.new, f.state, f.n)
             new_mode = w.select(here, w.const(float(after)), new_mode)
         w.store(new_mode, f.mode)
 
     def _look_again(self, masks: list[Mask], some: Mask) -> None:
         """Evaluate the events after one: its own g counts as passed, one that crossed with it as ahead."""
         f, w, count = self.f, self.w, self.count
-        f.call("crossings", f.state, f.slopes, self.after)
+        f.call("crossings", f.state, f.slopes, f.mode, self.after)
         for number, mask in enumerate(masks):
             old = w.load(self.old, number)
             pending = w.both(some, w.load(self.crossed, number))
-            value = w.select(some, w.load(self.after, number), old)
+            value = w.select(some, self._just_after(self.after, number), old)
             value = w.select(pending, w.intrinsic("copysign", w.const(_AFTER), old), value)
-            w.store(w.select(mask, w.intrinsic("copysign", w.const(_AFTER), w.neg(old)), value), self.old, number)
+            if not f.system.events[number].levels:  # else its next level lies ahead
+                value = w.select(mask, w.intrinsic("copysign", w.const(_AFTER), w.neg(old)), value)
+            w.store(value, self.old, number)
             rate = w.load(self.after, count + number)
             w.store(w.select(some, rate, w.load(self.old, count + number)), self.old, count + number)
 

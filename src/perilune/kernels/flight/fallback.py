@@ -23,6 +23,7 @@ from perilune.kernels.flight.single import SingleArc
 from perilune.words.types import Matrix, Vector
 
 _FINEST = 100 * np.finfo(float).eps  # the least relative tolerance that SciPy takes
+_AFTER = 1e-150  # stands for "just beyond zero"
 _NEAR = 1e-13  # how near to the zero, as a fraction of the duration, an event is met
 
 
@@ -123,7 +124,8 @@ class _Functions:
         self.system = system
         self.fields = [system.field(mode)[0] for mode in range(len(system.modes))]
         self.crossings = system.crossings() if system.events else None
-        self.transitions = {(event, i): (system.transition(event, i), j) for event, i, j in system.transitions}
+        self.targets = {(event, i): j for event, i, j in system.transitions}
+        self.carried = {way: system.transition(*way) for way in system.carried}
 
 
 class _Lane:
@@ -132,7 +134,7 @@ class _Lane:
     def __init__(self, functions: _Functions, asked: Request, lane: int) -> None:
         system = functions.system
         seeds = np.zeros(0) if asked.seeds is None else asked.seeds[lane].ravel()[system.offsets]
-        self.system, self.transitions = system, functions.transitions
+        self.system, self.targets, self.carried = system, functions.targets, functions.carried
         self.y, self.p = np.concatenate([asked.z0[lane], seeds]), asked.p[lane if len(asked.p) > 1 else 0]
         self.t, self.duration, self.mode = 0.0, float(asked.duration[lane]), int(asked.mode[lane])
         self.steps, self.most, self.fixed = 0, asked.max_steps, asked.fixed_steps
@@ -155,13 +157,13 @@ class _Lane:
         if self._crossings is None:
             return np.zeros((2, 0))
         nz = self.system.nz
-        return self._crossings(y[:nz], self.rate(y)[:nz], self.p).reshape(2, -1)
+        return self._crossings(y[:nz], self.rate(y)[:nz], self.mode, self.p).reshape(2, -1)
 
     def fly(self) -> ArcStatus:
         """Fly from event to event."""
         if not np.all(np.isfinite(np.concatenate([self.y, self.rate(self.y)]))):
             return ArcStatus.NON_FINITE
-        self.g = self.crossings(self.y)
+        self.g = _just_after(self.crossings(self.y))
         status = None
         while status is None:
             status = self._leg()
@@ -229,14 +231,16 @@ class _Lane:
         event, before = self.system.events[number], self.g[0]
         self._fly_to(time, number)
         self.met.append((number, self.t))
-        after, self.mode = self.transitions.get((number, self.mode), (None, self.mode))
-        if after is not None:
-            self.y = np.asarray(after(self.y, self.p)).ravel()
+        way = number, self.mode
+        if way in self.carried:
+            self.y = np.asarray(self.carried[way](self.y, self.p)).ravel()
+        self.mode = self.targets.get(way, self.mode)
         # The event itself counts as passed; one that crossed in the same step is still ahead.
-        self.g = self.crossings(self.y)
+        self.g = _just_after(self.crossings(self.y))
         ahead = before * beyond < 0
         self.g[0, ahead] = before[ahead]
-        self.g[0, number] = -before[number]
+        if not event.levels:  # else its next level lies ahead
+            self.g[0, number] = -before[number]
         if event.terminal:
             return ArcStatus.EVENT
         if len(self.met) >= MAX_EVENTS:
@@ -258,6 +262,11 @@ class _Lane:
                 break
             earliest, latest = sorted((start[0], self.duration))
             time = float(min(max(time + move, earliest), latest))
+
+
+def _just_after(g: Matrix) -> Matrix:
+    """Event functions and rates, (2, events); where a function is 0, with the sign it is about to have."""
+    return np.array([np.where(g[0] == 0.0, np.copysign(_AFTER, g[1]), g[0]), g[1]])
 
 
 def _crosses(direction: int, before: float, after: float) -> bool:

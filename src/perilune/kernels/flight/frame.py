@@ -16,6 +16,10 @@ from perilune.kernels.flight.arcs import TABLE, ArcStatus
 SLOT = {**{i: i for i in range(10)}, 10: 1, 11: 2, 12: 3}
 
 
+# Up to so many modes the choice of the field is written out at every use; of more it is a function.
+_FEW = 4
+
+
 class Kernels:
     """The functions of a system as IR: what depends on the parameters alone, once, and the rest."""
 
@@ -26,11 +30,12 @@ class Kernels:
         self.constants = 0  # how many values in all
         self._functions: list[str] = []
         self._programs: list[Program] = []
-        for mode in range(len(system.modes)):
+        self.modes, self._size = len(system.modes), system.size
+        for mode in range(self.modes):
             self._add(f"field{mode}", system.field_program(mode), (0,), 1)
         if system.events:
-            self._add("crossings", trace(system.crossings()), (0, 1), 2)
-            for event, before, _ in system.transitions:
+            self._add("crossings", trace(system.crossings()), (0, 1, 2), 3)
+            for event, before in system.carried:
                 program = trace(system.transition(event, before))
                 self._add(f"transition{event}_{before}", program, (0,), 1)
 
@@ -45,7 +50,46 @@ class Kernels:
 
     def text(self) -> str:
         """Return the IR of the kernels and of what they call."""
-        return "\n".join([library(self._programs, self.width), *self._functions])
+        fields = [self._fields()] if self.modes > _FEW else []
+        return "\n".join([library(self._programs, self.width), *self._functions, *fields])
+
+    def call(self, w: Writer, constants: Ptr[Vec], name: str, *pointers: Ptr[Vec]) -> None:
+        """Call a kernel: its buffers, the values it needs of the parameters, its result last."""
+        *inputs, result = pointers
+        held = w.at(constants, self.held[name])
+        w.run(f"call void @{name}({', '.join(f'ptr {x}' for x in (*inputs, held, result))})")
+
+    def field(self, w: Writer, constants: Ptr[Vec], mode: Ptr[Vec], state: Ptr[Vec], *into: Ptr[Vec]) -> None:
+        """Y' of each lane in its mode, `into` a spare buffer and the result.
+
+        Where all lanes share a mode, as mostly they do, nothing is blended.
+        """
+        spare, result = into
+        here = w.load(mode)
+        for number in range(self.modes):
+            mine = w.compare("oeq", here, w.const(float(number)))
+            elsewhere = w.any(w.opposite(mine))
+            with w.when(w.not_bit(elsewhere)):
+                self.call(w, constants, f"field{number}", state, result)
+            with w.when(w.and_bit(w.any(mine), elsewhere)):
+                self.call(w, constants, f"field{number}", state, spare)
+                blend(w, mine, spare, result, self._size)
+
+    def _fields(self) -> str:
+        """The choice of the field as a function ``fields(constants, mode, state, spare, result)``."""
+        w = Writer(self.width)
+        buffers = [Ptr(f"%{name}", w.vector) for name in ("constants", "mode", "state", "spare", "result")]
+        self.field(w, *buffers)
+        taken = ", ".join(f"ptr {buffer}" for buffer in buffers)
+        return f"define internal void @fields({taken}) nounwind noinline {{\n{w.body()}\n  ret void\n}}\n"
+
+
+def blend(w: Writer, mask: Mask, source: Ptr[Vec], target: Ptr[Vec], count: int) -> None:
+    """Copy vectors in the lanes of a mask."""
+    with w.loop(0, count) as c:
+        # Volatile, lest LLVM make a masked store of it, which some processors take ten times as long for.
+        old = w.load(target, c, volatile=True)
+        w.store(w.select(mask, w.load(source, c), old), target, c)
 
 
 class Table:
@@ -102,33 +146,22 @@ class Frame:
         self.element, self.lane = w.buffer(16), w.allocate(INT, w.width)
 
     def call(self, name: str, *pointers: Ptr[Vec]) -> None:
-        """Call a kernel: its buffers, the values it needs of the parameters, its result last."""
-        *inputs, result = pointers
-        held = self.w.at(self.constants, self.kernels.held[name])
-        self.w.run(f"call void @{name}({', '.join(f'ptr {x}' for x in (*inputs, held, result))})")
+        """Call a kernel with its buffers, its result last."""
+        self.kernels.call(self.w, self.constants, name, *pointers)
 
     def field(self, state: Ptr[Vec], result: Ptr[Vec]) -> None:
-        """Y' of each lane in its mode; where all lanes share it, as mostly they do, nothing is blended."""
-        if len(self.system.modes) == 1:
+        """Y' of each lane in its mode."""
+        buffers = self.constants, self.mode, state, self.spare, result
+        if self.kernels.modes == 1:
             self.call("field0", state, result)
-            return
-        w, mode = self.w, self.w.load(self.mode)
-        for number in range(len(self.system.modes)):
-            here = w.compare("oeq", mode, w.const(float(number)))
-            elsewhere = w.any(w.opposite(here))
-            with w.when(w.not_bit(elsewhere)):
-                self.call(f"field{number}", state, result)
-            with w.when(w.and_bit(w.any(here), elsewhere)):
-                self.call(f"field{number}", state, self.spare)
-                self.blend(here, self.spare, result, self.n)
+        elif self.kernels.modes <= _FEW:
+            self.kernels.field(self.w, *buffers)
+        else:
+            self.w.run(f"call void @fields({', '.join(f'ptr {buffer}' for buffer in buffers)})")
 
     def blend(self, mask: Mask, source: Ptr[Vec], target: Ptr[Vec], count: int) -> None:
         """Copy vectors in the lanes of a mask."""
-        w = self.w
-        with w.loop(0, count) as c:
-            # Volatile, lest LLVM make a masked store of it, which some processors take ten times as long for.
-            old = w.load(target, c, volatile=True)
-            w.store(w.select(mask, w.load(source, c), old), target, c)
+        blend(self.w, mask, source, target, count)
 
     def fill_constants(self) -> None:
         """Evaluate what depends on the parameters alone."""
