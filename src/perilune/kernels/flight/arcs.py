@@ -76,8 +76,10 @@ class Arcs:
         Steps taken, (lanes,), int64.
     mode
         Mode at the end, (lanes,), int64.
-    event_index, event_time
-        Events met in order, (lanes, MAX_EVENTS): their index (-1: none) and their time (NaN: none).
+    met
+        How many events, (lanes,).
+    log
+        Index and time of each event met, in order, (lanes, MAX_EVENTS, 2); anything beyond those.
     """
 
     z: Matrix
@@ -87,8 +89,22 @@ class Arcs:
     status: NDArray[np.int64]
     steps: NDArray[np.int64]
     mode: NDArray[np.int64]
-    event_index: NDArray[np.int64]
-    event_time: Matrix
+    met: Vector
+    log: Batch
+
+    @property
+    def event_index(self) -> NDArray[np.int64]:
+        """Events met in order, (lanes, MAX_EVENTS), -1 where there is none."""
+        return np.where(self._logged, self.log[:, :, 0], -1.0).astype(np.int64)
+
+    @property
+    def event_time(self) -> Matrix:
+        """Their times, NaN where there is none."""
+        return np.where(self._logged, self.log[:, :, 1], np.nan)
+
+    @property
+    def _logged(self) -> NDArray[np.bool_]:
+        return np.arange(self.log.shape[1]) < self.met[:, None]
 
     @property
     def succeeded(self) -> NDArray[np.bool_]:
@@ -97,9 +113,8 @@ class Arcs:
 
 
 def arcs_of(z: Matrix, rates: Matrix, columns: Batch, info: Matrix, log: Batch) -> Arcs:
-    """Read the report of a batch: `INFO` of each lane, and number and time of each event, NaN where there is none."""
+    """Read the report of a batch: `INFO` of each lane, and the log of its events."""
     status = info[:, 1].astype(np.int64)
-    met = log[:, :, 0]
     return Arcs(
         z=z,
         rates=rates,
@@ -108,8 +123,8 @@ def arcs_of(z: Matrix, rates: Matrix, columns: Batch, info: Matrix, log: Batch) 
         status=status,
         steps=info[:, 2].astype(np.int64),
         mode=info[:, 3].astype(np.int64),
-        event_index=np.where(np.isnan(met), -1.0, met).astype(np.int64),
-        event_time=log[:, :, 1],
+        met=info[:, 4],
+        log=log,
     )
 
 

@@ -190,7 +190,7 @@ class NativeEngine:
         z, rates, info = np.empty_like(asked.z0), np.empty_like(asked.z0), np.empty((lanes, 5))
         seeds = asked.seeds if asked.seeds is not None else np.empty((lanes, self.system.nz, 0))
         columns = np.zeros_like(seeds)
-        log = np.full((lanes, MAX_EVENTS, 2), np.nan) if self.system.events else np.empty((lanes, 0, 2))
+        log = np.empty((lanes, MAX_EVENTS if self.system.events else 0, 2))
         mode = asked.mode.astype(float)
         held = {
             "order": order,
