@@ -10,6 +10,8 @@ from itertools import product
 import numpy as np
 import pytest
 
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
 from perilune.methods.genetic import Genetic
 from perilune.methods.hybrid import Hybrid
 from perilune.methods.indirect import Indirect
@@ -19,8 +21,9 @@ from perilune.problem.problem import Free, Given, Phase, Problem, Variable
 from perilune.problem.solution import Nature
 from perilune.problem.verification import Check
 from perilune.scenario import load_text
+from perilune.shooting.function import Shooting
 from perilune.solve import solve, verify
-from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 Method = Indirect | Pseudospectral
 METHODS: list[Method] = [Indirect(), Pseudospectral()]
@@ -237,3 +240,31 @@ def test_a_negative_flight_time_is_no_answer() -> None:
     assert solution.free["flight_time"] == pytest.approx(276.294515538, rel=1e-9)
     assert all(extremal.free["flight_time"] > 0 for extremal in solution.extremals)
     assert len(solution.extremals) == 1  # and none is listed twice
+
+
+def test_from_a_guess_no_negative_flight_time_is_reached() -> None:
+    """Newton ends there from that extremal itself, and it is no flight."""
+    problem = load_text(SMALL_BODY)
+    best, p, shooting = solve(problem, level=0), extremal_parameters(problem), Shooting(derive(problem))
+    assert best.unknowns is not None
+    backwards = np.tile(best.unknowns, (64, 1))
+    backwards[:, :5] = np.random.default_rng(0).normal(size=(64, 5))
+    backwards[:, 6] *= -1.0
+    roots = shooting.solve(backwards, p, shooting.holding({0: 0.0}), max_step=0.5)
+    y = next(root.y for root in roots if root.converged and root.y[6] < 0)
+    with pytest.raises(NotConvergedError, match=r"outside the bounds of flight_time\s+got: -296.108 s"):
+        solve(problem, guess=replace(best, unknowns=y), level=0)
+
+
+@pytest.mark.parametrize("longest", [5.0, math.inf])
+def test_that_no_flight_at_all_is_best_is_said(longest: float) -> None:
+    """The start is the end, and time costs: the least is a flight of no length, which has no extremal."""
+    base = push(0.0, 1.0)
+    waiting = replace(
+        base,
+        given={"length": Given(value=0.0, unit="m"), "price": Given(value=1.0, unit="m^2/s^4")},
+        free=(Free(name="T", unit="s", lower=0.0, upper=longest, typical=1.0),),
+        objective=lambda x, p, m: x.cost + p.price * p.T,
+    )
+    with pytest.raises(NotConvergedError, match=r"T goes to 0 s: the best push is none[\s\S]*a lower bound above 0"):
+        solve(waiting)

@@ -13,6 +13,7 @@ import pytest
 from scipy.integrate import quad
 
 from perilune.io.export import extremals_document, solution_document
+from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Variable
 from perilune.problem.solution import Extremal, Nature, Result, Solution
@@ -250,3 +251,22 @@ def test_of_a_loaded_solution_the_rest_is_the_files_word(hybrid: Solution) -> No
     assert text.count("as the file says, not proved again") == 2
     assert "not proved again" not in solution_summary(hybrid)
     assert solution_markdown(loaded).count("as the file says, not proved again") == 2
+
+
+# -- what is no guess, and no time
+# ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", [Indirect(), Pseudospectral()])
+@pytest.mark.parametrize("guess", [3, {"retro_delta_v": 1200.0}, np.zeros(4), [None]])
+def test_a_guess_is_a_solution(landing: Any, method: Any, guess: Any) -> None:
+    """Anything else is refused in one sentence that says what it was."""
+    with pytest.raises(PeriluneError, match=rf"the guess is no solution\s+got: {type(guess).__name__}"):
+        method.run(landing, guess)
+
+
+@pytest.mark.parametrize("t", [np.nan, np.array([1.0, np.nan])])
+def test_a_curve_is_not_asked_at_no_time(hybrid: Solution, t: Any) -> None:
+    """NaN is a time outside; it would come out as NaN in silence."""
+    with pytest.raises(PeriluneError, match=r"outside its time\s+got: nan s"):
+        hybrid.trajectories[0].state(t)

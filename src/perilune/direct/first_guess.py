@@ -15,6 +15,7 @@ import numpy as np
 
 from perilune.direct.segments import Sampler
 from perilune.problem.controls import control_scales, placed
+from perilune.problem.guess import fitting_guess
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Solution, Trajectory
 from perilune.problem.symbolic import Unnumbered, canonical_free, state_scales, trace_parameters, trace_rates
@@ -31,7 +32,7 @@ FITTED = 21
 def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Vector, list[Sampler], str]]:
     """Free parameters (canonical), one sampler [SI] for each phase, and what the start is called."""
     if guess is not None:
-        yield _from_solution(problem, guess)
+        yield _from_solution(problem, fitting_guess(problem, guess))
         return
     for stretch in STRETCHES if set(problem.duration_names) & set(problem.free_names) else (1.0,):
         free = {
@@ -46,7 +47,7 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
 
 
 def _from_solution(problem: Problem, guess: Solution) -> tuple[Vector, list[Sampler], str]:
-    for phase, flown in zip(problem.phases, guess.trajectories, strict=False):
+    for phase, flown in zip(problem.phases, guess.trajectories, strict=True):
         if (flown.state.values.shape[1], flown.control.values.shape[1]) != (
             len(phase.states),
             len(phase.control_names),
@@ -57,13 +58,6 @@ def _from_solution(problem: Problem, guess: Solution) -> tuple[Vector, list[Samp
                 expected=f"{len(phase.states)} and {len(phase.control_names)}",
                 advice="give a solution of a problem with the same phases, or none",
             )
-    if len(guess.trajectories) != len(problem.phases):
-        raise PeriluneError(
-            "the guess has another number of phases",
-            got=str(len(guess.trajectories)),
-            expected=str(len(problem.phases)),
-            advice="give a solution of a problem with the same phases, or none",
-        )
     # A parameter that is free now may have been given there.
     free = {f.name: float(getattr(guess.parameters, f.name, f.typical)) for f in problem.free}
     return (

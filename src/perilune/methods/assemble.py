@@ -25,6 +25,8 @@ from perilune.words.types import Matrix, Vector
 _FINE = {"rtol": 1e-13, "atol": 1e-13}
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 
+_NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
+
 
 def objective_scale(problem: Problem) -> float:
     """SI size of the canonical unit of J."""
@@ -135,18 +137,14 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
 def unknowns_from(problem: Problem, guess: Solution) -> Vector:
     """Canonical unknowns y of `problem` from a solution of any method for it, or for a problem of the same form.
 
+    The guess has as many phases (`perilune.problem.guess.fitting_guess`).
+
     Raises
     ------
     PeriluneError
-        If the guess has other phases or states, or no costates.
+        If the guess has other states, or no costates.
     """
     conditions = derive(problem)
-    if len(guess.trajectories) != len(problem.phases):
-        raise PeriluneError(
-            "the guess has another number of phases",
-            got=str(len(guess.trajectories)),
-            expected=str(len(problem.phases)),
-        )
     lam0 = [
         _initial_costate(problem, phase, extremal.half, flown.costate)
         for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True)
@@ -177,9 +175,16 @@ def beyond_shooting(rough: Solution, conditions: Conditions) -> tuple[str, str] 
     """What a direct solution does that no extremal of the indirect method can, and what to try; None if nothing.
 
     A throttle that stays well between its bounds on a tenth of a phase is no polynomial's overshoot at a switch but a
-    singular arc. A state at its bound has a multiplier that Pontryagin's conditions without bounds do not know.
+    singular arc. A state at its bound has a multiplier that Pontryagin's conditions without bounds do not know. A phase
+    of no length has no arc.
     """
+    typical = {f.name: f.typical for f in rough.problem.free}
     for phase, flown, extremal in zip(rough.problem.phases, rough.trajectories, conditions.phases, strict=True):
+        if flown.duration <= _NO_TIME * typical.get(phase.duration, 0.0):
+            return (
+                f"in the direct solution {phase.duration} goes to 0 s: the best {phase.name} is none at all",
+                f"give {phase.duration} a lower bound above 0, or leave the phase {phase.name} out",
+            )
         t = np.linspace(0.0, 1.0, 401)[20:] * flown.duration
         control = flown.control(t)
         for number, (at, bounded) in enumerate(scalars(phase.controls)):

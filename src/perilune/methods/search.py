@@ -18,6 +18,7 @@ from perilune.methods.assemble import free_values, joints_from, multipliers, tra
 from perilune.methods.judge import Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import best_misses, kept_flight, not_converged, ridden_condition
+from perilune.problem.guess import fitting_guess
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
 from perilune.problem.symbolic import canonical_free, free_scales
@@ -73,7 +74,8 @@ class Search:
     def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
         """From a guess; or by the ladder, after the family through `base` (of another run) where there is one."""
         if guess is not None:
-            return self._compose(self._from_guess(guess), "guess")  # whether it keeps the path is for the proof to say
+            # Whether it keeps the path is for the proof to say.
+            return self._compose(self._from_guess(fitting_guess(self.problem, guess)), "guess")
         found: list[Found] = []
         rungs = [[(base, "continuation")] if base is not None else [], self._sphere_members(), self._transcription()]
         for i, rung in enumerate(rungs):
@@ -115,14 +117,14 @@ class Search:
         """Newton from a guess; what lies on a bound there begins on it."""
         y = self._known(guess)
         root = self._settled(y[None], self._held_in(guess, y), limits=self.limits)[0]
-        if root.converged:
+        name = self._outside(root)
+        if root.converged and name is None:
             held = self.scanned is None or root.choice[self.scanned] > 0
             return [Found(root=root, minimum=held or self.shooting.curvature(root, self.scanned or 0) > 0)]
-        name = self._outside(root)
         if name is not None:
             raise NotConvergedError(
                 f"from this guess the extremal lies outside the bounds of {name}",
-                got=f"{free_values(self.problem, self.conditions, root.y)[name]:.6g}",
+                got=f"{free_values(self.problem, self.conditions, root.y)[name]:.6g} {self.problem.unit_of(name)}",
                 advice="solve without a guess",
             )
         self.tried.append("Newton from the guess")

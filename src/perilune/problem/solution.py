@@ -62,12 +62,12 @@ class Curve:
         Raises
         ------
         PeriluneError
-            If a time lies outside the curve by more than 1e-9 of its length.
+            If a time lies outside the curve by more than 1e-9 of its length, or is NaN.
         """
         first, last = self.time[0], self.time[-1]
         slack = _ROUNDING * (last - first)
-        # A NaN fails no comparison here, and comes out as NaN.
-        if np.any(outside := (np.less(t, first - slack) | np.greater(t, last + slack))):
+        # A curve whose own nodes are no numbers has no ends to compare with: its values are NaN, for a proof to see.
+        if np.any(outside := (np.less(t, first - slack) | np.greater(t, last + slack) | np.isnan(t))):
             raise PeriluneError(
                 "the curve is asked outside its time",
                 got=f"{np.asarray(t)[outside].flat[0]:.9g} s",
