@@ -9,20 +9,20 @@ unverified, for `perilune.proof` to judge.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from perilune.io.physics import read_physics
-from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text
+from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
 from perilune.problem.controls import directions
 from perilune.problem.problem import Given, Phase, Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
 from perilune.problem.verification import Check, Verification
+from perilune.words.bounded import bounded_text
 from perilune.words.outcome import Outcome, PeriluneError
 
 FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 2, "solution.json"
@@ -106,35 +106,12 @@ def _check(entry: Mapping[str, Any], where: str) -> Check:
 
 def _document(path: Path) -> dict[str, Any]:
     """Read the JSON tree of a file of this format."""
-    path = path / SOLUTION_FILE if path.is_dir() else path
-    try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise PeriluneError(
-            "there is no saved solution here",
-            got=f"{path}: {error.strerror}",
-            expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",
-            advice="perilune.save(solution, DIR), or perilune solve FILE --out DIR",
-        ) from error
-    if len(raw) > LARGEST_FILE:
-        raise PeriluneError(
-            "the saved solution is too large",
-            got=f"more than {LARGEST_FILE} bytes",
-            expected="a few megabytes",
-            advice="solve again with --out",
-        )
-    try:
-        document = json.loads(raw.decode("utf-8"), parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, PeriluneError):
-            raise
-        raise PeriluneError(
-            "the saved solution is not readable JSON",
-            got=str(error)[:120],
-            expected=f"{SOLUTION_FILE} as `perilune.save` and `perilune solve --out` write it, whole",
-            advice="solve again with --out",
-        ) from error
+    content = bounded_text(
+        path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE,
+        expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",
+        advice="perilune.save(solution, DIR), or perilune solve FILE --out DIR",
+    )  # fmt: skip
+    document = tree(content, "saved solution")
     head = document.get("format") if isinstance(document, dict) else None
     if not isinstance(head, dict) or head.get("name") != FORMAT_NAME or head.get("version") not in KNOWN_VERSIONS:
         raise PeriluneError(
@@ -294,13 +271,4 @@ def _statistics(entry: Mapping[str, Any]) -> Statistics:
         residual=known("residual"),
         wall_time=known("wall_time"),
         claimed=True,
-    )
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise PeriluneError(
-        "the saved solution holds a number that is not finite",
-        got=name,
-        expected="finite numbers",
-        advice="solve again with --out",
     )
