@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
@@ -22,6 +23,7 @@ from perilune.words.outcome import PeriluneError
 LONGEST_TEXT = 10_000
 DEEPEST_TREE = 16  # brackets; a problem's functions reach 6
 _AGAIN = "solve again and save"
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 MOST_ENTRIES = 1000  # of a list that is no table: phases, extremals, unknowns
 Kind = TypeVar("Kind")
 
@@ -39,6 +41,8 @@ def refuse(where: str, got: str, expected: str) -> NoReturn:
 def tree(content: str, what: str) -> Any:
     """Parse JSON without what it leaves open: names that occur twice, numbers that are not finite, endless nesting.
 
+    Texts without control characters, but for the ends of lines: who prints one moves nobody's cursor.
+
     Raises
     ------
     PeriluneError
@@ -53,6 +57,11 @@ def tree(content: str, what: str) -> Any:
             twice = next(name for name in found if names.count(name) > 1)
             raise PeriluneError(f"the {what} says something twice", got=twice[:60], expected="each name once",
                                 advice=_AGAIN)  # fmt: skip
+        for name, value in pairs:
+            texts = [name, *(value if isinstance(value, list) else [value])]
+            if any(isinstance(text, str) and _CONTROL.search(text) for text in texts):
+                raise PeriluneError(f"the {what} holds control characters", got=repr(name)[:60], expected="plain text",
+                                    advice=_AGAIN)  # fmt: skip
         return found
 
     def no_constant(name: str) -> NoReturn:

@@ -54,14 +54,19 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     -------
     Solution
         Unverified: a file's own claims are not taken over. Its problem is that of the scenario where the file has one
-        (the model's own functions), else that of the expressions in the file; `problem.text` says which.
+        (the model's own functions), else that of the expressions in the file; `problem.text` says which. The extremals
+        that the file lists stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`.
 
     Raises
     ------
     PeriluneError
         If the file is missing, too large, not of this format, altered, or does not fit its own problem.
     """
-    document = _document(Path(directory))
+    return solution_of(read_document(directory), problem_from_scenario)
+
+
+def solution_of(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem] | None = None) -> Solution:
+    """As `load`, of what `read_document` gives."""
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
     problem = _problem(document, problem_from_scenario)
@@ -82,7 +87,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         free=free,
         trajectories=trajectories,
         multipliers=numbers(document, "multipliers"),
-        extremals=_extremals(document, free),
+        listed=_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
     )
@@ -104,8 +109,9 @@ def _check(entry: Mapping[str, Any], where: str) -> Check:
     return Check(level=int(number(entry, "level", where)), value=value, limit=limit, **words)
 
 
-def _document(path: Path) -> dict[str, Any]:
-    """Read the JSON tree of a file of this format."""
+def read_document(directory: str | Path) -> dict[str, Any]:
+    """Read the JSON tree of a file of this format; arguments and errors as of `load`."""
+    path = Path(directory)
     content = bounded_text(
         path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE,
         expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",
@@ -239,6 +245,7 @@ def _extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> tuple[
             free={str(k): number(e["free"], k, "extremals.free") for k in part(e, "free", dict)},
             objective=number(e, "objective", "extremals"),
             nature=_nature(text(e, "nature")),
+            unknowns=tuple(array(e.get("unknowns", []), "extremals.unknowns", (None,)).tolist()),
         )
         for e in entries
     )
