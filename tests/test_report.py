@@ -166,7 +166,7 @@ def test_a_saved_solution_comes_back_exactly_but_unproved(hybrid: Solution, tmp_
     assert dict(back.free) == dict(hybrid.free)
     assert back.objective == hybrid.objective
     assert dict(back.multipliers) == dict(hybrid.multipliers)
-    assert back.extremals == hybrid.extremals
+    assert back.extremals == () and back.listed == hybrid.extremals
     assert back.unknowns is not None and (back.unknowns == hybrid.unknowns).all()
     assert back.statistics.rung == "test" and math.isnan(back.statistics.wall_time)
     old, new = hybrid.trajectories[0], back.trajectories[0]
@@ -250,14 +250,17 @@ def test_an_altered_file_is_refused(hybrid: Solution, tmp_path, path: str, value
     ("raw", "message"),
     [
         (b"", "not readable JSON"),
-        (b"\xff\xfe", "not readable JSON"),
-        (b"[" * 200_000, "not readable JSON"),
+        (b"\xff\xfe", "not text in UTF-8"),
+        (b"[" * 200_000, "nested too deeply"),
+        (b'"\\' * 2**24, "not readable JSON"),
+        (b'{"format": 1, "format": 2}', "says something twice"),
+        (b'{"format": Infinity}', "not finite"),
         (b"9" * 10_000, "not readable JSON"),
         (b"[]", "not a saved solution"),
         (b'{"format": NaN}', "not finite"),
         (b" " * (64 * 2**20 + 1), "too large"),
     ],
-    ids=["empty", "binary", "deep", "long number", "list", "NaN", "huge"],
+    ids=["empty", "binary", "deep", "quotes", "twice", "infinity", "long number", "list", "NaN", "huge"],
 )
 def test_a_strange_file_is_refused(tmp_path, raw: bytes, message: str) -> None:
     """Without a traceback and without reading more than the limit."""

@@ -38,6 +38,7 @@ _EXPORTS = {
     "preflight": "perilune.problem.preflight",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
+    "prove": "perilune.solve",
     "verify": "perilune.solve",
     "models": "perilune.models",
 }
@@ -68,6 +69,7 @@ __all__ = [
     "load",
     "models",
     "preflight",
+    "prove",
     "save",
     "solve",
     "sweep",
@@ -89,7 +91,7 @@ if TYPE_CHECKING:
     from perilune.problem.problem import Free, Given, Phase, Problem, Variable
     from perilune.problem.solution import Solution
     from perilune.problem.verification import Check, Verification
-    from perilune.solve import solve, verify
+    from perilune.solve import prove, solve, verify
     from perilune.words.maths import Table
     from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
     from perilune.words.units import Scales

@@ -58,12 +58,42 @@ def solve(
 
 
 def prove(solution: Solution, level: int) -> Solution:
-    """The same solution with its verification up to `level`, and the outcome that follows; level 0 changes nothing."""
+    """Prove a solution, wherever it comes from.
+
+    Parameters
+    ----------
+    solution
+        As a method or `perilune.load` gives it.
+    level
+        Verification level; 0 changes nothing.
+
+    Returns
+    -------
+    Solution
+        The same with its verification, and the outcome that follows. Of a solution that was loaded, the extremals that
+        its file lists are found again by Newton's method, or left out (`perilune.proof.listed`).
+    """
     if level == 0:
         return solution
+    solution, notes = _found_again(solution)
     verification = verify(solution, level=level)
+    return judged(solution, replace(verification, notes=(*notes, *verification.notes)), level)
+
+
+def judged(solution: Solution, verification: Verification, level: int) -> Solution:
+    """The same solution with a verification, and the outcome that follows where `level` was asked for."""
     proved = verification.passed and verification.level >= level
     return replace(solution, verification=verification, outcome=Outcome.PROVED if proved else Outcome.NOT_PROVED)
+
+
+def _found_again(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
+    """The same with those of its listed extremals that are confirmed, and what is to be said of the others."""
+    if not solution.listed:
+        return solution, ()
+    from perilune.proof.listed import found_again
+
+    extremals, notes = found_again(solution, _solve_again)
+    return replace(solution, extremals=extremals, listed=()), notes
 
 
 def verify(

@@ -76,10 +76,11 @@ def say(answer: Answer, as_json: bool) -> int:
         The exit code: the answer's, or that of a file that cannot be written where stdout cannot.
     """
     refused = "error" in answer.document
+    # Names and titles may be a stranger's, and control characters move the cursor over what was said.
+    text = "".join(c if c.isprintable() or c in "\n\t" else "?" for c in answer.text)
     if refused:
-        print(answer.text, file=sys.stderr)
+        print(text, file=sys.stderr)
     if as_json or not refused:
-        text = answer.text
         if as_json:
             from perilune.io.files import json_text
 

@@ -125,10 +125,9 @@ def _check(typed: Namespace) -> Answer:
 
 
 def _verify(typed: Namespace) -> Answer:
-    from perilune.io.reload import load
-    from perilune.solve import prove
+    from perilune.report.beside import proved_directory
 
-    return _solution_answer(prove(load(typed.directory), typed.level), typed.verbose)
+    return _solution_answer(proved_directory(typed.directory, typed.level), typed.verbose)
 
 
 def _reproduce(typed: Namespace) -> Answer:

@@ -51,7 +51,8 @@ _FIELDS = {
     "phases.control": "same layout; names and kinds of the components in `controls`",
     "phases.interpolation": "the rule for values between nodes; to normalise is to divide by the length",
     "results": "what the problem asks of its solution, in SI",
-    "extremals": "every root of the necessary conditions found, best first; the first is this solution",
+    "extremals": "every root of the necessary conditions found, best first; the first is this solution. Only a claim: "
+    "`perilune verify` finds each again from its unknowns",
     "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
     "unknowns": "the method's own unknowns, from which it can start again",
     "null": "stands for a number that is not known or not finite",
@@ -69,7 +70,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
     Of a solution that was loaded, ``claimed`` names what is only the file's word.
     """
     statistics = solution.statistics
-    claims = {"claimed": ["extremals", "statistics"]} if statistics.claimed else {}
+    claims = {"claimed": ["method", "statistics"]} if statistics.claimed else {}
     document = {
         "problem": solution.problem.name,
         "method": solution.method,
@@ -79,6 +80,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
         "verification": {
             "level": solution.verification.level,
             "text": solution.verification.text,
+            "notes": list(solution.verification.notes),
             "checks": [
                 {
                     "name": c.name,
@@ -152,9 +154,14 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
 def write_solution_files(solution: Solution, directory: Path, scenario_text: str | None) -> None:
     """As `save`, into a directory that exists."""
     (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
-    for k, trajectory in enumerate(solution.trajectories):
-        name = "trajectory.csv" if len(solution.trajectories) == 1 else f"trajectory_{k + 1}_{trajectory.phase}.csv"
-        (directory / name).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
+    for k in range(len(solution.trajectories)):
+        (directory / trajectory_name(solution, k)).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
+
+
+def trajectory_name(solution: Solution, k: int) -> str:
+    """Name of the table of phase k."""
+    names = solution.problem.phases
+    return "trajectory.csv" if len(names) == 1 else f"trajectory_{k + 1}_{names[k].name}.csv"
 
 
 def whole_document(solution: Solution, scenario_text: str | None = None) -> dict[str, Any]:
@@ -186,7 +193,12 @@ def answer_document(solution: Solution) -> dict[str, Any]:
         "results": short["results"],
         "multipliers": _with_units(solution.multipliers, _multiplier_units(solution)),
         "extremals": [
-            {"free": dict(e.free), "objective": float(e.objective), "nature": e.nature.value}
+            {
+                "free": dict(e.free),
+                "objective": float(e.objective),
+                "nature": e.nature.value,
+                "unknowns": list(e.unknowns),
+            }
             for e in solution.extremals
         ],
         "statistics": short["statistics"],

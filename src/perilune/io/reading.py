@@ -6,7 +6,9 @@ default; `record` reads one back by the types that its fields declare.
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
@@ -15,9 +17,13 @@ from typing import Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type
 
 import numpy as np
 
+from perilune.words.bounded import refuse_nested
 from perilune.words.outcome import PeriluneError
 
 LONGEST_TEXT = 10_000
+DEEPEST_TREE = 16  # brackets; a problem's functions reach 6
+_AGAIN = "solve again and save"
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 MOST_ENTRIES = 1000  # of a list that is no table: phases, extremals, unknowns
 Kind = TypeVar("Kind")
 
@@ -30,6 +36,47 @@ def refuse(where: str, got: str, expected: str) -> NoReturn:
         expected=expected,
         advice="solve again and save; files are not meant to be edited",
     )
+
+
+def tree(content: str, what: str) -> Any:
+    """Parse JSON without what it leaves open: names that occur twice, numbers that are not finite, endless nesting.
+
+    Texts without control characters, but for the ends of lines: who prints one moves nobody's cursor.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not so; `what` names the document.
+    """
+    refuse_nested(content, what, DEEPEST_TREE, expected="records and tables, nothing deeper", advice=_AGAIN)
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in found if names.count(name) > 1)
+            raise PeriluneError(f"the {what} says something twice", got=twice[:60], expected="each name once",
+                                advice=_AGAIN)  # fmt: skip
+        for name, value in pairs:
+            texts = [name, *(value if isinstance(value, list) else [value])]
+            if any(isinstance(text, str) and _CONTROL.search(text) for text in texts):
+                raise PeriluneError(f"the {what} holds control characters", got=repr(name)[:60], expected="plain text",
+                                    advice=_AGAIN)  # fmt: skip
+        return found
+
+    def no_constant(name: str) -> NoReturn:
+        expected = "finite numbers"
+        raise PeriluneError(f"the {what} holds a number that is not finite", got=name, expected=expected, advice=_AGAIN)
+
+    try:
+        return json.loads(content, object_pairs_hook=once, parse_constant=no_constant)
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, PeriluneError):
+            raise
+        raise PeriluneError(
+            f"the {what} is not readable JSON", got=str(error)[:120], expected="JSON as this program writes it, whole",
+            advice=_AGAIN,
+        ) from None  # fmt: skip
 
 
 def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:

@@ -9,20 +9,20 @@ unverified, for `perilune.proof` to judge.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from perilune.io.physics import read_physics
-from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text
+from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
 from perilune.problem.controls import directions
 from perilune.problem.problem import Given, Phase, Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
 from perilune.problem.verification import Check, Verification
+from perilune.words.bounded import bounded_text
 from perilune.words.outcome import Outcome, PeriluneError
 
 FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 2, "solution.json"
@@ -54,14 +54,19 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     -------
     Solution
         Unverified: a file's own claims are not taken over. Its problem is that of the scenario where the file has one
-        (the model's own functions), else that of the expressions in the file; `problem.text` says which.
+        (the model's own functions), else that of the expressions in the file; `problem.text` says which. The extremals
+        that the file lists stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`.
 
     Raises
     ------
     PeriluneError
         If the file is missing, too large, not of this format, altered, or does not fit its own problem.
     """
-    document = _document(Path(directory))
+    return solution_of(read_document(directory), problem_from_scenario)
+
+
+def solution_of(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem] | None = None) -> Solution:
+    """As `load`, of what `read_document` gives."""
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
     problem = _problem(document, problem_from_scenario)
@@ -82,7 +87,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         free=free,
         trajectories=trajectories,
         multipliers=numbers(document, "multipliers"),
-        extremals=_extremals(document, free),
+        listed=_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
     )
@@ -104,37 +109,15 @@ def _check(entry: Mapping[str, Any], where: str) -> Check:
     return Check(level=int(number(entry, "level", where)), value=value, limit=limit, **words)
 
 
-def _document(path: Path) -> dict[str, Any]:
-    """Read the JSON tree of a file of this format."""
-    path = path / SOLUTION_FILE if path.is_dir() else path
-    try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise PeriluneError(
-            "there is no saved solution here",
-            got=f"{path}: {error.strerror}",
-            expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",
-            advice="perilune.save(solution, DIR), or perilune solve FILE --out DIR",
-        ) from error
-    if len(raw) > LARGEST_FILE:
-        raise PeriluneError(
-            "the saved solution is too large",
-            got=f"more than {LARGEST_FILE} bytes",
-            expected="a few megabytes",
-            advice="solve again with --out",
-        )
-    try:
-        document = json.loads(raw.decode("utf-8"), parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, PeriluneError):
-            raise
-        raise PeriluneError(
-            "the saved solution is not readable JSON",
-            got=str(error)[:120],
-            expected=f"{SOLUTION_FILE} as `perilune.save` and `perilune solve --out` write it, whole",
-            advice="solve again with --out",
-        ) from error
+def read_document(directory: str | Path) -> dict[str, Any]:
+    """Read the JSON tree of a file of this format; arguments and errors as of `load`."""
+    path = Path(directory)
+    content = bounded_text(
+        path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE,
+        expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",
+        advice="perilune.save(solution, DIR), or perilune solve FILE --out DIR",
+    )  # fmt: skip
+    document = tree(content, "saved solution")
     head = document.get("format") if isinstance(document, dict) else None
     if not isinstance(head, dict) or head.get("name") != FORMAT_NAME or head.get("version") not in KNOWN_VERSIONS:
         raise PeriluneError(
@@ -262,6 +245,7 @@ def _extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> tuple[
             free={str(k): number(e["free"], k, "extremals.free") for k in part(e, "free", dict)},
             objective=number(e, "objective", "extremals"),
             nature=_nature(text(e, "nature")),
+            unknowns=tuple(array(e.get("unknowns", []), "extremals.unknowns", (None,)).tolist()),
         )
         for e in entries
     )
@@ -294,13 +278,4 @@ def _statistics(entry: Mapping[str, Any]) -> Statistics:
         residual=known("residual"),
         wall_time=known("wall_time"),
         claimed=True,
-    )
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise PeriluneError(
-        "the saved solution holds a number that is not finite",
-        got=name,
-        expected="finite numbers",
-        advice="solve again with --out",
     )

@@ -108,14 +108,14 @@ class Hybrid:
 def _best(answers: list[Solution], tried: tuple[str, ...], wall_time: float) -> Solution:
     answers = sorted(answers, key=lambda s: s.objective)
     best = answers[0]
-    known = list(best.extremals) or [Extremal(free=best.free, objective=best.objective, nature=Nature.NEAR_GUESS)]
+    known = list(best.extremals) or [_extremal(best, Nature.NEAR_GUESS)]
     # Each answer is near the individual that it began from; of these the first is the best.
     ranked = {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
     known[0] = replace(known[0], nature=ranked.get(known[0].nature, known[0].nature))
     for other in answers[1:]:
         # Nearer than the methods' own accuracy is the same answer.
         if other.objective - known[-1].objective > 1e-6 * abs(best.objective):
-            known.append(Extremal(free=other.free, objective=other.objective, nature=Nature.LOCAL_OPTIMUM))
+            known.append(_extremal(other, Nature.LOCAL_OPTIMUM))
     statistics = replace(
         best.statistics,
         rung=f"genetic search, then {best.statistics.rung}",
@@ -125,6 +125,11 @@ def _best(answers: list[Solution], tried: tuple[str, ...], wall_time: float) -> 
         wall_time=wall_time,
     )
     return replace(best, extremals=tuple(known), statistics=statistics)
+
+
+def _extremal(answer: Solution, nature: Nature) -> Extremal:
+    own = answer.extremals[0].unknowns if answer.extremals else ()
+    return Extremal(free=answer.free, objective=answer.objective, nature=nature, unknowns=own)
 
 
 def _line(generation: Generation) -> str:

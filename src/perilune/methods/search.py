@@ -134,7 +134,7 @@ class Search:
         """Unknowns of a guess: its own where it is of this method and form, else read off its curves."""
         own = guess.unknowns is not None and guess.method == self.settings.name
         same = (guess.problem.scales, guess.problem.structure) == (self.problem.scales, self.problem.structure)
-        if own and same:
+        if own and same and len(guess.unknowns) == len(self.conditions.unknowns):
             return np.array(guess.unknowns)
         return unknowns_from(self.problem, guess)
 
@@ -326,6 +326,7 @@ class Search:
                 free=free_values(self.problem, self.conditions, f.root.y),
                 objective=float(f.root.cost * self.judge.unit),
                 nature=self._nature(f, best=place == 0, guessed=rung == "guess"),
+                unknowns=tuple(f.root.y.tolist()),
             )
             for place, f in enumerate(ranked)
         )

@@ -172,11 +172,15 @@ class Nature(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Extremal:
-    """One root of the necessary conditions: free parameters [SI], objective, and what it is."""
+    """One root of the necessary conditions: free parameters [SI], objective, and what it is.
+
+    `unknowns` are those of the indirect method there, canonical, so that it can be found again; empty where not known.
+    """
 
     free: Mapping[str, float]
     objective: float
     nature: Nature
+    unknowns: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,6 +228,9 @@ class Solution:
         nu of the end conditions, by phase and condition name (``"descent.touchdown_altitude"``), in J per unit.
     extremals
         Every extremal found, best first; this solution is the first.
+    listed
+        The same of a solution that was loaded, as its file says it. Nobody here has found them: they are no `extremals`
+        until `perilune.prove` has found each again.
     unknowns
         The method's own unknowns, so that it can start again from here (`method` says whose they are).
     """
@@ -236,6 +243,7 @@ class Solution:
     trajectories: Sequence[Trajectory]
     multipliers: Mapping[str, float] = field(default_factory=dict)
     extremals: tuple[Extremal, ...] = ()
+    listed: tuple[Extremal, ...] = ()
     unknowns: Vector | None = None
     statistics: Statistics = field(default_factory=Statistics)
     verification: Verification = field(default_factory=Verification)

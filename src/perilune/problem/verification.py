@@ -51,10 +51,13 @@ class Verification:
     text
         Which text of the physics was flown: the problem's own Python functions, or expressions and where they came
         from (`Problem.text`).
+    notes
+        What was not checked, and what was left out as it could not be, in sentences.
     """
 
     checks: tuple[Check, ...] = ()
     text: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def level(self) -> int:
@@ -87,4 +90,4 @@ class Verification:
         for c in self.checks:
             mark = "ok  " if c.passed else "FAIL"
             lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} (limit {c.limit:.3g}) {c.unit}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])

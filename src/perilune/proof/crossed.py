@@ -62,7 +62,9 @@ def _rivals(solution: Solution, other: Method | None) -> tuple[list[Solution], s
     from perilune.methods.pseudospectral import Pseudospectral
 
     if other is None:
-        other = Indirect() if solution.method == "pseudospectral" else Pseudospectral()
+        # What a file says of its method is not known here; level 3 has asked the indirect one about the neighbours.
+        direct = solution.method == "pseudospectral" and not solution.statistics.claimed
+        other = Indirect() if direct else Pseudospectral()
     try:
         first = other.run(solution.problem, solution if isinstance(other, Indirect) else None)
     except PeriluneError as error:
@@ -89,7 +91,8 @@ def _missed(rival: Solution) -> list[str]:
 
 
 def _mesh_error(*solutions: Solution) -> float:
-    return float(np.fmax.reduce([FINEST, *(s.statistics.residual for s in solutions)]))
+    """The largest mesh error that the methods report; what a file says of it opens no limit."""
+    return float(np.fmax.reduce([FINEST, *(s.statistics.residual for s in solutions if not s.statistics.claimed)]))
 
 
 def _allowed(problem: Problem, unit: str, value: float, error: float) -> float:
@@ -108,15 +111,18 @@ def _objectives(solution: Solution, rival: Solution, error: float) -> Check:
 
 
 def _both(solution: Solution, rival: Solution, here: float, there: float) -> str:
-    return f"{here:.12g} by {solution.method}, {there:.12g} by {rival.method}"
+    return f"{here:.12g} by {_maker(solution)}, {there:.12g} by {_maker(rival)}"
+
+
+def _maker(solution: Solution) -> str:
+    """Who found a solution; of one from a file that is not known."""
+    return "the file" if solution.statistics.claimed else solution.method
 
 
 def _best(solution: Solution, rivals: Sequence[Solution], error: float) -> Check:
     """No extremal that either side has found is better than the one claimed."""
     problem = solution.problem
-    found = [(e, solution.method) for e in _known(solution)]
-    for rival in rivals:
-        found += [(e, rival.method) for e in _known(rival)]
+    found = [(e, _maker(s)) for s in (solution, *rivals) for e in _known(s)]
     found.sort(key=lambda pair: pair[0].objective)
     listed = "; ".join(f"J = {e.objective:.9g} by {method}{_where(problem, e)}" for e, method in found)
     return Check(

@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from perilune.methods.method import Method
+from perilune.problem.form import OWN_TEXT
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check, Verification
 from perilune.proof.crossed import agreement
@@ -69,4 +71,19 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
                 checks += neighbours(solution, resolve)
             if level >= 4:
                 checks += agreement(solution, other)
-    return Verification(checks=tuple(checks), text=solution.problem.text)
+    return Verification(checks=tuple(checks), text=solution.problem.text, notes=_unchecked(solution.problem))
+
+
+def _unchecked(problem: Problem) -> tuple[str, ...]:
+    """What a problem that came in a file cannot say of its own answer."""
+    missing = [
+        what
+        for what, stated in (
+            ("the model's bookkeeping of the answer (rocket equation)", problem.bookkeeping),
+            ("what physics says before solving (preflight)", problem.preflight),
+        )
+        if stated is None
+    ]
+    if problem.text == OWN_TEXT or not missing:
+        return ()
+    return (f"not checked, as the problem in the file does not state it: {'; '.join(missing)}",)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from perilune.problem.solution import Solution
 
+REPORT_FILE = "report.md"
+
 
 def write_all(
     solution: Solution,
@@ -47,4 +49,4 @@ def write_all(
         for name, figure in drawn.items():
             save(figure, work / "figures", name)
         report = solution_markdown(solution, drawn, scenario_text)
-        (work / "report.md").write_text(report, encoding="utf-8")
+        (work / REPORT_FILE).write_text(report, encoding="utf-8")

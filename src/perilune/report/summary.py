@@ -20,7 +20,7 @@ _CAPTIONS = {
     "costates": "Costates",
     "hamiltonian": "Hamiltonian, and what turning the thrust away would cost",
 }
-_CLAIMED = "as the file says, not proved again"
+_AGAIN = "those that the file lists, each found again"
 
 
 def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
@@ -29,7 +29,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     Without `every_check` the checks are counted, level by level, and only those that failed are shown.
     """
     lines = [
-        f"{solution.problem.title or solution.problem.name}: {_outcome(solution)}",
+        f"{' '.join((solution.problem.title or solution.problem.name).split())}: {_outcome(solution)}",
         f"  {solution.outcome.value}",
         "",
     ]
@@ -37,7 +37,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         lines.append(f"  {name.replace('_', ' '):16}{quantity(result.value, result.unit):>16} {result.unit}")
     rows = _extremal_rows(solution)
     if len(rows) > 1:
-        lines += ["", "extremals, best first" + (f" ({_CLAIMED})" if solution.statistics.claimed else "")]
+        lines += ["", "extremals, best first" + (f" ({_AGAIN})" if solution.statistics.claimed else "")]
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
     verification = solution.verification
     lines += ["", f"verification: level {verification.level} ({LEVEL_NAMES[verification.level]})"]
@@ -50,8 +50,9 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g}{unit} (limit {c.limit:.2g})")
         if not c.passed:
             lines.append(f"         {c.meaning}")
-    lines += ["", _how(solution)]
-    return "\n".join(lines)
+    lines += ["", *(f"note: {note}" for note in verification.notes)] if verification.notes else []
+    # How it was found is of a file only its word.
+    return "\n".join(lines if solution.statistics.claimed else [*lines, "", _how(solution)])
 
 
 def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_text: str = "") -> str:
@@ -80,10 +81,11 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
         parts += [
             "## Extremals",
             "Every root of the necessary conditions that was found, best first; the first is this solution"
-            + (f" ({_CLAIMED})." if solution.statistics.claimed else "."),
+            + (f" ({_AGAIN})." if solution.statistics.claimed else "."),
             table(rows[0], rows[1:]),
         ]
-    parts += ["## Proof", _proof(solution), "## How it was found", _how(solution)]
+    parts += ["## Proof", _proof(solution)]
+    parts += [] if solution.statistics.claimed else ["## How it was found", _how(solution)]
     names = list(figures)
     if names:
         captions = _CAPTIONS | {h.name: h.caption for h in solution.problem.views.histories}
@@ -121,15 +123,26 @@ def _outcome(solution: Solution) -> str:
     return solution.outcome.name + (f", {solution.verification.title}" if verified else "")
 
 
+def extremal_cells(solution: Solution) -> list[dict[str, str]]:
+    """What is known of each extremal, best first, by the heading that it has in a table."""
+    units = {name: result.unit for name, result in solution.results.items()}
+    units |= {"objective": solution.problem.objective_unit, "nature": "1"}
+
+    def heading(key: str) -> str:
+        return f"{key.replace('_', ' ')} ({units[key]})".removesuffix(" (1)")
+
+    return [
+        {heading(k): v if k == "nature" else quantity(v, units[k]) for k, v in document.items()}
+        for document in extremals_document(solution)
+    ]
+
+
 def _extremal_rows(solution: Solution) -> list[list[str]]:
     """Heading and one row for each extremal: what tells them apart."""
-    documents = extremals_document(solution)
-    units = {name: result.unit for name, result in solution.results.items()}
-    units.setdefault("objective", solution.problem.objective_unit)
-    numbers = [key for key in documents[0] if key != "nature"] if documents else []
-    shown = [key for key in numbers if key == numbers[-1] or len({d[key] for d in documents}) > 1]
-    heads = [f"{key.replace('_', ' ')} ({units[key]})".removesuffix(" (1)") for key in shown]
-    return [[*heads, "nature"]] + [[*(quantity(d[k], units[k]) for k in shown), d["nature"]] for d in documents]
+    known = extremal_cells(solution)
+    keys = list(known[0]) if known else []
+    shown = [key for key in keys if key in keys[-2:] or len({cells[key] for cells in known}) > 1]
+    return [shown] + [[cells[key] for key in shown] for cells in known]
 
 
 def _padded(rows: list[list[str]], row: list[str]) -> Iterable[tuple[str, int]]:
@@ -164,12 +177,13 @@ def _proof(solution: Solution) -> str:
         ]
         for c in verification.checks
     ]
+    lines += [" ".join(f"{_sentence(note)}" for note in verification.notes)] if verification.notes else []
     return "\n\n".join([*lines, table(["level", "check", "value", "limit", "unit", "", "meaning"], rows)])
 
 
 def _how(solution: Solution) -> str:
     s = solution.statistics
-    text = (f"{_CLAIMED}: " if s.claimed else "") + f"method {solution.method}"
+    text = f"method {solution.method}"
     if s.rung:
         text += f"; start: {s.rung}"
     text += f"; {s.iterations} iteration{'' if s.iterations == 1 else 's'}"

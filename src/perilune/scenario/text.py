@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from perilune.models.kinds import KINDS
+from perilune.words.bounded import bounded_text, refuse_nested
 from perilune.words.outcome import PeriluneError, unknown_name
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
@@ -19,40 +19,8 @@ DEEPEST_NESTING = 4  # brackets; a scenario needs one
 
 def read(path: Path) -> str:
     """Text of a file of bounded size."""
-    # A pipe or a device would make reading wait or never end.
-    if not path.is_file():
-        raise PeriluneError(
-            "there is no scenario file here" if not path.exists() else "this is not a file",
-            got=str(path),
-            expected="a TOML file",
-            advice=f"perilune new {path.name if path.suffix == '.toml' else 'my_lander.toml'}",
-        )
-    try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise PeriluneError(
-            "the scenario file cannot be read",
-            got=f"{path}: {error.strerror}",
-            expected="a file you may read",
-            advice="look at its rights",
-        ) from error
-    if len(raw) > LARGEST_FILE:
-        raise PeriluneError(
-            "the scenario file is too large",
-            got=f"more than {LARGEST_FILE} bytes",
-            expected="about one thousand bytes",
-            advice="compare with `perilune new`",
-        )
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise PeriluneError(
-            "the scenario file is not text in UTF-8",
-            got=f"byte {raw[error.start]:#04x} at {error.start}",
-            expected="a TOML file, which is text in UTF-8",
-            advice="save it in this encoding, or start from `perilune new`",
-        ) from None
+    advice = f"perilune new {path.name if path.suffix == '.toml' else 'my_lander.toml'}"
+    return bounded_text(path, "scenario file", LARGEST_FILE, expected="a TOML file, which is text", advice=advice)
 
 
 def parse(text: str) -> dict[str, Any]:
@@ -65,7 +33,10 @@ def parse(text: str) -> dict[str, Any]:
             expected=f"at most {LARGEST_FILE}, and {LONGEST_LINE} in a line",
             advice="compare with `perilune new`",
         )
-    _check_nesting(text)
+    refuse_nested(
+        text, "scenario", DEEPEST_NESTING, expected="sections with keys, nothing deeper",
+        advice="compare with `perilune new`",
+    )  # fmt: skip
     try:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -82,21 +53,6 @@ def parse(text: str) -> dict[str, Any]:
             advice="start from the template: perilune new my_lander.toml",
         )
     return document
-
-
-def _check_nesting(text: str) -> None:
-    bare = re.sub(r'"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', "", text)
-    depth = deepest = 0
-    for character in re.findall(r"[\[\]{}]", bare):
-        depth = depth + 1 if character in "[{" else max(depth - 1, 0)
-        deepest = max(deepest, depth)
-    if deepest > DEEPEST_NESTING:
-        raise PeriluneError(
-            "the scenario is nested too deeply",
-            got=f"{deepest} brackets inside each other",
-            expected="sections with keys, nothing deeper",
-            advice="compare with `perilune new`",
-        )
 
 
 def apply(document: dict[str, Any], change: str) -> None:

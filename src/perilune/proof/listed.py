@@ -1,0 +1,87 @@
+"""Extremals that a file lists beside its answer: each is found again and proved an extremal, or it is left out.
+
+Newton's method starts from the unknowns that the file holds of an extremal. What it reaches must have the objective and
+the free parameters that are listed, and must pass levels 1 and 2 as any solution does. The numbers that remain are
+those reached; what each extremal *is* follows from them alone: its curvature, the bounds that it sits on, and its place
+among those that were found again. Of one alone there is no best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from perilune.methods.indirect import Indirect
+from perilune.problem.solution import Extremal, Nature, Solution
+from perilune.proof.levels import examine
+from perilune.proof.resolved import Resolve
+from perilune.words.outcome import PeriluneError
+
+SAME = 1e-6  # canonical, relative to one plus the size: nearer than this, what is listed is what was reached
+MOST_LISTED = 32  # that are looked at; a problem has a handful
+_ALONE = {Nature.NEAR_GUESS: Nature.LOCAL_OPTIMUM, Nature.NEAR_GUESS_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}
+_BEST = {Nature.LOCAL_OPTIMUM: Nature.BEST, Nature.LOCAL_OPTIMUM_AT_BOUND: Nature.BEST_AT_BOUND}
+
+
+def found_again(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, ...], tuple[str, ...]]:
+    """The extremals of `Solution.listed` that are confirmed, this solution the first, and what is to be said of them.
+
+    Parameters
+    ----------
+    solution
+        Whose file lists extremals, itself the first.
+    resolve
+        ``resolve(problem, guess)`` returns the extremal next to a guess.
+    """
+    listed = solution.listed[:MOST_LISTED]
+    own = _reached(solution, solution, listed[0], resolve)
+    if own is None:
+        return (), (
+            f"none of the {len(solution.listed)} extremals that the file lists is confirmed; they are left out",
+        )
+    itself = replace(own, free=solution.free, objective=solution.objective)
+    others: list[Extremal] = []
+    for entry in listed[1:]:
+        unknowns = np.array(entry.unknowns) if entry.unknowns else None
+        guess = replace(solution, method=Indirect.name, free=entry.free, unknowns=unknowns)
+        found = _reached(solution, guess, entry, resolve, proved=True)
+        if found is not None and not any(_alike(solution, found, known) for known in (itself, *others)):
+            others.append(found)
+    others.sort(key=lambda e: (e.nature is Nature.WORST, e.objective))
+    notes = []
+    if left := len(solution.listed) - 1 - len(others):
+        total = len(solution.listed)
+        notes.append(f"{left} of the {total} extremals that the file lists {_are(left)} not confirmed, and left out")
+    if any(e.objective < itself.objective for e in others if e.nature is not Nature.WORST):
+        notes.append("a better extremal than this solution is known; it is listed below it")
+    elif others:
+        itself = replace(itself, nature=_BEST.get(itself.nature, itself.nature))
+    return (itself, *others), tuple(notes)
+
+
+def _reached(
+    solution: Solution, guess: Solution, entry: Extremal, resolve: Resolve, *, proved: bool = False
+) -> Extremal | None:
+    """What Newton reaches from a guess, if it is what the entry says; where asked for, if it is proved as well."""
+    try:
+        with np.errstate(all="ignore"):  # of unknowns that nobody has looked at
+            found = resolve(solution.problem, guess)
+    except PeriluneError:
+        return None
+    reached = replace(found.extremals[0], nature=_ALONE.get(found.extremals[0].nature, found.extremals[0].nature))
+    if not _alike(solution, reached, entry) or (proved and not examine(found, 2, resolve).passed):
+        return None
+    return reached
+
+
+def _alike(solution: Solution, one: Extremal, other: Extremal) -> bool:
+    """Whether two extremals are the same one, by their objective and their free parameters."""
+    problem = solution.problem
+    pairs = [(problem.objective_unit, one.objective, other.objective)]
+    pairs += [(f.unit, one.free[f.name], other.free.get(f.name, np.nan)) for f in problem.free]
+    return all(abs(a - b) <= SAME * (problem.scales.of(unit) + abs(a)) for unit, a, b in pairs)
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"

@@ -1,0 +1,80 @@
+"""Reading what may come from a stranger: its size and its nesting are limited before anything is parsed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from perilune.words.outcome import PeriluneError
+
+# Texts and comments, in which brackets are none. What is not closed goes to the end of its line, and nothing is given
+# back, so that no character is looked at twice.
+_TEXTS = re.compile(r""""(?:\\.|[^"\\\n]+)*+"?+|'[^'\n]*+'?+|#[^\n]*+""")
+
+
+def bounded_bytes(path: Path, what: str, largest: int, *, expected: str, advice: str) -> bytes:
+    """Content of a file of at most `largest` bytes.
+
+    Parameters
+    ----------
+    path
+        The file. A pipe or a device, which would make reading wait or never end, is none.
+    what
+        What it should be, as refusals call it ("scenario file").
+    largest
+        Bytes.
+    expected, advice
+        For the refusal where there is no such file, and what to try.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not there, is not a file, cannot be read or is too large.
+    """
+    if not path.is_file():
+        said = f"there is no {what} here" if not path.exists() else f"this is not a file, and so no {what}"
+        raise PeriluneError(said, got=str(path), expected=expected, advice=advice)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(largest + 1)
+    except OSError as error:
+        raise PeriluneError(
+            f"the {what} cannot be read",
+            got=f"{path}: {error.strerror}",
+            expected="a file you may read",
+            advice="look at its rights",
+        ) from error
+    if len(raw) > largest:
+        raise PeriluneError(
+            f"the {what} is too large",
+            got=f"{path}: more than {largest} bytes",
+            expected=f"at most {largest}",
+            advice=advice,
+        )
+    return raw
+
+
+def bounded_text(path: Path, what: str, largest: int, *, expected: str, advice: str) -> str:
+    """The same as text in UTF-8, which it must be."""
+    raw = bounded_bytes(path, what, largest, expected=expected, advice=advice)
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise PeriluneError(
+            f"the {what} is not text in UTF-8",
+            got=f"{path}: byte {raw[error.start]:#04x} at {error.start}",
+            expected=expected,
+            advice=f"save it in this encoding, or {advice}",
+        ) from None
+
+
+def refuse_nested(text: str, what: str, deepest: int, *, expected: str, advice: str) -> None:
+    """Refuse a text of TOML or JSON with more than `deepest` brackets inside each other, before it is parsed."""
+    bare = _TEXTS.sub("", text)
+    depth = reached = 0
+    for character in re.findall(r"[\[\]{}]", bare):
+        depth = depth + 1 if character in "[{" else max(depth - 1, 0)
+        reached = max(reached, depth)
+    if reached > deepest:
+        got = f"{reached} brackets inside each other"
+        raise PeriluneError(f"the {what} is nested too deeply", got=got, expected=expected, advice=advice)
