@@ -18,7 +18,7 @@ import numpy as np
 from perilune.kernels.algebra.program import trace
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.emit import kernel, library
-from perilune.kernels.code.ir import INT, NUM, Int, Num, Ptr, Vec, Writer
+from perilune.kernels.code.ir import INT, NUM, Int, Ptr, Writer
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix
 
@@ -159,39 +159,39 @@ def _native(function: Any, widths: Sequence[int], cache: bool) -> Any:
 
 def _module(function: Any, widths: Sequence[int]) -> str:
     """The table holds the number of lanes, where each output lies, and where each input lies and its stride."""
-    program = trace(function)
-    count, first = function.n_in(), 1 + len(widths)
+    program, first = trace(function), 1 + len(widths)
+    sizes = [function.size1_in(i) for i in range(function.n_in())]
     w, table = Writer(_WIDTH), Ptr("%table", INT)
-    inputs = [w.buffer(function.size1_in(i)) for i in range(count)]
-    result = w.buffer(sum(widths))
-    lanes, outputs = w.load(table, 0), [w.address(table, 1 + i, NUM) for i in range(len(widths))]
+    inputs, results = [w.buffer(size) for size in sizes], w.buffer(sum(widths))
+    lanes = w.load(table, 0)
     with w.loop(Int("%first"), Int("%last")) as group:
         base = w.integer("mul", group, _WIDTH)
-        for i, held in enumerate(inputs):
+        for i, (held, size) in enumerate(zip(inputs, sizes, strict=True)):
             source, stride = w.address(table, first + 2 * i, NUM), w.load(table, first + 1 + 2 * i)
-            _rows(w, (base, lanes), source, stride, held, function.size1_in(i))
-        w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, result))})")
-        with w.loop(0, _WIDTH) as k:
-            lane = w.integer("add", base, k)
-            with w.when(w.below(lane, lanes)):
-                for i, (out, width) in enumerate(zip(outputs, widths, strict=True)):
-                    source = w.at(result, sum(widths[:i]))
-                    with w.loop(0, width) as c:
-                        value = w.load(w.by_lane(source), w.entry(c, _WIDTH, k))
-                        w.store(value, out, w.entry(lane, width, c))
+            w.run(f"call void @gather(ptr {source}, i64 {stride}, i64 {size}, i64 {base}, i64 {lanes}, ptr {held})")
+        w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, results))})")
+        for i, width in enumerate(widths):
+            held, target = w.at(results, sum(widths[:i])), w.address(table, 1 + i, NUM)
+            w.run(f"call void @scatter(ptr {target}, i64 {width}, i64 {width}, i64 {base}, i64 {lanes}, ptr {held})")
     mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
-    return "\n".join([library([program], _WIDTH), kernel("kernel", program, range(count), _WIDTH), mapping])
+    code = kernel("kernel", program, range(len(sizes)), _WIDTH)
+    return "\n".join([library([program], _WIDTH), code, _rows("gather"), _rows("scatter"), mapping])
 
 
-def _rows(w: Writer, group: tuple[Int, Int], source: Ptr[Num], stride: Int, target: Ptr[Vec], size: int) -> None:
-    """Gather one argument of a group (its first lane, lanes of all); places beyond repeat the last lane."""
-    base, lanes = group
+def _rows(name: str) -> str:
+    """Write what gathers the rows of a group into vectors, or scatters them; places beyond repeat the last lane."""
+    w, base, lanes, size = Writer(_WIDTH), Int("%base"), Int("%lanes"), Int("%size")
+    rows, held = Ptr("%rows", NUM), Ptr("%held", w.vector)
     final = w.integer("sub", lanes, 1)
     with w.loop(0, w.width) as k:
         place = w.integer("add", base, k)
-        inside = w.below(place, lanes)
-        lane = w.choose(inside, INT, place, final)
-        start = w.integer("mul", lane, stride)
+        lane = w.choose(w.below(place, lanes), INT, place, final)
+        row = w.at(rows, w.integer("mul", lane, Int("%stride")))
         with w.loop(0, size) as c:
-            value = w.load(source, w.integer("add", start, c))
-            w.store(value, w.by_lane(target), w.entry(c, w.width, k))
+            beside = w.entry(c, w.width, k)
+            if name == "gather":
+                w.store(w.load(row, c), w.by_lane(held), beside)
+            else:
+                w.store(w.load(w.by_lane(held), beside), row, c)
+    head = f"define internal void @{name}(ptr %rows, i64 %stride, i64 %size, i64 %base, i64 %lanes, ptr %held)"
+    return f"{head} nounwind noinline {{\n{w.body()}\n  ret void\n}}\n"
