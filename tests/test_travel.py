@@ -44,9 +44,8 @@ def test_a_copy_in_a_new_process_solves_alike(landing: Problem) -> None:
         there = pool.submit(solve, fixed, level=0).result()
     here = solve(fixed, level=0)
     assert there.problem == fixed
-    # A process flies one lane with the code for many at first: the same but for rounding.
-    assert there.objective == pytest.approx(here.objective, rel=1e-11)
-    assert there.unknowns == pytest.approx(here.unknowns, abs=1e-9)
+    assert there.objective == here.objective
+    np.testing.assert_array_equal(there.unknowns, here.unknowns)
 
 
 def straight(**changes: Any) -> Curve:

@@ -62,7 +62,8 @@ BINARY = {
 def mapped(expression, arguments: int):
     pytest.importorskip("llvmlite")
     symbols = [ca.SX.sym(f"x{i}") for i in range(arguments)]
-    return compile_map(ca.Function("f", symbols, [expression(*symbols)]), backend="native")
+    evaluate = compile_map(ca.Function("f", symbols, [expression(*symbols)]), backend="native")
+    return lambda *values: evaluate(*values)[0]
 
 
 def ulps(value: np.ndarray, exact: np.ndarray) -> float:

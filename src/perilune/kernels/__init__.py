@@ -1,8 +1,8 @@
 """Arcs as machine code: traced equations in, compiled flights out. Knows no rockets.
 
 `algebra` makes programs of expressions, `code` makes machine code of programs, `flight` flies arcs with it; each knows
-those before it. `compile_arcs` makes an engine from a right-hand side, `compile_map` and `compile_single` evaluate a
-function, `prune` drops what decouples.
+those before it. `compile_arcs` makes an engine from a right-hand side, `compile_map` evaluates a function, `prune`
+drops what decouples.
 """
 
 from __future__ import annotations
@@ -12,27 +12,26 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from perilune.kernels.algebra.prune import prune
     from perilune.kernels.algebra.system import Event
-    from perilune.kernels.code.mapped import compile_map, compile_single
-    from perilune.kernels.flight.arcs import Arcs, ArcStatus, Engine
+    from perilune.kernels.code.mapped import compile_map
+    from perilune.kernels.flight.arcs import Arcs, ArcStatus, Request
+    from perilune.kernels.flight.bound import BoundArcs, Engine
     from perilune.kernels.flight.dense import DenseArc
     from perilune.kernels.flight.engine import compile_arcs
-    from perilune.kernels.flight.single import SingleArc
 
 _HOME = {
     "prune": "algebra.prune",
     "Event": "algebra.system",
     "compile_map": "code.mapped",
-    "compile_single": "code.mapped",
     "Arcs": "flight.arcs",
     "ArcStatus": "flight.arcs",
-    "Engine": "flight.arcs",
+    "Engine": "flight.bound",
+    "Request": "flight.arcs",
+    "BoundArcs": "flight.bound",
     "DenseArc": "flight.dense",
     "compile_arcs": "flight.engine",
-    "SingleArc": "flight.single",
 }
 __all__ = [
-    "ArcStatus", "Arcs", "DenseArc", "Engine", "Event", "SingleArc", "compile_arcs", "compile_map", "compile_single",
-    "prune",
+    "ArcStatus", "Arcs", "BoundArcs", "DenseArc", "Engine", "Event", "Request", "compile_arcs", "compile_map", "prune",
 ]  # fmt: skip
 
 

@@ -56,11 +56,12 @@ def check_structure(problem: Any) -> None:
 
 def check_given(problem: Any) -> None:
     """Refuse given values that are not finite, or outside what is declared of them."""
-    for name, g in problem.given.items():
-        if not math.isfinite(g.value):
-            raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
+    values = {name: g.value for name, g in problem.given.items()}
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise PeriluneError(f"the value of {name} is not finite", got=str(value), expected="a finite number")
     for record in problem.declared:
-        check_values(record, vars(problem.parameters({})))
+        check_values(record, values)
 
 
 def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:

@@ -56,7 +56,7 @@ def quantity_of(key: str) -> Quantity:
 def names_of(section_name: str, section: Section) -> dict[str, Key]:
     """Keys that a section may have, in order."""
     kind = {"kind": Key(field="kind", declared=KIND, default=HYBRID.name)} if section_name == "problem" else {}
-    return kind | keys_of(section.record)
+    return {**kind, **keys_of(section.record)}
 
 
 def _kind_of(document: Mapping[str, Any]) -> Kind:

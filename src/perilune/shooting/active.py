@@ -12,11 +12,9 @@ Source: Nocedal & Wright, *Numerical Optimization*, 2nd ed., Springer 2006, sect
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from perilune.shooting.function import Roots, Shooting
 from perilune.words.types import Matrix, Vector
@@ -32,10 +30,10 @@ class Limits:
     lower: Vector
     upper: Vector
 
-    @cached_property
-    def any(self) -> bool:
-        """Whether there is a limit at all."""
-        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+    @property
+    def count(self) -> int:
+        """How many limits there are."""
+        return int(np.isfinite(self.lower).sum() + np.isfinite(self.upper).sum())
 
     def without(self, index: int | None) -> Limits:
         """The same without those of one free parameter."""
@@ -46,10 +44,11 @@ class Limits:
         return Limits(lower=lower, upper=upper)
 
     def revised(self, shooting: Shooting, roots: Roots) -> Matrix:
-        """What should be held at each of the roots instead, (lanes, choice)."""
+        """What should be held at each of the roots instead, (lanes, choice); their own choice where all may stay."""
         values, rises = shooting.held_values(roots)
         count = len(self.lower)
-        if not roots.choice[:, :count].any() and ((values >= self.lower) & (values <= self.upper)).all():
+        within = (values >= self.lower) & (values <= self.upper)
+        if np.count_nonzero(within) == within.size and not np.count_nonzero(roots.choice[:, :count]):
             return roots.choice
         masks, held = roots.choice[:, :count] > 0, roots.choice[:, count:]
         low, high = ~masks & (values < self.lower - _SLACK), ~masks & (values > self.upper + _SLACK)
@@ -77,19 +76,15 @@ def settle(
         What the roots have to keep. A lane in which no active set is found counts as not converged.
     """
     roots = shooting.solve(Y, p, choice, watch, **settings)
-    if not limits.any:
+    wanted = limits.revised(shooting, roots)
+    if wanted is roots.choice:
         return roots
-    rounds = 2 * int(np.isfinite(limits.lower).sum() + np.isfinite(limits.upper).sum())
-    for _ in range(rounds + 1):
-        wanted = limits.revised(shooting, roots)
+    for _ in range(2 * limits.count + 1):
         changed = np.nonzero(roots.converged & (wanted != roots.choice).any(axis=1))[0]
         if not len(changed):
             return roots
         lanes_p = p if np.ndim(p) == 1 or len(p) == 1 else p[changed]
         again = shooting.solve(roots.y[changed], lanes_p, wanted[changed], watch, **settings)
         roots = roots.replaced(changed, again)
-    return roots.failed(_broken(shooting, roots, limits))
-
-
-def _broken(shooting: Shooting, roots: Roots, limits: Limits) -> NDArray[np.bool_]:
-    return (limits.revised(shooting, roots) != roots.choice).any(axis=1)
+        wanted = limits.revised(shooting, roots)
+    return roots.failed((wanted != roots.choice).any(axis=1))

@@ -122,12 +122,13 @@ class Shooting:
 
     Attributes
     ----------
-    arcs
-        How many arcs were flown so far.
+    arcs, iterations
+        How many arcs were flown so far, and how many steps of Newton's method were made, in all lanes together.
     """
 
     def __init__(self, conditions: Conditions, segments: int = 1) -> None:
-        self.conditions, self.segments, self.arcs = conditions, segments, 0
+        self.conditions, self.segments = conditions, segments
+        self.arcs, self.iterations = 0, 0
         self._fleet = fleet(conditions, segments)
         self.plan = self._fleet.plan
 
@@ -175,8 +176,8 @@ class Shooting:
         def evaluate(function: Evaluate, y: Matrix, columns: Columns) -> Ends:
             count = len(y)
             rows = function(np.arange(count), y, np.full(count, FINEST), np.zeros((count, columns.n**2)))
-            once = np.ones(count, dtype=np.int64)
-            return Ends(y=y, rows=rows, converged=np.zeros(count, dtype=bool), evaluations=once)
+            once, none = np.ones(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+            return Ends(y=y, rows=rows, converged=np.zeros(count, dtype=bool), evaluations=once, iterations=none)
 
         return self._fly(Y, p, choice, evaluate)
 
@@ -220,15 +221,13 @@ class Shooting:
 
     def _fly(self, Y: Matrix, p: Matrix, choice: Matrix, run: Callable[[Evaluate, Matrix, Columns], Ends]) -> Roots:
         plan, count = self.plan, len(Y)
-        p, choice = np.atleast_2d(p), np.atleast_2d(choice)
-        first, held = plan.at_free, plan.free
-        masks = choice[:, :held] > 0
-        any_held = masks.any()
+        p, choice = (array if array.ndim == 2 else array[None] for array in (p, choice))
+        held = slice(plan.at_free, plan.at_free + plan.free)
+        masks, values = choice[:, : plan.free] > 0, choice[:, plan.held : plan.held + plan.free]
 
         def exactly(y: Matrix) -> Matrix:
-            if any_held:
-                values = choice[:, plan.held : plan.held + held]
-                y[:, first : first + held] = np.where(masks, values, y[:, first : first + held])
+            if np.count_nonzero(masks):
+                y[:, held] = np.where(masks, values, y[:, held])
             return y
 
         with self._fleet.flyer(count) as fly:
@@ -239,8 +238,9 @@ class Shooting:
             def of(array: Matrix, lanes: Lanes) -> Matrix:
                 return array if len(array) == 1 or len(lanes) == count else array[lanes]
 
-            ends = run(evaluate, exactly(Y[:, plan.active]), plan.columns)
+            ends = run(evaluate, exactly(Y.take(plan.active, axis=1)), plan.columns)
         self.arcs += int(ends.evaluations.sum()) * len(plan.legs)
+        self.iterations += int(ends.iterations.sum())
         found = np.zeros((count, plan.size))
         found[:, plan.active] = exactly(ends.y)  # Newton leaves the last bit of what is held
         return Roots(

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import Iteration, Watch
+from perilune.words.watch import Iteration, Watch, silent
 
 Lanes = NDArray[np.int64]
 
@@ -40,15 +40,15 @@ _FEW = 0.1  # damping below which enough steps of amplified round-off were tried
 _NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
 _FORCING = 1e-3  # accuracy of the next evaluation, in units of the residual squared
 _LEAST_DAMPING = 1e-4
-_ASTRAY = 1e200  # squares beyond this are of a lost iterate; a NaN compares as lost too
+_ASTRAY = 1e100  # a step beyond this is of a lost iterate; a NaN compares as lost too
 
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
     """Where the results of an evaluation lie in its row.
 
-    First four numbers: max|h|, |J_old^-1 h|^2 (the simplified correction), |J^-1 h|^2, |y|^2; then h, the step -J^-1 h,
-    J^-1 row by row, and `extra` numbers that Newton only carries along.
+    First four numbers: max|h|, |J_old^-1 h| (the simplified correction), |J^-1 h|, |y|; then h, the step -J^-1 h, J^-1
+    row by row, and `extra` numbers that Newton only carries along.
     """
 
     n: int
@@ -93,8 +93,8 @@ def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matri
         inverse = np.array([_inverse(matrix) for matrix in J])
     step = -(inverse @ h[:, :, None])[:, :, 0]
     simplified = (old.reshape(lanes, n, n) @ h[:, :, None])[:, :, 0]
-    squares = [(v * v).sum(axis=1) for v in (simplified, step, y)]
-    head = np.column_stack([np.abs(h).max(axis=1), *squares])
+    lengths = [np.sqrt((v * v).sum(axis=1)) for v in (simplified, step, y)]
+    head = np.column_stack([np.abs(h).max(axis=1), *lengths])
     return np.hstack([head, h, step, inverse.reshape(lanes, n * n), extra])
 
 
@@ -115,8 +115,8 @@ class Ends:
         The last iterate that was accepted and its evaluation, (lanes, n) and (lanes, width).
     converged
         Which of them are roots, (lanes,).
-    evaluations
-        How often each lane was evaluated, (lanes,).
+    evaluations, iterations
+        How often each lane was evaluated, and how many steps of it were accepted, (lanes,).
     history
         The iterations, where there is one lane only.
     """
@@ -125,6 +125,7 @@ class Ends:
     rows: Matrix
     converged: NDArray[np.bool_]
     evaluations: NDArray[np.int64]
+    iterations: NDArray[np.int64]
     history: tuple[Iteration, ...] = ()
 
     def keep(
@@ -173,11 +174,11 @@ def newton(
     doubt
         Damping at whose refusal a rough evaluation is blamed, and made again; 0 for starts that are cheaper given up.
     watch
-        Called after each iteration of a single lane.
+        Called after each iteration of a single lane; with a line of text after each round of many.
     """
-    if len(start) == 1:
-        return _one(evaluate, start, columns, _Settings(tolerance, accuracy, limit, max_step, doubt), watch)
-    return _many(evaluate, start, columns, _Settings(tolerance, accuracy, limit, max_step, doubt))
+    run = _one if len(start) == 1 else _many
+    settings = _Settings(tolerance, accuracy, limit, max_step, doubt)
+    return run(evaluate, start, columns, settings, None if watch is silent else watch)
 
 
 class _Settings(NamedTuple):
@@ -188,7 +189,7 @@ class _Settings(NamedTuple):
     doubt: float
 
 
-def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings) -> Ends:
+def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
     """Lanes side by side; those that have ended drop out."""
     tolerance, accuracy, limit, max_step, doubt = settings
     y = np.array(start, dtype=float)
@@ -196,7 +197,11 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
     lanes, flown = np.arange(count), np.full(count, accuracy)
     row = evaluate(lanes, y, flown, np.zeros((count, columns.n**2)))
     ends = Ends(
-        y=y.copy(), rows=row.copy(), converged=np.zeros(count, dtype=bool), evaluations=np.ones(count, dtype=np.int64)
+        y=y.copy(),
+        rows=row.copy(),
+        converged=np.zeros(count, dtype=bool),
+        evaluations=np.ones(count, dtype=np.int64),
+        iterations=np.zeros(count, dtype=np.int64),
     )
     alpha, again = _limited(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
     coarsest = np.full(count, ROUGHEST)
@@ -209,9 +214,10 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
                 break
         trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
         coarsest = np.where(again, FINEST, coarsest)  # who was misled once is told the truth from then on
-        finer = np.clip(_FORCING * row[:, 0] ** 2, FINEST, coarsest)
+        finer = np.clip(_FORCING * (row[:, 0] * row[:, 0]), FINEST, coarsest)
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
         good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
+        ends.iterations[lanes] += good & ~again
         # What damped the steps was the rough evaluation: from the better one the whole step is tried.
         after = np.where(again, 1.0, np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha))
         lost, again = again & ~good, ~good & (flown > FINEST) & (alpha <= doubt)
@@ -222,13 +228,21 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
         alpha = _limited(after, row, columns, max_step)
         active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit)
         ends.keep(lanes, y, row, root, ~active, number)
+        if watch is not None:
+            watch(_round(number, ends, row[active, 0]))
     return ends
+
+
+def _round(number: int, ends: Ends, residuals: Vector) -> str:
+    """How far many lanes have come; `residuals` of those still at work."""
+    text = f"round {number - 1}: {np.count_nonzero(ends.converged)} of {len(ends.y)} converged"
+    return f"{text}, {len(residuals)} at work, least residual {residuals.min():.1e}" if len(residuals) else text
 
 
 def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
     """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
     tolerance, accuracy, limit, max_step, doubt = settings
-    lanes, history = np.zeros(1, dtype=np.int64), []
+    lanes, history = np.zeros(1, dtype=np.int64), list[Iteration]()
     y, flown, again, root, lost, number = np.array(start, dtype=float), accuracy, False, False, False, 1
     coarsest = ROUGHEST
     row = evaluate(lanes, y, np.array([flown]), np.zeros((1, columns.n**2)))
@@ -237,14 +251,12 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
     while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
         trial = y if again else y + alpha * row[:, columns.step]
         coarsest = FINEST if again else coarsest
-        finer = min(max(_FORCING * head[0] ** 2, FINEST), coarsest)
+        finer = min(max(_FORCING * (head[0] * head[0]), FINEST), coarsest)
         new = evaluate(lanes, trial, np.array([finer]), row[:, columns.inverse])
         number, ahead = number + 1, new[0, :4].tolist()
         good, root = _judged(head, ahead, alpha, flown, finer, again, tolerance)
         if good and not again:
-            history.append(
-                Iteration(number=len(history) + 1, residual=ahead[0], step=math.sqrt(head[2]), damping=float(alpha))
-            )
+            history.append(Iteration(number=len(history) + 1, residual=ahead[0], step=head[2], damping=float(alpha)))
             if watch is not None:
                 watch(history[-1])
         # What damped the steps was the rough evaluation: from the better one the whole step is tried.
@@ -253,7 +265,14 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
         if good:
             y, row, head, flown = trial, new, ahead, finer
         alpha = _limited(alpha, row, columns, max_step)
-    return Ends(y=y, rows=row, converged=np.array([root]), evaluations=np.array([number]), history=tuple(history))
+    return Ends(
+        y=y,
+        rows=row,
+        converged=np.array([root]),
+        evaluations=np.array([number]),
+        iterations=np.array([len(history)]),
+        history=tuple(history),
+    )
 
 
 def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, tolerance: float) -> tuple[Any, Any]:
@@ -264,11 +283,11 @@ def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, 
     """
     residual, _, length, size = row
     left, simplified, ahead, _ = new
-    length, size = length**0.5, 1.0 + size**0.5
+    size = 1.0 + size
     # A residual that a change of y in its last digits explains is amplified round-off: the least of a few is taken.
     last_digits = length < _LAST_DIGITS * size
     explained = last_digits & (residual <= _AMPLIFIED * tolerance)
-    good = again | (simplified**0.5 <= (1.0 - 0.5 * alpha) * length) | last_digits & (left < residual)
+    good = again | (simplified <= (1.0 - 0.5 * alpha) * length) | last_digits & (left < residual)
     good |= last_digits & (explained ^ True)
     # Within the error of a rough evaluation nothing can be compared.
     good |= (flown > FINEST) & (left <= _NOISE * flown) | (finer > FINEST) & (left <= _NOISE * finer)

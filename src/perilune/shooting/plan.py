@@ -41,7 +41,8 @@ class Leg:
     flown, arcs
         What is integrated, and what integrates it with its columns.
     opening
-        (Y, p) or (Y, p, end z, end rate, columns of the leg before) -> z0, duration, mode, seeds.
+        (Y, p) or (Y, p, end z, end rate, columns of the leg before) -> z0, duration, mode, seeds, and the numbers
+        among p that the arc knows.
     follows
         Whether the opening takes the end of the leg before.
     """
@@ -180,7 +181,8 @@ class _Tracing:
         moving = sorted(set(slope.sparsity().get_triplet()[1]))
         seeds = slope[:, moving]
         symbols = [self.Y, self.p, *(before.symbols if follows and before is not None else [])]
-        results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(seeds)]
+        known = self.p[flown.numbers.tolist()]
+        results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(seeds), known]
         pattern = np.array(ca.DM.ones(seeds.sparsity()).full(), dtype=bool)
         arcs = engine(flown, tuple(tuple(row) for row in pattern.tolist()))
         leg = Leg(
@@ -242,7 +244,7 @@ class _Tracing:
         size = ca.fabs(h[0])
         for i in range(1, n):
             size = ca.fmax(size, ca.fabs(h[i]))
-        head = ca.vertcat(size, ca.sumsqr(simplified), ca.sumsqr(step), ca.sumsqr(Y))
+        head = ca.vertcat(size, *(ca.sqrt(ca.sumsqr(v)) for v in (simplified, step, Y)))
         results = ca.vertcat(head, h, step, ca.vec(ca.densify(inverse).T), extra)
         closing = ca.Function("closing", [*arguments, old, *flights], [ca.cse(ca.densify(results))])
         return closing, columns, True

@@ -15,7 +15,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import cache
+from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
 
 from perilune.words.outcome import PeriluneError
@@ -257,9 +259,10 @@ def section_of(kind: type) -> str:
     return kind.__section__  # type: ignore[attr-defined]
 
 
-def keys_of(kind: type) -> dict[str, Key]:
+@cache
+def keys_of(kind: type) -> Mapping[str, Key]:
     """Keys of a record's section, in order."""
-    found = {}
+    found = dict[str, Key]()
     for f in fields(kind):
         for place, (ending, declared) in enumerate(f.metadata.get("keys", {}).items()):
             default = f.default
@@ -269,7 +272,13 @@ def keys_of(kind: type) -> dict[str, Key]:
             found[f.name + ending] = Key(
                 field=f.name, declared=declared, default=default, place=place if paired else None
             )
-    return found
+    return MappingProxyType(found)
+
+
+@cache
+def _spans(kind: type) -> tuple[Field[Any], ...]:
+    """Fields of a record that are pairs."""
+    return tuple(f for f in fields(kind) if "span" in f.metadata)
 
 
 def values_of(made: Any) -> dict[str, Any]:
@@ -316,15 +325,14 @@ def _check_fields(made: Any) -> None:
         elif isinstance(key.declared, Words) and key.declared.choices and values[name] not in key.declared.choices:
             known = ", ".join(map(repr, key.declared.choices))
             raise PeriluneError(f"unknown {name}", got=repr(values[name])[:60], expected=f"one of {known}")
-    for f in fields(made):
-        if "span" in f.metadata:
-            (lower, upper), bound = getattr(made, f.name), next(iter(f.metadata["keys"].values()))
-            if not bound.low <= lower < upper <= bound.high:
-                raise PeriluneError(
-                    f"bounds of {f.metadata['span']} are not a range",
-                    got=f"{bound.shown(lower)} to {bound.shown(upper)}",
-                    expected=f"lower < upper, {bound.range}",
-                )
+    for f in _spans(type(made)):
+        (lower, upper), bound = getattr(made, f.name), next(iter(f.metadata["keys"].values()))
+        if not bound.low <= lower < upper <= bound.high:
+            raise PeriluneError(
+                f"bounds of {f.metadata['span']} are not a range",
+                got=f"{bound.shown(lower)} to {bound.shown(upper)}",
+                expected=f"lower < upper, {bound.range}",
+            )
 
 
 def named(key: str, error: PeriluneError) -> PeriluneError:

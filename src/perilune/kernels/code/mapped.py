@@ -1,14 +1,14 @@
-"""A traced function as machine code: over a batch, out[lane] = f(a[lane], b[lane], ...), or at one point.
+"""A traced function as machine code over a batch: out[lane] = f(a[lane], b[lane], ...).
 
 The kernels of `emit` between a loop that gathers lanes and one that scatters them; the same cache, threads
-and fallback as arcs. At one point the kernel has one lane, so that nothing is computed four times.
+and fallback as arcs, and like them bound to arrays that may be filled and evaluated again.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -18,187 +18,180 @@ import numpy as np
 from perilune.kernels.algebra.program import trace
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.emit import kernel, library
-from perilune.kernels.code.ir import INT, NUM, Int, Num, Ptr, Vec, Writer
+from perilune.kernels.code.ir import INT, NUM, Int, Ptr, Writer
 from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix, Vector
+from perilune.words.types import Matrix
 
 _WIDTH = 4
 _LANES_PER_THREAD = 512
 
 
-class SingleMap:
-    """Evaluates a traced function at one point into arrays of its own. Use `compile_single`.
+class BoundMap:
+    """A map bound to arrays: evaluated from the same into the same as often as is wanted. Use `Map.bind`.
 
     Attributes
     ----------
+    inputs
+        What is read, each (lanes, n) or (1, n): the arrays that were given where their rows are in one piece.
     outputs
-        The outputs of the function, each (rows, columns). Overwritten by the next call.
+        What is written, each (lanes, m). Overwritten by the next call.
     """
 
     def __init__(
-        self, inputs: list[int], shapes: list[tuple[int, int]], bind: Callable[[list[Any]], Callable[[], Any]]
+        self, inputs: Sequence[Matrix], widths: Sequence[int], bind: Callable[[BoundMap], Callable[[], Any]]
     ) -> None:
-        cuts = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
-        result = np.full(int(cuts[-1]), np.nan)
-        self._inputs = [np.zeros(size) for size in inputs]
-        self._shapes = [(size,) for size in inputs]
-        self.outputs: tuple[Matrix, ...] = tuple(
-            result[first:last].reshape(shape) for first, last, shape in zip(cuts, cuts[1:], shapes, strict=False)
-        )
-        self._held: list[Any] = [result, *self._inputs]  # the machine code knows only their addresses
-        self._evaluate = bind(self._held)
+        self.inputs = inputs
+        self.lanes = max(map(len, inputs))
+        self.outputs: tuple[Matrix, ...] = tuple(np.empty((self.lanes, m)) for m in widths)
+        self._evaluate = bind(self)
 
-    def __call__(self, *arguments: Vector) -> tuple[Matrix, ...]:
-        """Evaluate; arguments (n,) each, empty ones included; returns `outputs`.
+    def __call__(self) -> None:
+        """Evaluate in all lanes."""
+        self._evaluate()
+
+
+class Map:
+    """A traced function over lanes. Use `compile_map`."""
+
+    def __init__(self, function: Any, cache: bool, compiled: bool) -> None:
+        self._sizes = [function.size1_in(i) for i in range(function.n_in())]
+        self._widths = [function.numel_out(i) for i in range(function.n_out())]
+        self._flat = _flat(function)
+        self._call = _native(self._flat, self._widths, cache) if compiled else None
+
+    def bind(self, *arguments: Matrix) -> BoundMap:
+        """Bind to arrays (lanes, n); one of one row serves every lane.
 
         Raises
         ------
         PeriluneError
-            On arguments of the wrong number or shape.
+            On arguments of the wrong number or width.
         """
-        if [a.shape for a in arguments] != self._shapes:
+        if [a.shape[1:] for a in arguments] != [(n,) for n in self._sizes]:
             raise PeriluneError(
-                "a compiled function takes vectors of fixed lengths",
-                got=str([np.shape(a) for a in arguments]),
-                expected=str(self._shapes),
+                "a compiled function takes rows of fixed lengths",
+                got=str([a.shape for a in arguments]),
+                expected=", ".join(f"(lanes, {n})" for n in self._sizes),
             )
-        for held, given in zip(self._inputs, arguments, strict=True):
-            held[:] = given
-        self._evaluate()
-        return self.outputs
+        call = self._call
+        bind = self._interpreted if call is None else partial(_evaluation, call)
+        return BoundMap([_in_rows(a) for a in arguments], self._widths, bind)
+
+    def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
+        """Outputs of one evaluation."""
+        bound = self.bind(*arguments)
+        bound()
+        return bound.outputs
+
+    def _interpreted(self, bound: BoundMap) -> Callable[[], None]:
+        function, cuts = self._flat.map(bound.lanes), np.cumsum(self._widths)[:-1]
+
+        def evaluate() -> None:
+            columns = [np.broadcast_to(a, (bound.lanes, a.shape[1])).T for a in bound.inputs]
+            rows = np.asarray(function(*columns)).reshape(-1, bound.lanes).T
+            for out, found in zip(bound.outputs, np.split(rows, cuts, axis=1), strict=True):
+                out[:] = found
+
+        return evaluate
 
 
-def compile_map(function: Any, *, cache: bool = True, backend: str | None = None) -> Callable[..., Matrix]:
-    """Compile an SX ``casadi.Function`` of column vectors with one dense output.
+def compile_map(function: Any, *, cache: bool = True, backend: str | None = None) -> Map:
+    """Compile an SX ``casadi.Function`` of column vectors.
 
     Returns
     -------
     mapped
-        (a (lanes, na), b (lanes, nb), ...) -> (lanes, m); an argument of one row serves every lane.
+        (a (lanes, na), b (lanes, nb), ...) -> its outputs, each (lanes, m), matrices row by row as NumPy reads them; an
+        argument of one row serves every lane.
     """
-    if not native.chosen(backend):
-        return lambda *arguments: _interpreted(function, arguments)
+    return Map(function, cache, native.chosen(backend))
 
-    call = _native(function, _WIDTH, cache)
-    sizes = [function.size1_in(i) for i in range(function.n_in())]
-    rows = function.size1_out(0)
 
-    def mapped(*arguments: Matrix) -> Matrix:
-        held = [_rows_in_one_piece(a, n) for a, n in zip(arguments, sizes, strict=True)]
-        lanes = max(len(a) for a in held)
-        out = np.empty((lanes, rows))
-        entries = [native.address(out)]
-        for a in held:
-            place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
-            entries += [place, a.strides[0] // a.itemsize if len(a) == lanes else 0]
-        table = np.array([lanes, *entries], dtype=np.int64)
-        most = lanes // _LANES_PER_THREAD
-        threads = min(os.cpu_count() or 1, most) if most > 1 else 1
-        groups = -(-lanes // _WIDTH)
-        share = -(-groups // threads)
+def _flat(function: Any) -> Any:
+    """The function with one output, a column: all of its outputs row by row."""
+    import casadi as ca
+
+    symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
+    rows = [ca.vec(ca.densify(output).T) for output in function.call(symbols)]
+    return ca.Function("flat", symbols, [ca.vertcat(*rows)])
+
+
+def _evaluation(call: Callable[..., None], bound: BoundMap) -> Callable[[], Any]:
+    """What evaluates a bound map in machine code, which knows only addresses."""
+    entries = [bound.lanes, *map(native.address, bound.outputs)]
+    for a in bound.inputs:
+        place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
+        entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0]
+    table = np.array(entries, dtype=np.int64)
+    place, groups = native.address(table), -(-bound.lanes // _WIDTH)
+    most = bound.lanes // _LANES_PER_THREAD
+    threads = min(os.cpu_count() or 1, most) if most > 1 else 1
+    share = -(-groups // threads)
+
+    def evaluate(_held: Any = (bound.inputs, bound.outputs, table)) -> None:
         if threads == 1:
-            call(0, groups, native.address(table))
-        else:
-            with ThreadPoolExecutor(threads) as pool:
-                list(
-                    pool.map(
-                        lambda k: call(k * share, min((k + 1) * share, groups), native.address(table)),
-                        range(threads),
-                    )
-                )
-        return out
+            call(0, groups, place)
+            return
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(lambda k: call(k * share, min((k + 1) * share, groups), place), range(threads)))
 
-    return mapped
+    return evaluate
 
 
-def _rows_in_one_piece(array: Matrix, size: int) -> Matrix:
-    """The array as (lanes, size), the entries of a row beside each other; rows may lie apart, as in a slice."""
-    rows = np.asarray(array, dtype=float).reshape(-1, size)
+def _in_rows(array: Matrix) -> Matrix:
+    """The array with the entries of a row beside each other; rows may lie apart, as in a slice."""
+    rows = np.asarray(array, dtype=float)
     apart, beside = rows.strides
     whole = beside == rows.itemsize and apart >= 0 and apart % rows.itemsize == 0
     return rows if whole else np.ascontiguousarray(rows)
 
 
-def compile_single(function: Any, *, cache: bool = True, backend: str | None = None) -> SingleMap:
-    """Compile an SX ``casadi.Function`` of column vectors, with any outputs, for one evaluation at a time.
-
-    Returns
-    -------
-    evaluate
-        (a (na,), b (nb,), ...) -> the outputs, each dense and (rows, columns), in arrays that the next call
-        overwrites: copy what has to outlive it. One object for each thread.
-    """
-    import casadi as ca
-
-    sizes = [function.size1_in(i) for i in range(function.n_in())]
-    shapes = [tuple(function.size_out(i)) for i in range(function.n_out())]
-    symbols = [ca.SX.sym(f"a{i}", size) for i, size in enumerate(sizes)]
-    rows = [ca.vec(ca.densify(output).T) for output in function.call(symbols)]  # row by row, as NumPy reads them
-    flat = ca.Function("flat", symbols, [ca.vertcat(*rows)])
-
-    def interpret(held: list[Any]) -> Callable[[], None]:
-        def evaluate() -> None:
-            held[0][:] = np.asarray(flat(*held[1:])).ravel()
-
-        return evaluate
-
-    def bind(held: list[Any]) -> Callable[[], None]:
-        inputs = [entry for a in held[1:] for entry in (native.address(a), 0)]
-        table = np.array([1, native.address(held[0]), *inputs], dtype=np.int64)
-        held.append(table)  # as long-lived as what it points to
-        return partial(_native(flat, 1, cache), 0, 1, native.address(table))
-
-    return SingleMap(sizes, shapes, bind if native.chosen(backend) else interpret)
-
-
-def _native(function: Any, width: int, cache: bool) -> Any:
-    """Return ``map(first group, last group, table)`` of a function, from disk or compiled."""
+def _native(function: Any, widths: Sequence[int], cache: bool) -> Any:
+    """Return ``map(first group, last group, table)`` of a flat function, from disk or compiled."""
 
     def build() -> bytes:
-        return native.compile_ir(_module(function, width))
+        return native.compile_ir(_module(function, widths))
 
-    name = disk.key(function.serialize(), f"map {width}", *native.processor(), *native.versions())
+    name = disk.key(function.serialize(), f"map {_WIDTH} {widths}", *native.processor(), *native.versions())
     code = native.MachineCode(disk.fetch(name, build, enabled=cache))
     return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
 
 
-def _interpreted(function: Any, arguments: tuple[Matrix, ...]) -> Matrix:
-    lanes = max(len(np.atleast_2d(a)) for a in arguments)
-    columns = [np.broadcast_to(np.atleast_2d(a), (lanes, np.shape(a)[-1])).T for a in arguments]
-    return np.asarray(function.map(lanes)(*columns)).reshape(-1, lanes).T.copy()
-
-
-def _module(function: Any, width: int) -> str:
-    program = trace(function)
-    count, rows = function.n_in(), function.size1_out(0)
-    w, table = Writer(width), Ptr("%table", INT)
-    inputs = [w.buffer(function.size1_in(i)) for i in range(count)]
-    result = w.buffer(rows)
-    lanes, out = w.load(table, 0), w.address(table, 1, NUM)
+def _module(function: Any, widths: Sequence[int]) -> str:
+    """The table holds the number of lanes, where each output lies, and where each input lies and its stride."""
+    program, first = trace(function), 1 + len(widths)
+    sizes = [function.size1_in(i) for i in range(function.n_in())]
+    w, table = Writer(_WIDTH), Ptr("%table", INT)
+    inputs, results = [w.buffer(size) for size in sizes], w.buffer(sum(widths))
+    lanes = w.load(table, 0)
     with w.loop(Int("%first"), Int("%last")) as group:
-        base = w.integer("mul", group, width)
-        for i, held in enumerate(inputs):
-            source, stride = w.address(table, 2 + 2 * i, NUM), w.load(table, 3 + 2 * i)
-            _rows(w, (base, lanes), source, stride, held, function.size1_in(i))
-        w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, result))})")
-        with w.loop(0, width) as k:
-            lane = w.integer("add", base, k)
-            with w.when(w.below(lane, lanes)), w.loop(0, rows) as c:
-                value = w.load(w.by_lane(result), w.entry(c, width, k))
-                w.store(value, out, w.entry(lane, rows, c))
+        base = w.integer("mul", group, _WIDTH)
+        for i, (held, size) in enumerate(zip(inputs, sizes, strict=True)):
+            source, stride = w.address(table, first + 2 * i, NUM), w.load(table, first + 1 + 2 * i)
+            w.run(f"call void @gather(ptr {source}, i64 {stride}, i64 {size}, i64 {base}, i64 {lanes}, ptr {held})")
+        w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, results))})")
+        for i, width in enumerate(widths):
+            held, target = w.at(results, sum(widths[:i])), w.address(table, 1 + i, NUM)
+            w.run(f"call void @scatter(ptr {target}, i64 {width}, i64 {width}, i64 {base}, i64 {lanes}, ptr {held})")
     mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
-    return "\n".join([library([program], width), kernel("kernel", program, range(count), width), mapping])
+    code = kernel("kernel", program, range(len(sizes)), _WIDTH)
+    return "\n".join([library([program], _WIDTH), code, _rows("gather"), _rows("scatter"), mapping])
 
 
-def _rows(w: Writer, group: tuple[Int, Int], source: Ptr[Num], stride: Int, target: Ptr[Vec], size: int) -> None:
-    """Gather one argument of a group (its first lane, lanes of all); places beyond repeat the last lane."""
-    base, lanes = group
+def _rows(name: str) -> str:
+    """Write what gathers the rows of a group into vectors, or scatters them; places beyond repeat the last lane."""
+    w, base, lanes, size = Writer(_WIDTH), Int("%base"), Int("%lanes"), Int("%size")
+    rows, held = Ptr("%rows", NUM), Ptr("%held", w.vector)
     final = w.integer("sub", lanes, 1)
     with w.loop(0, w.width) as k:
         place = w.integer("add", base, k)
-        inside = w.below(place, lanes)
-        lane = w.choose(inside, INT, place, final)
-        start = w.integer("mul", lane, stride)
+        lane = w.choose(w.below(place, lanes), INT, place, final)
+        row = w.at(rows, w.integer("mul", lane, Int("%stride")))
         with w.loop(0, size) as c:
-            value = w.load(source, w.integer("add", start, c))
-            w.store(value, w.by_lane(target), w.entry(c, w.width, k))
+            beside = w.entry(c, w.width, k)
+            if name == "gather":
+                w.store(w.load(row, c), w.by_lane(held), beside)
+            else:
+                w.store(w.load(w.by_lane(held), beside), row, c)
+    head = f"define internal void @{name}(ptr %rows, i64 %stride, i64 %size, i64 %base, i64 %lanes, ptr %held)"
+    return f"{head} nounwind noinline {{\n{w.body()}\n  ret void\n}}\n"

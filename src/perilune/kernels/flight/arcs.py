@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,10 +75,8 @@ class Arcs:
         Steps taken, (lanes,), int64.
     mode
         Mode at the end, (lanes,), int64.
-    met
-        How many events, (lanes,).
-    log
-        Index and time of each event met, in order, (lanes, MAX_EVENTS, 2); anything beyond those.
+    event_index, event_time
+        Events met in order, (lanes, MAX_EVENTS): their index (-1: none) and their time (NaN: none).
     """
 
     z: Matrix
@@ -89,22 +86,8 @@ class Arcs:
     status: NDArray[np.int64]
     steps: NDArray[np.int64]
     mode: NDArray[np.int64]
-    met: Vector
-    log: Batch
-
-    @property
-    def event_index(self) -> NDArray[np.int64]:
-        """Events met in order, (lanes, MAX_EVENTS), -1 where there is none."""
-        return np.where(self._logged, self.log[:, :, 0], -1.0).astype(np.int64)
-
-    @property
-    def event_time(self) -> Matrix:
-        """Their times, NaN where there is none."""
-        return np.where(self._logged, self.log[:, :, 1], np.nan)
-
-    @property
-    def _logged(self) -> NDArray[np.bool_]:
-        return np.arange(self.log.shape[1]) < self.met[:, None]
+    event_index: NDArray[np.int64]
+    event_time: Matrix
 
     @property
     def succeeded(self) -> NDArray[np.bool_]:
@@ -112,55 +95,9 @@ class Arcs:
         return (self.status == ArcStatus.REACHED) | (self.status == ArcStatus.EVENT)
 
 
-def arcs_of(z: Matrix, rates: Matrix, columns: Batch, info: Matrix, log: Batch) -> Arcs:
-    """Read the report of a batch: `INFO` of each lane, and the log of its events."""
-    status = info[:, 1].astype(np.int64)
-    return Arcs(
-        z=z,
-        rates=rates,
-        columns=columns,
-        time=info[:, 0],
-        status=status,
-        steps=info[:, 2].astype(np.int64),
-        mode=info[:, 3].astype(np.int64),
-        met=info[:, 4],
-        log=log,
-    )
-
-
-class Engine(Protocol):
-    """What `compile_arcs` returns, whichever way it computes."""
-
-    backend: str
-    system: Any
-
-    def propagate(
-        self,
-        z0: ArrayLike,
-        p: ArrayLike,
-        duration: ArrayLike,
-        columns: ArrayLike | None = None,
-        **settings: Any,
-    ) -> Arcs:
-        """Fly a batch of arcs; see `kernels.flight.engine.NativeEngine.propagate`."""
-        ...
-
-    def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> Any:
-        """Fly one arc and return it as a function of time; see `kernels.flight.dense.DenseArc`."""
-        ...
-
-    def single(self, columns: bool = False, *, rtol: float = ..., atol: float = ..., max_steps: int = ...) -> Any:
-        """Return what flies one arc at a time without allocating; see `kernels.flight.single.SingleArc`."""
-        ...
-
-    def at_hand(self, *, single: bool) -> bool:
-        """Whether arcs with columns can be flown, one at a time or many, without compiling first."""
-        ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """A batch as the integrators take it: contiguous arrays of one shape for all."""
+    """A batch as the integrators take it: contiguous arrays of doubles."""
 
     z0: Matrix  # (lanes, nz)
     p: Matrix  # (lanes, np) or (1, np) for all lanes
@@ -168,9 +105,9 @@ class Request:
     seeds: Batch | None  # (lanes, nz, nc)
     rtol: Vector  # (lanes,)
     atol: Vector  # (lanes,)
-    mode: NDArray[np.int64]  # (lanes,)
-    max_steps: int
-    fixed_steps: int
+    mode: Vector  # (lanes,), whole
+    max_steps: int = MAX_STEPS
+    fixed_steps: int = 0
 
 
 def request(
@@ -217,7 +154,7 @@ def request(
                 got=str(np.shape(columns)),
                 expected=f"({lanes}, {nz}, {nc})",
             )
-    starting = _per_lane(mode, lanes, "mode").astype(np.int64)
+    starting = _per_lane(mode, lanes, "mode")
     if lanes and not 0 <= starting.min() <= starting.max() < modes:
         raise PeriluneError("an arc starts in a mode that does not exist", got=str(mode), expected=f"0 to {modes - 1}")
     return Request(

@@ -1,7 +1,9 @@
 """Arcs as machine code: compiled when first needed, kept on disk, flown on every core.
 
-Four lanes are the width that measures fastest (the stages of eight leave the first cache); one lane is for a
-single arc. Each pair (columns or not, lanes) is an object of its own, compiled when first asked for.
+Four lanes are the width that measures fastest (the stages of eight leave the first cache). One arc goes with the code
+for four, which takes a tenth longer than code of its own would: so it is what it is among many, to the last bit. Only
+the nodes of a dense arc are written by code for one lane. Each pair (columns or not, lanes) is an object of its own,
+compiled when first asked for.
 """
 
 from __future__ import annotations
@@ -11,7 +13,6 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from perilune.kernels.algebra.system import ArcSystem, Event
 from perilune.kernels.code import cache as disk, native
-from perilune.kernels.flight.arcs import MAX_EVENTS, MAX_STEPS, TABLE, Arcs, Engine, Request, arcs_of, request
+from perilune.kernels.flight.arcs import TABLE, Arcs, Request, request
+from perilune.kernels.flight.bound import BoundArcs, Engine
 from perilune.kernels.flight.dense import DenseArc, dense_arc
-from perilune.kernels.flight.single import SingleArc
 from perilune.words.types import Matrix, Vector
 
 _LOG = logging.getLogger("perilune.kernels")
@@ -105,14 +106,6 @@ class NativeEngine:
             self._code[which] = native.MachineCode(code)
         return self._code[which]
 
-    def at_hand(self, *, single: bool) -> bool:
-        """Whether arcs with columns can be flown, one at a time or many, without compiling first."""
-        return self._at_hand(bool(self.system.nc), 1 if single else LANES)
-
-    def _at_hand(self, columns: bool, width: int) -> bool:
-        system = self.system if columns else self._bare
-        return (columns, width) in self._code or (self._cache and disk.kept(_name(system, width)))
-
     def propagate(
         self,
         z0: ArrayLike,
@@ -155,68 +148,53 @@ class NativeEngine:
             columns,
             **settings,
         )
-        return self._fly(asked, threads)[0]
+        flight = self.bind(asked)
+        flight(threads)
+        return flight.ends()
 
     def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> DenseArc:
         """Fly one arc and return it as a function of time; settings as for `propagate`."""
         asked = request((self.system.nz, self.system.np, 0), len(self.system.modes), z0, p, duration, None, **settings)
         nodes = np.empty((asked.max_steps + 1, 3 + self.system.nz))
-        arcs, _ = self._fly(asked, 1, nodes)
+        flight = self.bind(asked, nodes)
+        flight()
+        arcs = flight.ends()
         return dense_arc(arcs, nodes[: arcs.steps[0]], lambda z, mode: self._rates(z, asked.p[0], mode))
 
-    def single(
-        self, columns: bool = False, *, rtol: float = 1e-12, atol: float = 1e-12, max_steps: int = MAX_STEPS
-    ) -> SingleArc:
-        """Return what flies one arc at a time without allocating; see `kernels.flight.single`.
+    def bind(self, asked: Request, nodes: Matrix | None = None) -> BoundArcs:
+        """Return what flies a request as often as is wanted; see `kernels.flight.bound`.
 
-        Make it once and keep it; one for each thread. The settings are those of `propagate` and are fixed.
+        Parameters
+        ----------
+        asked
+            Arrays that fit the system: they are not checked.
+        nodes
+            Where the start of each step of the one arc goes: (steps, 3 + nz).
         """
-        function = self._call(columns and bool(self.system.nc), 1)
+        lanes = len(asked.z0)
+        width = LANES if nodes is None else 1  # nodes are written by the code for one lane only
+        function, groups = self._call(asked.seeds is not None, width), -(-lanes // width)
+        order = np.arange(lanes)
 
-        def bind(held: dict[str, NDArray[Any]]) -> Callable[[], None]:
-            numbers = {name: int(array) for name, array in held.items() if not array.ndim}
-            held["table"] = _table({"nodes": None, **held}, numbers)  # as long-lived as what it points to
-            return partial(function, 0, 1, native.address(held["table"]))
+        def bind(flight: BoundArcs) -> Callable[[int | None], None]:
+            held = {**vars(asked), **vars(flight), "order": order, "nodes": nodes}
+            numbers = {
+                "lanes": lanes,
+                "p_stride": self.system.np if len(asked.p) > 1 else 0,
+                "max_steps": asked.max_steps,
+                "fixed_steps": asked.fixed_steps,
+            }
+            table = _table(held, numbers)
+            place = native.address(table)
 
-        return SingleArc(self.system, columns, bind, rtol=rtol, atol=atol, max_steps=max_steps)
+            def fly(threads: int | None, held: Any = (held, table)) -> None:  # the machine code knows only addresses
+                if lanes > width:
+                    order[:] = np.argsort(np.abs(asked.duration), kind="stable")
+                _run(function, groups, place, threads)
 
-    def _fly(self, asked: Request, threads: int | None, nodes: Matrix | None = None) -> tuple[Arcs, Matrix | None]:
-        lanes, with_columns = len(asked.z0), asked.seeds is not None
-        # A batch that has shrunk to its last lane goes on with the code it has: another build costs more than it saves.
-        # Nodes are written by the code for one lane only.
-        at_hand = lanes == 1 and nodes is None and self._at_hand(with_columns, LANES)
-        width = 1 if lanes == 1 and not at_hand else LANES
-        order = np.argsort(np.abs(asked.duration), kind="stable") if lanes > LANES else np.arange(lanes)
-        z, rates, info = np.empty_like(asked.z0), np.empty_like(asked.z0), np.empty((lanes, 5))
-        seeds = asked.seeds if asked.seeds is not None else np.empty((lanes, self.system.nz, 0))
-        columns = np.zeros_like(seeds)
-        log = np.empty((lanes, MAX_EVENTS if self.system.events else 0, 2))
-        mode = asked.mode.astype(float)
-        held = {
-            "order": order,
-            "z0": asked.z0,
-            "p": asked.p,
-            "duration": asked.duration,
-            "seeds": seeds,
-            "rtol": asked.rtol,
-            "atol": asked.atol,
-            "mode": mode,
-            "z": z,
-            "rates": rates,
-            "columns": columns,
-            "info": info,
-            "log": log,
-            "nodes": nodes,
-        }
-        numbers = {
-            "lanes": lanes,
-            "p_stride": self.system.np if len(asked.p) > 1 else 0,
-            "max_steps": asked.max_steps,
-            "fixed_steps": asked.fixed_steps,
-        }
-        table = _table(held, numbers)
-        self._run(self._call(with_columns, width), -(-lanes // width), table, threads)
-        return arcs_of(z, rates, columns, info, log), nodes
+            return fly
+
+        return BoundArcs(self.system, asked, bind)
 
     def _call(self, columns: bool, width: int) -> Callable[..., None]:
         which = (columns, width)
@@ -224,20 +202,6 @@ class NativeEngine:
             kinds = (ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
             self._calls[which] = self._object(columns, width).function("arcs", *kinds)
         return self._calls[which]
-
-    @staticmethod
-    def _run(function: Callable[..., None], groups: int, table: NDArray[np.int64], threads: int | None) -> None:
-        most = groups // _GROUPS_PER_THREAD
-        count = min(threads or os.cpu_count() or 1, most) if most > 1 else 1
-        address = native.address(table)
-        if count == 1:
-            function(0, groups, address)
-            return
-        # Sorted by length, the last groups are the longest: small pieces, longest first, keep all cores busy.
-        piece = max(4, groups // (8 * count))
-        starts = range(0, groups, piece)
-        with ThreadPoolExecutor(count) as pool:
-            list(pool.map(lambda first: function(first, min(first + piece, groups), address), reversed(starts)))
 
     def _rates(self, z: Matrix, p: Vector, mode: Vector) -> Matrix:
         """Return z' at many points, (count, nz)."""
@@ -249,6 +213,19 @@ class NativeEngine:
         held = [np.ascontiguousarray(array) for array in (z, p, mode, out)]
         rates(len(z), *map(native.address, held))
         return out
+
+
+def _run(function: Callable[..., None], groups: int, table: int, threads: int | None) -> None:
+    most = groups // _GROUPS_PER_THREAD
+    count = min(threads or os.cpu_count() or 1, most) if most > 1 else 1
+    if count == 1:
+        function(0, groups, table)
+        return
+    # Sorted by length, the last groups are the longest: small pieces, longest first, keep all cores busy.
+    piece = max(4, groups // (8 * count))
+    starts = range(0, groups, piece)
+    with ThreadPoolExecutor(count) as pool:
+        list(pool.map(lambda first: function(first, min(first + piece, groups), table), reversed(starts)))
 
 
 def _name(system: ArcSystem, width: int) -> str:

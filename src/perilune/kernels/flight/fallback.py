@@ -12,14 +12,14 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from perilune.kernels.algebra.system import ArcSystem
-from perilune.kernels.flight.arcs import MAX_EVENTS, MAX_STEPS, Arcs, ArcStatus, Request, arcs_of, request
+from perilune.kernels.flight.arcs import MAX_EVENTS, Arcs, ArcStatus, Request, request
+from perilune.kernels.flight.bound import BoundArcs
 from perilune.kernels.flight.dense import DenseArc, dense_arc
-from perilune.kernels.flight.single import SingleArc
 from perilune.words.types import Matrix, Vector
 
 _FINEST = 100 * np.finfo(float).eps  # the least relative tolerance that SciPy takes
@@ -37,10 +37,6 @@ class ScipyEngine:
         self._functions = {False: _Functions(system.without_columns() if system.nc else system)}
         self._functions[True] = _Functions(system) if system.nc else self._functions[False]
 
-    def at_hand(self, *, single: bool) -> bool:
-        """Whether arcs can be flown without compiling first: always."""
-        return True
-
     def propagate(
         self,
         z0: ArrayLike,
@@ -53,68 +49,49 @@ class ScipyEngine:
     ) -> Arcs:
         """Fly a batch of arcs; see `NativeEngine.propagate`. `threads` has no effect."""
         sizes = (self.system.nz, self.system.np, self.system.nc)
-        return self._fly(request(sizes, len(self.system.modes), z0, p, duration, columns, **settings))[0]
+        flight = self.bind(request(sizes, len(self.system.modes), z0, p, duration, columns, **settings))
+        flight()
+        return flight.ends()
 
     def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> DenseArc:
         """Fly one arc and return it as a function of time; see `NativeEngine.dense`."""
         sizes = (self.system.nz, self.system.np, 0)
         asked = request(sizes, len(self.system.modes), z0, p, duration, None, **settings)
-        arcs, nodes = self._fly(asked)
+        nodes: list[Vector] = []
+        flight = self.bind(asked, nodes)
+        flight()
         fields = self._functions[False].fields
 
         def rates(z: Matrix, mode: Vector) -> Matrix:
             return np.array([np.asarray(fields[int(m)](x, asked.p[0])).ravel() for x, m in zip(z, mode, strict=True)])
 
-        return dense_arc(arcs, np.array(nodes).reshape(-1, 3 + self.system.nz), rates)
+        return dense_arc(flight.ends(), np.array(nodes).reshape(-1, 3 + self.system.nz), rates)
 
-    def single(
-        self, columns: bool = False, *, rtol: float = 1e-12, atol: float = 1e-12, max_steps: int = MAX_STEPS
-    ) -> SingleArc:
-        """Return what flies one arc at a time; see `NativeEngine.single`."""
+    def bind(self, asked: Request, nodes: list[Vector] | None = None) -> BoundArcs:
+        """Return what flies a request as often as is wanted; see `NativeEngine.bind`."""
+        functions, lanes = self._functions[asked.seeds is not None], len(asked.z0)
+        system = functions.system
 
-        def bind(held: dict[str, NDArray[Any]]) -> Callable[[], None]:
-            def fly() -> None:
-                asked = Request(
-                    z0=held["z0"][None],
-                    p=held["p"][None],
-                    duration=held["duration"],
-                    seeds=held["seeds"][None] if columns else None,
-                    rtol=held["rtol"],
-                    atol=held["atol"],
-                    mode=held["mode"].astype(np.int64),
-                    max_steps=max_steps,
-                    fixed_steps=0,
-                )
-                arcs, _ = self._fly(asked)
-                held["z"][:], held["rates"][:], held["columns"][:] = arcs.z[0], arcs.rates[0], arcs.columns[0]
-                met = np.count_nonzero(arcs.event_index[0] >= 0)
-                held["info"][:] = arcs.time[0], arcs.status[0], arcs.steps[0], arcs.mode[0], met
-                held["log"][:, 0], held["log"][:, 1] = arcs.event_index[0], arcs.event_time[0]
+        def bind(flight: BoundArcs) -> Callable[[int | None], None]:
+            columns = flight.columns.reshape(lanes, -1)
+
+            def fly(_: int | None) -> None:
+                for lane in range(lanes):
+                    flown = _Lane(functions, asked, lane)
+                    with np.errstate(all="ignore"):
+                        status = flown.fly()
+                    if status in (ArcStatus.REACHED, ArcStatus.EVENT) and not np.all(np.isfinite(flown.y)):
+                        status = ArcStatus.NON_FINITE
+                    flight.z[lane], columns[lane, system.offsets] = flown.y[: system.nz], flown.y[system.nz :]
+                    flight.rates[lane] = flown.rate(flown.y)[: system.nz]
+                    flight.info[lane] = flown.t, status, flown.steps, flown.mode, len(flown.met)
+                    flight.log[lane, : len(flown.met)] = np.reshape(flown.met, (-1, 2))
+                    if nodes is not None:
+                        nodes[:] = flown.nodes
 
             return fly
 
-        return SingleArc(self.system, columns, bind, rtol=rtol, atol=atol, max_steps=max_steps)
-
-    def _fly(self, asked: Request) -> tuple[Arcs, list[Vector]]:
-        """Fly every lane; with the nodes of the last."""
-        functions, lanes = self._functions[asked.seeds is not None], len(asked.z0)
-        system = functions.system
-        z, rates, info = np.empty_like(asked.z0), np.empty_like(asked.z0), np.empty((lanes, 5))
-        columns = np.zeros((lanes, system.nz * system.nc))
-        log = np.full((lanes, MAX_EVENTS if system.events else 0, 2), np.nan)
-        nodes: list[Vector] = []
-        for lane in range(lanes):
-            flown = _Lane(functions, asked, lane)
-            with np.errstate(all="ignore"):
-                status = flown.fly()
-            if status in (ArcStatus.REACHED, ArcStatus.EVENT) and not np.all(np.isfinite(flown.y)):
-                status = ArcStatus.NON_FINITE
-            z[lane], columns[lane, system.offsets] = flown.y[: system.nz], flown.y[system.nz :]
-            rates[lane] = flown.rate(flown.y)[: system.nz]
-            info[lane] = flown.t, status, flown.steps, flown.mode, len(flown.met)
-            log[lane, : len(flown.met)] = np.reshape(flown.met, (-1, 2))
-            nodes = flown.nodes
-        return arcs_of(z, rates, columns.reshape(lanes, system.nz, system.nc), info, log), nodes
+        return BoundArcs(self.system, asked, bind)
 
 
 class _Functions:
