@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,7 +80,7 @@ def say(answer: Answer, as_json: bool) -> int:
     # Names and titles may be a stranger's, and control characters move the cursor over what was said.
     text = "".join(c if c.isprintable() or c in "\n\t" else "?" for c in answer.text)
     if refused:
-        print(text, file=sys.stderr)
+        aside(text)
     if as_json or not refused:
         if as_json:
             from perilune.io.files import json_text
@@ -96,9 +97,15 @@ def tell(text: str, code: int = 0) -> int:
     except OSError as error:
         forsake_stdout()
         if not isinstance(error, BrokenPipeError):  # a reader who has seen enough is no fault
-            print(f"perilune: the answer cannot be written\n  got: stdout: {error.strerror}", file=sys.stderr)
+            aside(f"perilune: the answer cannot be written\n  got: stdout: {error.strerror}")
             return code or 2
     return code
+
+
+def aside(text: str) -> None:
+    """Print a text on stderr; where that cannot be written nobody is told, and nothing else changes."""
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
 
 
 def forsake_stdout() -> None:
