@@ -16,8 +16,9 @@ from perilune.methods.method import Method
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Extremal, Nature, Solution
 from perilune.problem.verification import Check
-from perilune.proof.feasible import feasibility, flights
-from perilune.proof.numerics import Arc
+from perilune.proof.arc import Arc
+from perilune.proof.feasible import feasibility
+from perilune.proof.flight import flights
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import quotient
 
@@ -87,7 +88,7 @@ def _rivals(solution: Solution, other: Method | None) -> tuple[list[Solution], s
 
 def _missed(rival: Solution) -> list[str]:
     """Conditions of level 1 that an extremal does not meet: it knows of none along the path."""
-    return [check.name for check in feasibility(rival, flights(rival, with_costates=False)) if not check.passed]
+    return [check.name for check in feasibility(rival, flights(rival)) if not check.passed]
 
 
 def _mesh_error(*solutions: Solution) -> float:

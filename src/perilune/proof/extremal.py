@@ -27,7 +27,9 @@ import numpy as np
 from perilune.problem.problem import Free
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.numerics import COMPLEX, STEP, Arc, Flight, jacobian, stacked
+from perilune.proof.arc import Arc
+from perilune.proof.flight import Flight, costate_deviation
+from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
 from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality
 from perilune.words.types import Matrix, Vector
 
@@ -49,7 +51,7 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
     solution
         What is claimed.
     flown
-        Of `feasible.flights`, with costates.
+        Of `flight.flights`.
     """
     if any(t.costate is None for t in solution.trajectories):
         yield Check(
@@ -59,8 +61,8 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         return
     arcs = [arc for arc, _ in flown]
     nu = [end_multipliers(arc) for arc in arcs]
-    for (arc, flight), (multipliers, residual) in zip(flown, nu, strict=True):
-        yield from _costates(arc, flight)
+    for arc, (multipliers, residual) in zip(arcs, nu, strict=True):
+        yield from _costates(arc)
         yield _transversality(arc, residual)
         yield from _signs(arc, multipliers)
         yield _hamiltonian_constant(arc)
@@ -73,14 +75,12 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
             yield from minimality(arc)
 
 
-def _costates(arc: Arc, flight: Flight) -> Iterator[Check]:
-    n, t = len(arc.phase.states), np.append(arc.quadrature[0], arc.duration)
-    error = np.abs(flight.at(t)[n:] - arc.costate(t)).max(axis=1) * arc.state_scale / arc.objective_scale
-    for state, value in zip(arc.phase.states, error, strict=True):
+def _costates(arc: Arc) -> Iterator[Check]:
+    for state, value in zip(arc.phase.states, costate_deviation(arc).largest, strict=True):
         yield Check(
-            name=f"{arc.prefix}costate_{state.name}", level=2, unit="1", limit=COSTATE_LIMIT,
-            value=float(value) if flight.completed else float("nan"),
-            meaning=f"difference between the costate of {state.name} and lam' = -dH/dx flown again (scaled)",
+            name=f"{arc.prefix}costate_{state.name}", level=2, value=float(value), unit="1", limit=COSTATE_LIMIT,
+            meaning=f"largest difference between the costate of {state.name} and lam' = -dH/dx flown again, inside "
+            "every piece of the tables (scaled)",
         )  # fmt: skip
 
 
@@ -163,10 +163,11 @@ def _multipliers(solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector
 
 
 def _hamiltonian_constant(arc: Arc) -> Check:
-    ends = np.array([0.0, arc.duration])
-    at_ends = arc.state(ends), arc.control(ends), arc.costate(ends)
-    x, u, lam = (np.hstack(pair) for pair in zip(at_ends, arc.sampled, strict=True))
-    values = (lam * arc.rates(x, u).real).sum(axis=0)
+    ends, inside = np.array([0.0, arc.duration]), arc.sampled
+    values = np.append(
+        arc.hamiltonian(arc.state(ends), arc.control(ends), arc.costate(ends)),
+        arc.hamiltonian(inside.x, inside.u, inside.lam),
+    )
     return Check(
         name=f"{arc.prefix}hamiltonian_constant", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
         value=float(np.abs(values - values.mean()).max()) * arc.problem.scales.time / arc.objective_scale,
@@ -192,11 +193,11 @@ def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> 
             total += slope(ahead, problem.links[arc.index](arc.phase.state_record(*end), stepped, COMPLEX))
         else:
             total += slope([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
-        (_, weights), (x, u, lam) = arc.quadrature, arc.sampled
-        f = arc.rates(x, u, stepped)
-        total += float(((lam * f.imag).sum(axis=0) * weights).sum()) / (STEP * unit)
+        inside = arc.sampled
+        f = arc.rates(inside.x, inside.u, stepped)
+        total += float((inside.lam * f.imag).sum(axis=0) @ inside.weights) / (STEP * unit)
         if arc.phase.duration == name:
-            total += float(((lam * f.real).sum(axis=0) * weights).sum()) / arc.duration
+            total += float((inside.lam * f.real).sum(axis=0) @ inside.weights) / arc.duration
     return total
 
 
@@ -228,11 +229,11 @@ def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
 
 
 def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
-    t = np.linspace(0.0, arc.duration, 2001)
-    x, of = flight.at(t)[: len(arc.phase.states)], arc.problem.scales.of
+    inside, of = arc.sampled, arc.problem.scales.of
+    x = flight.inside.reshape(len(arc.phase.states), -1)
     margins = [
         (f"{condition.name} >= 0", condition, value)
-        for condition, value in zip(arc.phase.path_conditions, arc.path(x, arc.control(t)), strict=True)
+        for condition, value in zip(arc.phase.path_conditions, arc.path(x, inside.u), strict=True)
     ]
     for state, value in zip(arc.phase.states, x, strict=True):
         lower, upper = state.limits(arc.p)
@@ -241,11 +242,12 @@ def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
         if np.isfinite(upper):
             margins.append((f"{state.name} <= {upper:g}", state, upper - value))
     near = float(np.fmax(TOUCHING, TOUCHING_MESH * arc.solution.statistics.residual))
+    upto = np.concatenate([[0.0], np.cumsum(inside.weights)])
     runs: dict[str, tuple[float, str]] = {}
     for text, variable, margin in margins:
         active = np.concatenate([[False], margin <= near * of(variable.unit), [False]])
         begins, ends = (np.nonzero(np.diff(active.astype(int)) == way)[0] for way in (1, -1))
-        longest = float((ends - begins).max(initial=0)) / len(t)
+        longest = float((upto[ends] - upto[begins]).max(initial=0.0)) / arc.duration
         runs[variable.name] = max(runs.get(variable.name, (-1.0, "")), (longest, text))
     for name, (longest, text) in runs.items():
         consequence = "; touched at single times it is taken to have no multiplier: one would show in the costates"
@@ -254,7 +256,6 @@ def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
                 ": a path condition is active, and the first-order conditions with its multiplier are not checked"
             )
         yield Check(
-            name=f"{arc.prefix}inactive_{name}", level=2, unit="1", limit=TOUCHING_SHARE,
-            value=longest if flight.completed else float("nan"),
+            name=f"{arc.prefix}inactive_{name}", level=2, unit="1", limit=TOUCHING_SHARE, value=longest,
             meaning=f"longest share of the flight spent at the limit of {text}{consequence}",
         )  # fmt: skip

@@ -1,8 +1,8 @@
 """Level 1, feasible: the exported control, flown by another integrator, does what the solution says.
 
-From x(0) = start(p) each phase is flown by SciPy's DOP853 with the control read from the export, from switch
-to switch; the end conditions, the states along the arc, path constraints, bounds and the objective are
-recomputed from that flight alone.
+From x(0) = start(p) each phase is flown with the control read from the export (`flight`); the end conditions, the
+states along the arc, path constraints, bounds and the objective are recomputed from that flight alone, inside every
+piece of every table (`pieces`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import numpy as np
 from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.numerics import Arc, Flight, fly, initial_state, smooth_pieces
+from perilune.proof.arc import Arc
+from perilune.proof.flight import Flight, smooth_pieces
+from perilune.proof.pieces import ENDS, extremes, polynomial, through, turns
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
@@ -22,7 +24,6 @@ from perilune.words.types import Vector
 # In canonical units. Measured on good answers: end conditions 2e-11, states along the arc 4e-11.
 END_LIMIT = 1e-10
 STATE_LIMIT = 3e-10
-_DENSE = 2001
 
 
 def tables(solution: Solution) -> Check:
@@ -42,19 +43,6 @@ def tables(solution: Solution) -> Check:
     )  # fmt: skip
 
 
-def flights(solution: Solution, *, with_costates: bool) -> list[tuple[Arc, Flight]]:
-    """Every phase flown again, each from the end of the flight before."""
-    flown: list[tuple[Arc, Flight]] = []
-    end: Vector | None = None
-    for k, phase in enumerate(solution.problem.phases):
-        arc, n = Arc(solution=solution, index=k), len(phase.states)
-        lam0 = arc.costate(np.zeros(1))[:, 0] if with_costates and arc.trajectory.costate is not None else None
-        flight = fly(arc, initial_state(solution, k, end), lam0)
-        end = flight.end[:n]
-        flown.append((arc, flight))
-    return flown
-
-
 def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iterator[Check]:
     """All checks of level 1 but `tables`.
 
@@ -63,7 +51,7 @@ def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
     solution
         What is claimed.
     flown
-        Of `flights`.
+        Of `flight.flights`.
     """
     for arc, flight in flown:
         yield from _times(arc)
@@ -77,42 +65,40 @@ def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
 
 
 def _times(arc: Arc) -> Iterator[Check]:
-    curves = [arc.trajectory.state, arc.trajectory.control]
-    curves += [arc.trajectory.costate] if arc.trajectory.costate is not None else []
     yield Check(
         name=f"{arc.prefix}{arc.phase.duration}", level=1, unit="s",
-        value=max(abs(float(c.time[-1]) - arc.duration) for c in curves),
+        value=max(abs(float(c.time[-1]) - arc.duration) for c in arc.curves),
         limit=1e-12 * arc.problem.scales.time,
         meaning=f"difference between the last time of the exported tables and {arc.phase.duration}",
     )  # fmt: skip
 
 
 def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
-    residuals = arc.phase.evaluate("end", flight.end[: len(arc.phase.states)].tolist(), (), arc.p)
-    for condition, residual in zip(arc.phase.end_conditions, residuals, strict=True):
+    residuals = [arc.phase.evaluate("end", end.tolist(), (), arc.p) for end in flight.ends]
+    for condition, values in zip(arc.phase.end_conditions, zip(*residuals, strict=True), strict=True):
         what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
         yield Check(
             name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
-            value=abs(float(condition.missed(float(residual), arc.p))),
+            value=float(np.max([abs(condition.missed(float(value), arc.p)) for value in values])),
             limit=END_LIMIT * arc.problem.scales.of(condition.unit),
             meaning=f"{what} when the exported control is flown by another integrator",
         )  # fmt: skip
 
 
 def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
-    t = np.append(arc.quadrature[0], arc.duration)
-    error = np.abs(flight.at(t)[: len(arc.phase.states)] - arc.state(t)).max(axis=1)
-    bounds = arc.phase.states
-    for state, scale, difference, values in zip(bounds, arc.state_scale, error, flight.at(t), strict=False):
-        difference = float(difference) if flight.completed else float("nan")
+    of_states = zip(arc.phase.states, arc.state_scale, flight.difference, strict=True)
+    for row, (state, scale, difference) in enumerate(of_states):
         yield Check(
-            name=f"{arc.prefix}state_{state.name}", level=1, value=difference, unit=state.unit,
+            name=f"{arc.prefix}state_{state.name}", level=1, value=float(difference * scale), unit=state.unit,
             limit=STATE_LIMIT * scale,
-            meaning=f"largest difference along the arc between {state.name} of the table and as flown again",
+            meaning=f"largest difference between {state.name} of the table and as flown again, inside every piece of "
+            "the tables",
         )  # fmt: skip
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower) or np.isfinite(upper):
             name = f"{arc.prefix}bounds_{state.name}"
+            own = through(flight.inside[row])
+            values = np.concatenate([polynomial(own[:, None], turns(own)).ravel(), flight.at_ends[row].ravel()])
             yield _bound(name, state.name, values, lower, upper, state.unit, scale)
 
 
@@ -124,30 +110,39 @@ def _bound(name: str, what: str, values: Vector, lower: float, upper: float, uni
 
 
 def _controls(arc: Arc) -> Iterator[Check]:
-    t = arc.times(_DENSE)
-    u = arc.trajectory.control.extended(t).T
+    curve = arc.trajectory.control
+    u = arc.looked_at[0].read(curve)
+    of_pieces = extremes(curve)
     for here, control in placed(arc.phase.controls):
-        part, name = u[here], "_".join(control.names)
+        name = "_".join(control.names)
         if not control.scalar:
+            nodes = curve.values.T[here]
             yield Check(
                 name=f"{arc.prefix}direction_{name}", level=1, unit="1", limit=1e-9,
-                value=float(control.broken(part, arc.p).max()),
+                value=max(float(control.broken(part, arc.p).max()) for part in (u[here], nodes)),
                 meaning="how far the interpolated direction is from length 1 before it is normalised",
             )  # fmt: skip
         elif np.isfinite(limits := control.limits(arc.p)).any():
-            scale = float(arc.control_scale[here.start])
-            yield _bound(f"{arc.prefix}bounds_{name}", name, part, *limits, control.unit, scale)
+            values, scale = of_pieces[here].ravel(), float(arc.control_scale[here.start])
+            yield _bound(f"{arc.prefix}bounds_{name}", name, values, *limits, control.unit, scale)
 
 
 def _paths(arc: Arc, flight: Flight) -> Iterator[Check]:
-    t = arc.times(_DENSE)
-    x = flight.at(t)[: len(arc.phase.states)]
-    for condition, value in zip(arc.phase.path_conditions, arc.path(x, arc.control(t)), strict=True):
+    """Values inside every piece and at its ends; and where the cubic through those of a piece turns, that one too."""
+    if not arc.phase.path_conditions:
+        return
+    pieces = arc.looked_at[0]
+    inside = arc.path(flight.inside, arc.read(pieces)[1])
+    at_ends = arc.path(flight.at_ends, arc.read(pieces, ENDS)[1])
+    for row, condition in enumerate(arc.phase.path_conditions):
+        shares = turns(through(inside[row]))
+        dips = arc.path(polynomial(through(flight.inside)[:, :, None], shares), arc.read(pieces, shares)[1])[row]
+        values = np.concatenate([part.ravel() for part in (inside[row], at_ends[row], dips)])
         yield Check(
             name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
-            value=float(np.max(np.maximum(-value, 0.0))) if flight.completed else float("nan"),
+            value=float(np.max(np.maximum(-values, 0.0))),
             limit=END_LIMIT * arc.problem.scales.of(condition.unit),
-            meaning=f"largest violation of {condition.name} >= 0 at {len(t)} times of the new flight",
+            meaning=f"largest violation of {condition.name} >= 0 inside {len(pieces)} pieces of the new flight",
         )  # fmt: skip
 
 
@@ -159,10 +154,9 @@ def _free_parameters(solution: Solution) -> Iterator[Check]:
 
 
 def _objective(solution: Solution, arc: Arc, flight: Flight) -> Check:
-    x = arc.phase.state_record(*flight.end[: len(arc.phase.states)])
-    flown = float(solution.problem.objective(x, arc.p, NUMERIC))
+    flown = [float(solution.problem.objective(arc.phase.state_record(*x), arc.p, NUMERIC)) for x in flight.ends]
     return Check(
-        name="objective", level=1, value=abs(flown - solution.objective),
+        name="objective", level=1, value=float(np.max(np.abs(np.array(flown) - solution.objective))),
         unit=solution.problem.objective_unit, limit=END_LIMIT * arc.objective_scale,
         meaning="difference between the objective of the new flight and the one claimed",
     )  # fmt: skip

@@ -17,7 +17,8 @@ from perilune.problem.solution import Solution
 from perilune.problem.verification import Check, Verification
 from perilune.proof.crossed import agreement
 from perilune.proof.extremal import extremality
-from perilune.proof.feasible import feasibility, flights, tables
+from perilune.proof.feasible import feasibility, tables
+from perilune.proof.flight import flights
 from perilune.proof.resolved import Resolve, neighbours
 from perilune.proof.second_order import local_optimality
 from perilune.words.outcome import PeriluneError
@@ -62,7 +63,7 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
     if readable.passed:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
         with np.errstate(all="ignore"):
-            flown = flights(solution, with_costates=level >= 2)
+            flown = flights(solution)
             checks += feasibility(solution, flown)
             if level >= 2:
                 checks += extremality(solution, flown)

@@ -38,8 +38,9 @@ import numpy as np
 from perilune.problem.controls import Bounded, normalised, placed, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
+from perilune.proof.arc import Arc
 from perilune.proof.extremal import INSIDE, at_bound, end_multipliers, end_sides
-from perilune.proof.numerics import COMPLEX, Arc, hessian, jacobian, stacked
+from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.switching import control_rates, crossings, on_bounds, strictness, tangents
 from perilune.words.types import Matrix, Vector
 

@@ -16,29 +16,30 @@ Osmolovskii and Maurer (2012), chapter 6.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import product
+import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars
 from perilune.problem.verification import Check
-from perilune.proof.numerics import ON_BOUND, STEP, Arc, jacobian, just_before
+from perilune.proof.arc import ON_BOUND, Arc, just_before
+from perilune.proof.numerics import STEP, jacobian
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.
 HAMILTONIAN_LIMIT = 1e-9
 SLOPE_LIMIT = 1e-9
 STRICT_LIMIT = -1e-4
+_AT_ONCE = 100_000  # samples of the control, so that they stay in the processor's cache
 ADMISSIBLE = 1e-9  # by how much, in canonical units, a sampled control may leave a path condition
 
 
 def minimality(arc: Arc) -> Iterator[Check]:
     """Checks of level 2 of one phase with controls."""
     yield _minimum(arc)
-    t = arc.times(257)
-    gradient, u = control_gradient(arc, t), arc.control(t)
+    _, u, gradient = gradient_along(arc)
     row = 0
     for here, control in placed(arc.phase.controls):
         rows, name = slice(row, row + control.freedom), "_".join(control.names)
@@ -72,7 +73,8 @@ def _zeros(arc: Arc) -> Iterator[Check]:
         times = arc.breaks[arc.jumps[at] != 0]
         if len(times):
             row = _row(arc, control)
-            S = control_gradient(arc, np.concatenate([just_before(times), times]))[row]
+            t = np.concatenate([just_before(times), times])
+            S = control_gradient(arc, arc.state(t), arc.control(t), arc.costate(t))[row]
             yield Check(
                 name=f"{arc.prefix}switch_{control.name}", level=2, value=float(np.abs(S).max()), unit="1",
                 limit=SLOPE_LIMIT,
@@ -85,8 +87,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
     """Checks of level 3: each scalar on a bound is there strictly, and leaves it by a jump at a finite slope of S."""
     if not any(control.scalar for control in arc.phase.controls):
         return
-    t = np.linspace(0.0, arc.duration, 1025)
-    u, gradient = arc.control(t), control_gradient(arc, t)
+    t, u, gradient = gradient_along(arc)
     # S may vanish at a break, and at a joint of phases, whose times are chosen too; nowhere else.
     joints = [0.0] * (arc.index > 0) + [arc.duration] * (arc.index < len(arc.problem.phases) - 1)
     zeros = np.array([*arc.breaks, *joints])
@@ -130,25 +131,47 @@ def _row(arc: Arc, control: Bounded) -> int:
 
 
 def _minimum(arc: Arc) -> Check:
-    t = arc.times(65)
-    x, u, lam = arc.state(t), arc.control(t), arc.costate(t)
+    """Inside every piece: at its first point against samples all over the set, at each against those at the others.
+
+    The second is what sees a control that follows the minimum at one point and some other stationary value at the next.
+    """
+    pieces = arc.looked_at[0]
+    x, u, lam = arc.read(pieces)
+    count = len(pieces)
+    worst = _gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
     parts = [
-        control.samples(u[here], float(arc.control_scale[here.start]), arc.p)
+        control.samples(u[here, :, 0], float(arc.control_scale[here.start]), arc.p)
         for here, control in placed(arc.phase.controls)
     ]
-    tried = np.stack([np.concatenate(choice) for choice in product(*parts)], axis=1)  # (components, samples, times)
-    samples = tried.shape[1]
-    x_many = np.broadcast_to(x[:, None, :], (len(x), samples, len(t)))
-    H = (lam[:, None, :] * arc.rates(x_many, tried).real).sum(axis=0)
-    own = H[0].copy()
-    for condition, value in zip(arc.phase.path_conditions, arc.path(x_many, tried), strict=True):
-        H = np.where(value < -ADMISSIBLE * arc.problem.scales.of(condition.unit), np.inf, H)
-    worst = float((own - H.min(axis=0)).max())
+    samples = math.prod(len(part) for part in parts)
+    width = max(1, _AT_ONCE // samples)
+    for k in range(0, count, width):
+        at = slice(k, k + width)
+        tried = _product([np.stack([value[:, at] for value in part], axis=1) for part in parts])
+        worst = max(worst, _gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
-        value=max(worst, 0.0) * arc.problem.scales.time / arc.objective_scale,
-        meaning=f"most that any of {samples} controls at {len(t)} times lowers the Hamiltonian (scaled)",
+        value=worst * arc.problem.scales.time / arc.objective_scale,
+        meaning=f"most that any of {samples} controls inside each of {count} pieces lowers the Hamiltonian (scaled)",
     )  # fmt: skip
+
+
+def _product(parts: Sequence[Any]) -> Any:
+    """Every combination of the samples (components, S, N) of each control, (all components, product of S, N)."""
+    shape = tuple(part.shape[1] for part in parts)
+    rows = []
+    for i, part in enumerate(parts):
+        own = part.reshape(len(part), *(size if j == i else 1 for j, size in enumerate(shape)), part.shape[2])
+        rows.append(np.broadcast_to(own, (len(part), *shape, part.shape[2])).reshape(len(part), -1, part.shape[2]))
+    return np.concatenate(rows)
+
+
+def _gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix) -> float:
+    """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast."""
+    H = arc.hamiltonian(x, tried, lam)
+    for condition, value in zip(arc.phase.path_conditions, arc.path(x, tried), strict=True):
+        H = np.where(value < -ADMISSIBLE * arc.problem.scales.of(condition.unit), np.inf, H)
+    return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 
 def tangents(arc: Arc, u: Matrix) -> Any:
@@ -169,8 +192,18 @@ def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
     return arc.rates(x_many, normalised(arc.phase.controls, moved)).imag / STEP
 
 
-def control_gradient(arc: Arc, t: Vector) -> Matrix:
+def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
     """dH/d(control) along `tangents`, scaled, shape (k, N)."""
-    x, u, lam = arc.state(t), arc.control(t), arc.costate(t)
     f = control_rates(arc, x, u, tangents(arc, u))
     return (lam[:, None, :] * f).sum(axis=0) * arc.problem.scales.time / arc.objective_scale
+
+
+def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix]:
+    """Times inside all pieces, at both ends of the phase and on both sides of breaks; control and gradient there."""
+    t = np.concatenate([[0.0], just_before(arc.breaks), arc.breaks, [arc.duration]])
+    inside = arc.sampled
+    x, u, lam = (
+        np.hstack([inside_, at(t)])
+        for inside_, at in ((inside.x, arc.state), (inside.u, arc.control), (inside.lam, arc.costate))
+    )
+    return np.append(inside.t, t), u, control_gradient(arc, x, u, lam)

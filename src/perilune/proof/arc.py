@@ -1,0 +1,237 @@
+"""One phase of a solution as the proof sees it: its tables, their breaks and pieces, and the numpy physics on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.controls import control_scales, normalised
+from perilune.problem.problem import Phase, Problem
+from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.proof.numerics import COMPLEX, STEP, stacked
+from perilune.proof.pieces import BLOCK, POINTS, WEIGHTS, Pieces
+from perilune.words.types import Matrix, Vector
+
+ON_BOUND = 1e-7  # a control this close to its bound, in canonical units, lies on it
+# Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they
+# still do is no error that is forgotten, but part of every difference that is reported.
+_SETTLED = 1e-13
+_HALVINGS, _MOST_OPEN = 60, 4000
+
+
+def just_before(t: Vector) -> Vector:
+    """Times at which a table still has the values from before a break at t."""
+    return np.nextafter(t, -np.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slopes:
+    """The equations of motion at `POINTS` of pieces, read off the tables; scaled, per second.
+
+    Attributes
+    ----------
+    state, costate
+        f and -dH/dx, shape (n, N, 4); the costate's are empty where there is none.
+    matrix
+        df/dx, shape (N, 4, n, n).
+    """
+
+    state: Matrix
+    costate: Matrix
+    matrix: Matrix
+
+    def __getitem__(self, chosen: Any) -> Slopes:
+        return Slopes(state=self.state[:, chosen], costate=self.costate[:, chosen], matrix=self.matrix[chosen])
+
+    def rows(self) -> Matrix:
+        """All rates, (rows, N, 4)."""
+        return np.concatenate([self.state, self.costate])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampled:
+    """Times and weights of a quadrature [s], shape (P,), with state, control and costate there, (components, P)."""
+
+    t: Vector
+    weights: Vector
+    x: Matrix
+    u: Matrix
+    lam: Matrix
+
+
+def joined(parts: Sequence[Slopes]) -> Slopes:
+    """Slopes of several pieces as one."""
+    return Slopes(
+        state=np.concatenate([p.state for p in parts], axis=1),
+        costate=np.concatenate([p.costate for p in parts], axis=1),
+        matrix=np.concatenate([p.matrix for p in parts]),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arc:
+    """One phase of a solution with what the checks evaluate on it. Arrays are (components, times)."""
+
+    solution: Solution
+    index: int
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved."""
+        return self.solution.problem
+
+    @property
+    def phase(self) -> Phase:
+        """The phase."""
+        return self.problem.phases[self.index]
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """What was exported of it."""
+        return self.solution.trajectories[self.index]
+
+    @cached_property
+    def p(self) -> Any:
+        """All parameters in SI."""
+        return self.solution.parameters
+
+    @property
+    def duration(self) -> float:
+        """Length of the phase [s], from the parameters."""
+        return float(getattr(self.p, self.phase.duration))
+
+    @property
+    def prefix(self) -> str:
+        """Begins the names of checks in problems of several phases."""
+        return f"{self.phase.name}_" if len(self.problem.phases) > 1 else ""
+
+    @cached_property
+    def state_scale(self) -> Vector:
+        """Canonical units of the states [SI]."""
+        return np.array([self.problem.scales.of(v.unit) for v in self.phase.states])
+
+    @cached_property
+    def costate_scale(self) -> Vector:
+        """Canonical units of the costates [SI]."""
+        return self.objective_scale / self.state_scale
+
+    @cached_property
+    def control_scale(self) -> Vector:
+        """Canonical units of the control components [SI]."""
+        return control_scales(self.phase.controls, self.problem.scales)
+
+    @property
+    def objective_scale(self) -> float:
+        """Canonical unit of J [SI]."""
+        return self.problem.scales.of(self.problem.objective_unit)
+
+    @cached_property
+    def breaks(self) -> Vector:
+        """Times inside the phase at which the table of the control begins anew: switches, joints of a mesh [s]."""
+        time = self.trajectory.control.time
+        return time[1:][(np.diff(time) == 0) & (time[1:] < self.duration)]
+
+    @cached_property
+    def edges(self) -> Vector:
+        """0, the breaks and the duration [s]."""
+        return np.array([0.0, *self.breaks, self.duration])
+
+    @cached_property
+    def jumps(self) -> Matrix:
+        """Change of each control component over each break, canonical; what is less than `ON_BOUND` is none."""
+        change = self.control(self.breaks) - self.control(just_before(self.breaks))
+        change = change / self.control_scale[:, None]
+        return np.where(np.abs(change) > ON_BOUND, change, 0.0)
+
+    @property
+    def curves(self) -> list[Curve]:
+        """Tables of the phase: state, control, and costate where there is one."""
+        flown = self.trajectory
+        return [flown.state, flown.control, *([flown.costate] if flown.costate is not None else [])]
+
+    def state(self, t: Vector) -> Matrix:
+        """Exported states."""
+        return self.trajectory.state.extended(t).T
+
+    def control(self, t: Vector) -> Matrix:
+        """Exported control, directions normalised."""
+        return normalised(self.phase.controls, self.trajectory.control.extended(t).T)
+
+    def costate(self, t: Vector) -> Matrix:
+        """Exported costates [J per state]; NaN where the method gave none."""
+        curve = self.trajectory.costate
+        return np.full((len(self.phase.states), len(t)), np.nan) if curve is None else curve.extended(t).T
+
+    def rates(self, x: Any, u: Any, p: Any = None) -> Any:
+        """Dynamics, complex-safe, (n, ...) for x (n, ...) and u (k, ...)."""
+        values = self.phase.rates(x, u, self.p if p is None else p, COMPLEX)
+        return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]))
+
+    def hamiltonian(self, x: Any, u: Any, lam: Any) -> Any:
+        """lam.f of real values, (...), for x and lam (n, ...) and u (k, ...)."""
+        return sum(a * b for a, b in zip(lam, self.phase.rates(x, u, self.p), strict=True))
+
+    def path(self, x: Any, u: Any) -> Matrix:
+        """Path conditions, (conditions, ...), for x (n, ...) and u (k, ...)."""
+        values = self.phase.evaluate("path", list(x), list(u), self.p)
+        return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]), float)
+
+    def read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix, Matrix]:
+        """State, control (directions normalised) and costate on pieces, (components, N, shares)."""
+        x, u, *lam = (pieces.read(curve, shares) for curve in self.curves)
+        return x, normalised(self.phase.controls, u), lam[0] if lam else np.full(x.shape, np.nan)
+
+    def slopes(self, pieces: Pieces) -> Slopes:
+        """The equations of motion on the tables."""
+        count, shape = len(pieces), (len(self.phase.states), len(pieces), len(POINTS))
+        x, u, lam = (values.reshape(len(values), np.size(pieces.times())) for values in self.read(pieces))
+        n, scale = shape[0], self.state_scale
+        # The columns of df/dx and f itself are one evaluation.
+        f = self.rates(x[:, None] + (1j * STEP * np.diag(scale))[:, :, None], u)
+        matrix = f.imag / STEP / scale[:, None, None]
+        known = self.trajectory.costate is not None
+        costate = -(lam[:, None] / self.costate_scale[:, None, None] * matrix).sum(axis=0).reshape(shape)
+        return Slopes(
+            state=(f[:, 0].real / scale[:, None]).reshape(shape), costate=costate if known else costate[:0],
+            matrix=np.moveaxis(matrix.reshape(n, n, count, -1), (2, 3), (0, 1)),
+        )  # fmt: skip
+
+    @cached_property
+    def looked_at(self) -> tuple[Pieces, Slopes, Vector]:
+        """The pieces on which all tables are cubics, halved until the integrals of all rates settle.
+
+        With the rates there, and what is still open in their integrals: the differences between the pieces and their
+        halves, added up, scaled, (rows,).
+        """
+        pieces = Pieces.between([curve.time for curve in self.curves], self.duration)
+        parts = [self._settled(pieces[k : k + BLOCK]) for k in range(0, len(pieces), BLOCK)]
+        found = Pieces.joined([piece for part in parts for piece in part[0]])
+        slopes = joined([rates for part in parts for rates in part[1]])
+        order = np.argsort(found.left, kind="stable")
+        return found[order], slopes[order], np.sum([part[2] for part in parts], axis=0)
+
+    def _settled(self, pieces: Pieces) -> tuple[list[Pieces], list[Slopes], Vector]:
+        own, found, slopes, still = self.slopes(pieces), [], [], np.zeros(())
+        for left in range(_HALVINGS, -1, -1):
+            finer = self.slopes(halves := pieces.halves)
+            whole, parts = (s.rows() @ WEIGHTS * p.width for s, p in ((own, pieces), (finer, halves)))
+            difference = np.abs(whole - parts.reshape(*whole.shape, 2).sum(axis=-1))
+            again = (difference > _SETTLED).any(axis=0) & (left > 0) & (len(pieces) < _MOST_OPEN)
+            found.append(pieces[~again])
+            slopes.append(own[~again])
+            still = still + difference[:, ~again].sum(axis=1)
+            if not again.any():
+                break
+            pieces, own = halves[np.repeat(again, 2)], finer[np.repeat(again, 2)]
+        return found, slopes, still
+
+    @cached_property
+    def sampled(self) -> Sampled:
+        """The tables at all `POINTS` of the pieces."""
+        pieces = self.looked_at[0]
+        x, u, lam = (values.reshape(len(values), np.size(pieces.times())) for values in self.read(pieces))
+        return Sampled(t=pieces.times().ravel(), weights=(pieces.width[:, None] * WEIGHTS).ravel(), x=x, u=u, lam=lam)

@@ -1,0 +1,248 @@
+"""Every phase flown again by its exported control, twice.
+
+By SciPy's DOP853 from break to break, with steps of its own choice: an integrator that knows nothing of the tables.
+And by Gauss's collocation of order 8 on all pieces of the tables at once: one Newton step from the tables themselves.
+With y the table and y + d what is flown, on a piece from a with Butcher's matrix a_jk at its points
+
+    d_j = d(a) + [y(a) + h sum_k a_jk f(y_k) - y_j] + h sum_k a_jk f_y(y_k) d_k
+
+in which the bracket is the defect of the table by quadrature; d at the end of the piece, with what the table itself
+jumps there, begins the next. So a thousand gaps, each too small to see, add up as they do in flight. What Newton's step
+leaves is of order d^2, below rounding where d passes. The costates lam' = -dH/dx are carried along likewise.
+Source: Hairer, Noersett, Wanner (1993), II.7 and II.1.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.controls import directions
+from perilune.problem.problem import Phase
+from perilune.problem.solution import Curve, Solution
+from perilune.proof.arc import Arc, just_before
+from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics
+from perilune.words.maths import NUMERIC
+from perilune.words.types import Matrix, Vector
+
+_TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deviation:
+    """What is flown less what a table says, scaled: at the points of its pieces (n, N, 4), and at their ends (n, N, 2).
+
+    `largest` is of each component the largest of all, with what quadrature leaves open.
+    """
+
+    inside: Matrix
+    ends: Matrix
+    still_open: Vector
+
+    @property
+    def largest(self) -> Vector:
+        """Of each component, (n,)."""
+        every = np.concatenate([self.inside, self.ends], axis=2)
+        return np.abs(every).max(axis=(1, 2)) + self.still_open
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """One phase flown again.
+
+    Attributes
+    ----------
+    ends
+        Final states [SI], by SciPy and by collocation: NaN where there is none.
+    inside
+        States at the points of the pieces, by collocation [SI], (n, N, 4).
+    at_ends
+        The same at both ends of all pieces, (n, N, 2).
+    difference
+        Largest difference of each state to its table, scaled, of both flights, (n,).
+    """
+
+    ends: tuple[Vector, Vector]
+    inside: Matrix
+    at_ends: Matrix
+    difference: Vector
+
+
+def initial_state(solution: Solution, index: int, before: Vector | None) -> Vector:
+    """Where the phase starts: by `start`, or by the link from the end state of the phase before."""
+    problem, p = solution.problem, solution.parameters
+    if before is None:
+        values = problem.start(p, NUMERIC)
+    else:
+        values = problem.links[index - 1](problem.phases[index - 1].state_record(*before), p, NUMERIC)
+    return np.array([float(v) for v in values])
+
+
+def flights(solution: Solution) -> list[tuple[Arc, Flight]]:
+    """Every phase flown again, each from the end of the flight before."""
+    flown: list[tuple[Arc, Flight]] = []
+    ends: tuple[Vector | None, Vector | None] = None, None
+    for k in range(len(solution.problem.phases)):
+        arc = Arc(solution=solution, index=k)
+        flight = fly(arc, *(initial_state(solution, k, end) for end in ends))
+        flown.append((arc, flight))
+        ends = flight.ends
+    return flown
+
+
+def fly(arc: Arc, by_steps: Vector, by_pieces: Vector) -> Flight:
+    """Fly a phase by the exported control.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    by_steps, by_pieces
+        Initial states in SI, shape (n,), of the one flight and of the other.
+    """
+    scale = arc.state_scale
+    end, apart = steps(arc, by_steps)
+    deviation = state_deviation(arc, by_pieces)
+    pieces, curve = arc.looked_at[0], arc.trajectory.state
+    inside, at_ends = (
+        pieces.read(curve, *shares) + scale[:, None, None] * d
+        for shares, d in (((), deviation.inside), ((ENDS,), deviation.ends))
+    )
+    return Flight(
+        ends=(end, at_ends[:, -1, 1]), inside=inside, at_ends=at_ends,
+        difference=np.maximum(apart, deviation.largest),
+    )  # fmt: skip
+
+
+def state_deviation(arc: Arc, start: Vector) -> Deviation:
+    """States flown from a start [SI], less their table."""
+    pieces, slopes, still = arc.looked_at
+    n, unit = len(arc.state_scale), arc.state_scale[:, None, None]
+    at, ends = (pieces.read(arc.trajectory.state, *shares) / unit for shares in ((), (ENDS,)))
+    first = start / arc.state_scale - ends[:, 0, 0]
+    return carried(pieces, at, ends, slopes.state, slopes.matrix, first, still[:n])
+
+
+def costate_deviation(arc: Arc) -> Deviation:
+    """Costates flown from their own first value along the table of the state, less their table."""
+    pieces, slopes, still = arc.looked_at
+    n, unit = len(arc.state_scale), arc.costate_scale[:, None, None]
+    curve = arc.trajectory.costate
+    assert curve is not None, "asked for where there is one"
+    at, ends = (pieces.read(curve, *shares) / unit for shares in ((), (ENDS,)))
+    return carried(pieces, at, ends, slopes.costate, -slopes.matrix.swapaxes(2, 3), np.zeros(n), still[n:])
+
+
+def carried(
+    pieces: Pieces, at: Matrix, ends: Matrix, slopes: Matrix, matrix: Any, first: Vector, still: Vector
+) -> Deviation:
+    """Newton's step of the collocation, from piece to piece.
+
+    Parameters
+    ----------
+    pieces
+        The N pieces.
+    at, ends
+        The table at their points (n, N, 4), and at both ends (n, N, 2).
+    slopes, matrix
+        f (n, N, 4) and its derivatives (N, 4, n, n) on the table.
+    first
+        Deviation at the start (n,).
+    still
+        What quadrature leaves open, (n,).
+    """
+    defect = ends[:, :, :1] + pieces.width[:, None] * (slopes @ UP_TO.T) - at
+    over = ends[:, :, 0] + pieces.width * (slopes @ WEIGHTS) - ends[:, :, 1]
+    n, count = over.shape
+    own, through = np.empty((count, n, 4)), np.empty((count, n, 4, n))
+    for k in range(0, count, BLOCK):
+        here = slice(k, k + BLOCK)
+        own[here], through[here] = _solved(pieces.width[here], defect[:, here], matrix[here])
+    # At a piece's right end, by the weights: what is the piece's own, and what comes through it.
+    bent = pieces.width[:, None, None, None] * WEIGHTS[:, None, None] * matrix
+    over = over.T + np.einsum("nkij,njk->ni", bent, own)
+    past = np.eye(n) + np.einsum("nkij,njkl->nil", bent, through)
+    jumped = ends[:, :-1, 1] - ends[:, 1:, 0]
+    starts, finals, d = np.empty((count, n)), np.empty((count, n)), first
+    for i in range(count):
+        starts[i] = d
+        finals[i] = d = past[i] @ d + over[i]
+        if i + 1 < count:
+            d = d + jumped[:, i]
+    inside = own + np.einsum("nikl,nl->nik", through, starts)
+    return Deviation(
+        inside=inside.transpose(1, 0, 2), ends=np.stack([starts.T, finals.T], axis=2), still_open=still,
+    )  # fmt: skip
+
+
+def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]:
+    """Deviations at the points of each piece from its defect (N, n, 4), and from each component at its start."""
+    n, count = defect.shape[:2]
+    bent = width[:, None, None, None, None] * UP_TO[:, None, :, None] * matrix.swapaxes(1, 2)[:, None]
+    system = np.eye(4 * n) - bent.reshape(count, 4 * n, 4 * n)
+    right = np.zeros((count, 4, n, n + 1))
+    right[..., 0] = defect.transpose(1, 2, 0)
+    right[..., 1:] = np.eye(n)
+    try:
+        found = np.linalg.solve(system, right.reshape(count, 4 * n, n + 1)).reshape(right.shape)
+    except np.linalg.LinAlgError:  # of no solution that could pass
+        found = np.full(right.shape, np.nan)
+    return found[..., 0].swapaxes(1, 2), found[..., 1:].swapaxes(1, 2)
+
+
+def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
+    """The end of SciPy's flight [SI], and the largest difference to the table at its steps, scaled; both (n,).
+
+    The integrator starts anew at each break of the control; NaN where it gives up.
+    """
+    from scipy.integrate import solve_ivp
+
+    phase, p, x, scale = arc.phase, arc.p, x0, arc.state_scale
+    apart = np.zeros(len(x0))
+    for (left, right), piece in zip(pairwise(arc.edges), smooth_pieces(arc.trajectory.control), strict=False):
+        control = exported_control(phase, piece)
+
+        def rates(t: float, x: Vector, control: Any = control) -> Any:
+            return phase.rates(x.tolist(), control(t), p)
+
+        with np.errstate(all="ignore"):
+            flown = solve_ivp(rates, (left, right), x, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale)
+        if not flown.success:
+            return np.full(len(x0), np.nan), np.full(len(x0), np.nan)
+        table = arc.state(np.append(flown.t[:-1], just_before(flown.t[-1:])))
+        apart, x = np.maximum(apart, (np.abs(flown.y - table) / scale[:, None]).max(axis=1)), flown.y[:, -1]
+    return x, apart
+
+
+def smooth_pieces(curve: Curve) -> list[Curve]:
+    """The parts of a table between the times that stand in it twice, with the values of either side."""
+    cut = np.nonzero(np.diff(curve.time) == 0)[0] + 1
+    parts = (np.split(a, cut) for a in (curve.time, curve.values, curve.rates))
+    return [Curve(time=t, values=v, rates=r) for t, v, r in zip(*parts, strict=True)]
+
+
+def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float]]:
+    """The control as a piece of its file describes it: cubic Hermite, then a direction normalised.
+
+    Plain floats, as the flight calls it a thousand times for one value each.
+    """
+    pieces = cubics(curve, np.arange(len(curve.time) - 1)).swapaxes(0, 1).tolist()
+    nodes, widths = curve.time.tolist(), np.diff(curve.time).tolist()
+    interior, groups = nodes[1:-1], directions(phase.controls)
+
+    def control_at(t: float) -> list[float]:
+        i = bisect_right(interior, t)
+        s = (t - nodes[i]) / widths[i]
+        u = [a + s * (b + s * (c + s * d)) for a, b, c, d in pieces[i]]
+        for first, last in groups:
+            length = sum(v * v for v in u[first:last]) ** 0.5 or math.nan  # no direction at all fails every check
+            u[first:last] = [v / length for v in u[first:last]]
+        return u
+
+    return control_at
