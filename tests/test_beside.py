@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import perilune as pl
 from command_line import HYBRID, ORDINARY, read_json
@@ -189,6 +190,20 @@ def test_an_extremal_that_breaks_a_bound_is_not_confirmed(landing: Any, hybrid: 
     assert "2 of the 3 extremals" in " ".join(proved.verification.notes)
 
 
+def test_files_from_before_extremals_had_unknowns(hybrid_dir: Path) -> None:
+    """What Newton reaches from the solution itself is confirmed; the rest is left out."""
+
+    def change(document: dict[str, Any]) -> None:
+        for entry in document["extremals"]:
+            del entry["unknowns"]
+
+    proved = prove(pl.load(edited(hybrid_dir, change)), 1)
+    assert proved.outcome is Outcome.PROVED
+    left = 3 - len(proved.extremals)
+    assert natures(proved)[0] is (Nature.BEST if left < 2 else Nature.LOCAL_OPTIMUM)
+    assert not left or f"{left} of the 3 extremals" in proved.verification.notes[0]
+
+
 # -- statistics, method, words --------------------------------------------------------------------------------------
 
 
@@ -246,6 +261,58 @@ def test_control_characters_are_refused(
 
     code, said = told(edited(hybrid_dir, change), capsys)
     assert code == 2 and "\x1b" not in said
+
+
+# -- any entry at all ------------------------------------------------------------------------------------------------
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Places of all entries but those of the curves, which the proof is about."""
+    if path[:1] == ("phases",) and path[2:3] in (("state",), ("control",), ("costate",)):
+        return
+    children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    yield path
+    for name, child in children:
+        yield from leaves(child, (*path, name))
+
+
+@pytest.fixture(scope="module")
+def true(answers: dict[str, Path]) -> tuple[str, Solution]:
+    """A document and what is proved of it."""
+    file = answers["hybrid_lander"] / "solution.json"
+    return file.read_text(encoding="utf-8"), proved_directory(file, 2)
+
+
+OTHER = [999.0, -999.0, 0, 1e300, 10**400, True, None, "", "kg", "PROVED", [], {}, [[0]]]
+
+
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_no_entry_of_a_file_is_believed(true: tuple[str, Solution], tmp_path: Path, data: st.DataObject) -> None:
+    """Whatever one entry is changed to: refused, not proved, or every number that is said is the one without it."""
+    document, right = json.loads(true[0]), true[1]
+    part = data.draw(st.sampled_from(list(document)))  # each as often as the others, however many entries it has
+    path = data.draw(st.sampled_from(list(leaves(document[part], (part,)))))
+    other = data.draw(st.sampled_from(OTHER))
+    place = document
+    for step in path[:-1]:
+        place = place[step]
+    place[path[-1]] = other
+    (tmp_path / "solution.json").write_text(json.dumps(document), encoding="utf-8")
+    try:
+        found = proved_directory(tmp_path, 2)
+    except PeriluneError:
+        return
+    if found.outcome is Outcome.PROVED:
+        assert found.results == right.results
+        assert found.objective == right.objective and found.free == right.free
+        assert found.verification.level == right.verification.level
+        known = [(pytest.approx(e.objective), e.nature) for e in right.extremals]
+        for e in found.extremals[1:]:
+            assert (e.objective, e.nature) in known
+        assert len(found.extremals) in (0, 3) or found.verification.notes
+    else:
+        assert found.outcome is Outcome.NOT_PROVED and found.verification.failed
 
 
 # -- other files of the directory -----------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,11 @@ import pytest
 from cho import cho_landing
 from command_line import read_json
 from perilune.cli import run
-from perilune.families.family import Family
+from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
+from perilune.report.family import family_csv
 from perilune.solve import prove, solve
 from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 
@@ -149,17 +151,19 @@ def test_refusals_cross_process_borders(error: type[PeriluneError]) -> None:
 
 
 def test_a_store_gives_back_what_was_put_there(fixed: Problem, grid: Family, tmp_path: Path) -> None:
-    """Also reasons; nothing is computed again, and the curves prove anew."""
+    """Also reasons; nothing is solved again, and everything is proved anew."""
     over = {**GRID, "vehicle.thrust": [440.0, 1.0]}
     first = sweep(fixed, over, level=1, store=tmp_path)
     lines: list[Any] = []
     again = sweep(fixed, over, level=1, store=tmp_path, watch=lines.append)
-    assert lines == ["6 of 6 members are in the store"]
+    assert lines[0] == "6 of 6 members are in the store"
+    assert lines[1:] == [f"members of the store proved again: {n} of 3" for n in (1, 2, 3)]
+    assert again.notes == ()
     for one, other in zip(first.points, again.points, strict=True):
         assert (one.values, one.outcome, one.message) == (other.values, other.outcome, other.message)
     here, there = first.points[0].solution, again.points[0].solution
     assert here is not None and there is not None
-    assert there.verification.text == "checked when it was stored: the problem's own Python functions"
+    assert there.verification.text == "the problem's own Python functions"
     assert [vars(c) for c in there.verification.checks] == [vars(c) for c in here.verification.checks]
     assert there.trajectories[0].state == here.trajectories[0].state
     assert there.problem == here.problem
@@ -199,30 +203,147 @@ def test_a_foreign_directory_is_left_alone(fixed: Problem, tmp_path: Path) -> No
     assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
 
 
+def test_a_damaged_record_of_a_sweep_is_refused(fixed: Problem, tmp_path: Path) -> None:
+    sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path)
+    (tmp_path / "sweep.json").write_bytes(b"\xff")
+    with pytest.raises(PeriluneError, match="cannot be used"):
+        sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path)
+
+
+@pytest.mark.parametrize("level", [0, 1])
 @pytest.mark.parametrize(
     ("file", "content"),
     [
         ("000000.json", b"{"),
         ("000000.json", b"[]"),
+        ("000000.json", b"[" * 100_000),
+        ("000000.json", b'{"values": [NaN]}'),
+        ("000000.json", b'{"values": [440.0], "values": [440.0]}'),
         ("000000.json", b'{"values": [440.0], "message": "", "failure": "PROVED", "solution": 3}'),
+        ("000000.json", b'{"values": [440.0], "message": "", "failure": "PROVED", "solution": null}'),
         ("000000.json", b'{"values": [3.0], "message": "", "failure": "PROVED", "solution": null}'),
-        ("sweep.json", b"\xff"),
+        ("000000.npz", pickle.dumps({"0.state.time": 1})),
+        ("000000.npz", b""),
+        ("000000.npz", b"PK"),
+        ("000000.npz", b"\x93NUMPY\x01\x00"),
     ],
 )
-def test_a_damaged_store_is_refused(fixed: Problem, tmp_path: Path, file: str, content: bytes) -> None:
-    sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path)
+def test_a_damaged_member_is_solved_again(
+    fixed: Problem, tmp_path: Path, file: str, content: bytes, level: int
+) -> None:
+    """With a note, and afterwards it is there."""
+    first = sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path)
     (tmp_path / file).write_bytes(content)
-    with pytest.raises(PeriluneError, match="cannot be used"):
-        sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path)
+    again = sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path)
+    assert objectives(again) == same(objectives(first))
+    (note,) = again.notes
+    assert note.startswith("stored member 000000 cannot be used") and note.endswith("is solved again")
+    assert sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path).notes == ()
 
 
-def test_damaged_curves_are_refused_when_they_are_looked_at(fixed: Problem, tmp_path: Path) -> None:
+def test_missing_curves_are_solved_again(fixed: Problem, tmp_path: Path) -> None:
     sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path)
-    (tmp_path / "000000.npz").write_bytes(pickle.dumps({"0.state.time": 1}))
-    (point,) = sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path).points
-    assert point.solution is not None
-    with pytest.raises(PeriluneError, match="cannot be used"):
-        point.solution.trajectories[0]
+    (tmp_path / "000000.npz").unlink()
+    assert len(sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path).notes) == 1
+
+
+TWO = {"vehicle.thrust": [440.0, 500.0]}
+
+
+def falsified(store: Path, change: Any) -> None:
+    """The first member of a store, changed."""
+    file = store / "000000.json"
+    document = json.loads(file.read_text())
+    change(document)
+    file.write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("workers", [False, True])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d["solution"]["objective"].update(value=-999.0),
+        lambda d: d["solution"].update(objective={"value": -999.0}, extremals=[]),
+        lambda d: d["solution"]["free"]["flight_time"].update(value=999.0),
+        lambda d: d["solution"]["free"]["flight_time"].update(value=1005.36),
+        lambda d: d["solution"].pop("free"),
+    ],
+)
+def test_an_edited_member_is_solved_again(fixed: Problem, tmp_path: Path, change: Any, workers: bool) -> None:
+    """Never PROVED with a number of the file."""
+    first = sweep(fixed, TWO, level=1, store=tmp_path)
+    falsified(tmp_path, change)
+    with ThreadPoolExecutor(1) as pool:
+        again = sweep(fixed, TWO, level=1, store=tmp_path, executor=pool if workers else None)
+    assert len(again.notes) == 1 and "stored member 000000" in again.notes[0]
+    assert objectives(again) == same(objectives(first))
+    assert {p.outcome for p in again.points} == {Outcome.PROVED}
+
+
+def test_curves_of_another_member_are_solved_again(fixed: Problem, tmp_path: Path) -> None:
+    """Member by member everything is as written, and yet it is not the answer."""
+    first = sweep(fixed, TWO, level=1, store=tmp_path)
+    one, other = (tmp_path / f"00000{i}.npz" for i in range(2))
+    content = one.read_bytes(), other.read_bytes()
+    one.write_bytes(content[1])
+    other.write_bytes(content[0])
+    again = sweep(fixed, TWO, level=1, store=tmp_path)
+    assert len(again.notes) == 2
+    assert objectives(again) == same(objectives(first))
+
+
+def test_what_a_member_says_of_itself_counts_for_nothing(fixed: Problem, tmp_path: Path) -> None:
+    """Outcome, checks, a failure beside a solution: the proof of this run stands in their place."""
+    first = sweep(fixed, TWO, level=1, store=tmp_path)
+    document = json.loads((tmp_path / "000000.json").read_text())
+    assert "failure" not in document
+
+    def change(document: dict[str, Any]) -> None:
+        document["failure"] = "NOT_CONVERGED"
+        document["solution"]["outcome"]["name"] = "NOT_PROVED"
+        document["solution"]["verification"] = {"level": 4, "text": "nobody", "checks": []}
+        document["solution"]["extremals"][0]["nature"] = "locally worst"
+        document["solution"]["results"]["landed_mass"]["value"] = 999.0
+
+    falsified(tmp_path, change)
+    again = sweep(fixed, TWO, level=1, store=tmp_path)
+    assert again.notes == ()
+    here, there = first.points[0].solution, again.points[0].solution
+    assert here is not None and there is not None
+    assert there.verification == here.verification
+    assert there.results == here.results and there.extremals == ()
+    assert "NOT_CONVERGED" not in family_csv(again)
+
+
+def test_what_was_not_proved_is_marked_as_stored(fixed: Problem, tmp_path: Path) -> None:
+    """At level 0, and where a member was not found: both are the file's word. What physics refuses is refused anew."""
+    family = sweep(fixed, TWO, store=tmp_path / "zero")
+    falsified(tmp_path / "zero", lambda d: d["solution"]["outcome"].update(name="PROVED"))
+    again = sweep(fixed, TWO, store=tmp_path / "zero")
+    assert {p.outcome for p in again.points} == {Outcome.SOLVED}
+    assert [p.message for p in (*family.points, *again.points)] == ["", "", "as stored", "as stored"]
+    sweep(fixed, TWO, level=1, store=tmp_path / "one")
+    message = "the Moon is closed"
+    (tmp_path / "one" / "000000.json").write_text(
+        json.dumps({"values": [440.0], "message": message, "failure": "INFEASIBLE", "solution": None})
+    )
+    claimed = sweep(fixed, TWO, level=1, store=tmp_path / "one").points[0]
+    assert (claimed.outcome, claimed.message) == (Outcome.INFEASIBLE, f"as stored: {message}")
+    weak = {"vehicle.thrust": [1.0]}
+    sweep(fixed, weak, level=1, store=tmp_path / "weak")
+    falsified(tmp_path / "weak", lambda d: d.update(message=message))
+    assert "too weak" in sweep(fixed, weak, level=1, store=tmp_path / "weak").points[0].message
+
+
+@pytest.mark.parametrize("failure", [None, Outcome.PROVED, Outcome.SOLVED])
+def test_a_member_without_a_solution_has_a_reason(failure: Outcome | None) -> None:
+    with pytest.raises(PeriluneError, match="a solution, or a reason"):
+        FamilyPoint(values=(1.0,), solution=None, failure=failure)
+
+
+def test_a_solved_member_has_no_failure(grid: Family) -> None:
+    with pytest.raises(PeriluneError, match="a solution, or a reason"):
+        replace(grid.points[0], failure=Outcome.NOT_CONVERGED)
 
 
 COUNTED = """
@@ -290,6 +411,11 @@ def test_a_grid_from_the_command_line(capsys: pytest.CaptureFixture[str], tmp_pa
     assert run([*arguments, "--resume"]) == 0
     assert read_json(capsys.readouterr().out)["points"][3]["outcome"] == "PROVED"
     assert {p.name: p.stat().st_mtime_ns for p in (out / "members").iterdir()} == stamps
+    falsified(out / "members", lambda d: d["solution"].update(objective={"value": -999.0}, extremals=[]))
+    assert run([*arguments, "--resume"]) == 0
+    said = capsys.readouterr()
+    assert "perilune: stored member 000000 does not prove and is solved again" in said.err
+    assert read_json(said.out)["notes"] == ["stored member 000000 does not prove and is solved again"]
     assert run(arguments) == 2  # the directory is not empty
     assert run([*arguments, "--force"]) == 0
     assert {p.name: p.stat().st_mtime_ns for p in (out / "members").iterdir()} != stamps

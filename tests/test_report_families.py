@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from perilune.families.family import Family, FamilyPoint
+from perilune.families.family import Family, FamilyPoint, failed_point
 from perilune.problem.solution import Extremal, Nature, Solution
 from perilune.report.family import family_csv, family_document, write_family
 from perilune.reproductions.cho2015.case import PRINTED
 from perilune.reproductions.cho2015.compute import best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import NotConvergedError, PeriluneError
 
 # --- families ---
 
@@ -29,7 +29,7 @@ def family(hybrid: Solution, ordinary: Solution) -> Family:
         parameters=("retro_specific_impulse",),
         points=(
             FamilyPoint(values=(310.0,), solution=hybrid),
-            FamilyPoint(values=(290.0,), solution=None, message="no solution\n  try: less"),
+            failed_point((290.0,), NotConvergedError("no solution", advice="less")),
             FamilyPoint(values=(270.0,), solution=ordinary),
         ),
     )

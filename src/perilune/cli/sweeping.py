@@ -51,6 +51,8 @@ def sweep_answer(order: Namespace) -> Answer:
     codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
     # At level 0 no proof was asked for, so none is missing.
     worst = max((c for c in codes if c != 5 or order.level), default=0, key=(0, 5, 4).index)
+    for text in family.notes:
+        note(text)
     if family.interrupted:
         total = 1
         for values in over.values():

@@ -19,12 +19,21 @@ Over = Mapping[str, Sequence[float]] | Sequence[Mapping[str, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class FamilyPoint:
-    """One member: the parameters' values in SI, the solution, or why there is none."""
+    """One member: the parameters' values in SI, the solution, or (`failure`, `message`) why there is none."""
 
     values: tuple[float, ...]
     solution: Solution | None
     message: str = ""
-    failure: Outcome = Outcome.NOT_CONVERGED
+    failure: Outcome | None = None
+
+    def __post_init__(self) -> None:
+        allowed = (None,) if self.solution is not None else (Outcome.NOT_CONVERGED, Outcome.INFEASIBLE)
+        if self.failure not in allowed:
+            raise PeriluneError(
+                "a member of a family has a solution, or a reason why it has none",
+                got=str(self.failure and self.failure.name),
+                expected=" or ".join(outcome.name if outcome else "no failure" for outcome in allowed),
+            )
 
     @property
     def value(self) -> float:
@@ -35,7 +44,10 @@ class FamilyPoint:
     @property
     def outcome(self) -> Outcome:
         """The solution's outcome, or how the member failed."""
-        return self.failure if self.solution is None else self.solution.outcome
+        if self.solution is not None:
+            return self.solution.outcome
+        assert self.failure is not None  # seen to when it was made
+        return self.failure
 
 
 def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
@@ -58,12 +70,15 @@ class Family:
         The members; after an interruption those that were done.
     interrupted
         Whether the user stopped it.
+    notes
+        Which members of a store could not be taken over, and were solved again.
     """
 
     problem: Problem
     parameters: tuple[str, ...]
     points: tuple[FamilyPoint, ...]
     interrupted: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -7,12 +7,13 @@ compute them in any order.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from perilune.families.continued import Continuation
 from perilune.families.family import FamilyPoint, failed_point
@@ -20,11 +21,15 @@ from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
 from perilune.problem.preflight import Finding, member, preflight, refuse_impossible
 from perilune.problem.problem import Problem
-from perilune.solve import prove, solve
-from perilune.words.outcome import PeriluneError
+from perilune.problem.solution import Solution
+from perilune.problem.verification import Verification
+from perilune.solve import judged, prove, solve, verify
+from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.watch import Watch
 
+Kind = TypeVar("Kind")
 Found = Iterator[tuple[int, FamilyPoint]]
+Call = tuple[Any, ...]  # a function and its arguments
 _AHEAD = 1000  # members handed to an executor before the first of them is back
 _PATIENCE = 0.2  # seconds between looks whether the user pressed Ctrl-C
 
@@ -60,16 +65,51 @@ class Members:
     def solved(self, todo: Sequence[int], executor: Submits | None) -> Found:
         """Each of the members `todo` with its number, as soon as it is there."""
         if executor is None and len(self.names) == 1 and isinstance(self.method, Indirect):
-            yield from self._continued(todo, self.method)
-            return
-        try:
-            yield from self._one_by_one(todo) if executor is None else self._elsewhere(todo, executor)
-        except BrokenExecutor as error:
-            raise PeriluneError(
-                "a worker of the sweep was lost",
-                got=f"{type(error).__name__}: {error}",
-                advice="with store=DIR (--out DIR) what was done is kept: run it again there (--resume)",
-            ) from error
+            return self._continued(todo, self.method)
+        return self._one_by_one(todo) if executor is None else _told_of_loss(self._elsewhere(todo, executor))
+
+    def taken_over(
+        self, stored: Mapping[int, FamilyPoint], executor: Submits | None, note: Callable[[str], None]
+    ) -> Found:
+        """Those of the stored members that hold, with their number: proved again, or marked as nothing but stored.
+
+        Parameters
+        ----------
+        stored
+            Members as a store gives them, unverified.
+        executor
+            As for `solved`.
+        note
+            Receives a sentence for each member that does not hold, which is to be solved again.
+        """
+        claims: dict[int, Solution] = {}
+        for i, point in stored.items():
+            try:
+                self._gate(i)
+            except PeriluneError as error:
+                yield i, failed_point(self.values[i], error)
+                continue
+            if point.solution is None or not self.level:
+                yield i, replace(point, message=f"as stored: {point.message}".removesuffix(": "))
+            else:
+                claims[i] = point.solution
+
+        def calls() -> Iterator[tuple[int, Call]]:
+            for i, solution in claims.items():
+                try:
+                    solution.trajectories[0]  # read here, and not where it is sent away
+                    yield i, (proof_of_member, solution, self.level)
+                except PeriluneError as error:
+                    note(f"stored member {i:06d} cannot be used ({error.what}) and is solved again")
+
+        proofs = _here(calls()) if executor is None else _told_of_loss(_answers(executor, calls()))
+        for number, (i, verification) in enumerate(proofs, 1):
+            self.watch(f"members of the store proved again: {number} of {len(claims)}")
+            proved = verification and judged(claims[i], verification, self.level)
+            if proved and proved.outcome is Outcome.PROVED:
+                yield i, replace(stored[i], solution=proved)
+            else:
+                note(f"stored member {i:06d} does not prove and is solved again")
 
     def problem_of(self, i: int) -> Problem:
         """The problem of a member, which its own records may refuse."""
@@ -101,57 +141,80 @@ class Members:
                 yield i, failed_point(self.values[i], error)
 
     def _continued(self, todo: Sequence[int], settings: Indirect) -> Found:
-        chain = Continuation(settings, self.names[0], self.watch)
+        walk = Continuation(settings, self.names[0], self.watch)
         for i in todo:
             self._say(i)
             try:
-                solution = prove(chain.solve(self._gate(i)), self.level)
+                solution = prove(walk.solve(self._gate(i)), self.level)
                 yield i, FamilyPoint(values=self.values[i], solution=solution)
             except PeriluneError as error:
-                chain.forget()
+                walk.forget()
                 yield i, failed_point(self.values[i], error)
 
     def _elsewhere(self, todo: Sequence[int], executor: Submits) -> Found:
         """By an executor, in the order in which they come back."""
-        begun: dict[int, Any] = {}
-        back: SimpleQueue[int] = SimpleQueue()
-        waiting, done = iter(todo), len(self.values) - len(todo)
-        refused: list[tuple[int, FamilyPoint]] = []
-        try:
-            while True:
-                while len(begun) < _AHEAD and (i := next(waiting, None)) is not None:
-                    try:
-                        here = self._gate(i)
-                    except PeriluneError as error:
-                        refused.append((i, failed_point(self.values[i], error)))
-                        continue
-                    begun[i] = executor.submit(solved_member, here, self.method, self.level, self.values[i])
-                    begun[i].add_done_callback(lambda _, i=i: back.put(i))
-                found = refused or ([self._taken(back, begun)] if begun else [])
-                if not found:
-                    return
-                refused = []
-                for i, point in found:
-                    done += 1
-                    self._say(i, f": {point.outcome.name}, {done} of {len(self.values)} done")
-                    yield i, point
-        finally:
-            for future in begun.values():
-                future.cancel()
+        done, refused = len(self.values) - len(todo), list[tuple[int, FamilyPoint]]()
 
-    def _taken(self, back: SimpleQueue[int], begun: dict[int, Any]) -> tuple[int, FamilyPoint]:
-        """The next member that is back."""
+        def calls() -> Iterator[tuple[int, Call]]:
+            for i in todo:
+                try:
+                    yield i, (solved_member, self._gate(i), self.method, self.level, self.values[i])
+                except PeriluneError as error:
+                    refused.append((i, failed_point(self.values[i], error)))
+
+        for found in chain(_answers(executor, calls()), (None,)):
+            # What came back has a copy of the problem; the caller has the problem itself.
+            back = [] if found is None else [(found[0], self._own(*found))]
+            for i, point in (*refused, *back):
+                done += 1
+                self._say(i, f": {point.outcome.name}, {done} of {len(self.values)} done")
+                yield i, point
+            refused.clear()
+
+    def _own(self, i: int, point: FamilyPoint) -> FamilyPoint:
+        if point.solution is None:
+            return point
+        return replace(point, solution=replace(point.solution, problem=self.problem_of(i)))
+
+
+def _answers(executor: Submits, calls: Iterator[tuple[int, Call]]) -> Iterator[tuple[int, Any]]:
+    """What each call returns, with its number, in the order in which they come back."""
+    begun: dict[int, Any] = {}
+    back: SimpleQueue[int] = SimpleQueue()
+    try:
         while True:
+            while len(begun) < _AHEAD and (call := next(calls, None)) is not None:
+                i, (function, *arguments) = call
+                begun[i] = executor.submit(function, *arguments)
+                begun[i].add_done_callback(lambda _, i=i: back.put(i))
+            if not begun:
+                return
             try:
                 i = back.get(timeout=_PATIENCE)
-                break
             except Empty:
                 continue
-        point: FamilyPoint = begun.pop(i).result()
-        if point.solution is None:
-            return i, point
-        # What came back has a copy of the problem; the caller has the problem itself.
-        return i, replace(point, solution=replace(point.solution, problem=self.problem_of(i)))
+            yield i, begun.pop(i).result()
+    finally:
+        for future in begun.values():
+            future.cancel()
+
+
+def _here(calls: Iterator[tuple[int, Call]]) -> Iterator[tuple[int, Any]]:
+    """What each call returns, one after the other."""
+    for i, (function, *arguments) in calls:
+        yield i, function(*arguments)
+
+
+def _told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
+    """The same, with a lost worker named in the user's words."""
+    try:
+        yield from answers
+    except BrokenExecutor as error:
+        raise PeriluneError(
+            "a worker of the sweep was lost",
+            got=f"{type(error).__name__}: {error}",
+            advice="with store=DIR (--out DIR) what was done is kept: run it again there (--resume)",
+        ) from error
 
 
 def solved_member(problem: Problem, method: Method, level: int, values: tuple[float, ...]) -> FamilyPoint:
@@ -160,3 +223,11 @@ def solved_member(problem: Problem, method: Method, level: int, values: tuple[fl
         return FamilyPoint(values=values, solution=solve(problem, method, level=level))
     except PeriluneError as error:
         return failed_point(values, error)
+
+
+def proof_of_member(solution: Solution, level: int) -> Verification | None:
+    """The proof of a stored member; None of one that states what no proof can compute with."""
+    try:
+        return verify(solution, level=level)
+    except PeriluneError:
+        return None

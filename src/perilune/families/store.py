@@ -5,8 +5,8 @@ member is ``000042.json`` (outcome, checks, what was chosen) and ``000042.npz`` 
 file appears whole or not at all, the first after the second, so what is there is done; a kill at any time costs the
 member that was being computed.
 
-A store is the sweep's own memory: the checks in it are taken over, and the verification says that they were made when
-the member was stored. A solution that comes from elsewhere is loaded by `perilune.load`, which takes over nothing.
+A store is read as any saved solution is: what a member says of its outcome and its proof is not taken over
+(`perilune.families.members.Members.taken_over` proves it again), and one that cannot be read is solved again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -27,10 +27,11 @@ import numpy as np
 from perilune.families.family import FamilyPoint
 from perilune.io.export import answer_document, versions
 from perilune.io.files import finite
-from perilune.io.reading import array, part, refuse, text
-from perilune.io.reload import LARGEST_FILE, read_answer, read_trajectories, read_verification
+from perilune.io.reading import array, member, part, refuse, text, tree
+from perilune.io.reload import LARGEST_FILE, read_answer, read_trajectories
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Trajectory
+from perilune.words.bounded import bounded_bytes, bounded_text
 from perilune.words.outcome import Outcome, PeriluneError
 
 if TYPE_CHECKING:
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
 MANIFEST, _FORMAT = "sweep.json", {"name": "perilune-sweep", "version": 1}
 _OURS = re.compile(r"\d{6,}\.(json|npz)|\.writing-.*|sweep\.json")
-_STORED = "checked when it was stored: "
 
 
 class Store:
@@ -47,8 +47,13 @@ class Store:
     def __init__(self, directory: Path, members: Members) -> None:
         self.directory, self.members = directory, members
 
-    def open(self) -> dict[int, FamilyPoint]:
-        """The members that are there, by their number; the directory is made where there is none.
+    def open(self, note: Callable[[str], None]) -> dict[int, FamilyPoint]:
+        """The members that are there, unverified, by their number; the directory is made where there is none.
+
+        Parameters
+        ----------
+        note
+            Receives a sentence for each member that cannot be used and has to be solved again.
 
         Raises
         ------
@@ -62,14 +67,20 @@ class Store:
                 if any(self.directory.iterdir()):
                     raise _unusable(self.directory, "files, and no sweep", "a new or empty directory")
                 self._put(MANIFEST, json.dumps({"format": _FORMAT, "versions": versions(), **said}).encode())
-            found = _read_json(self.directory / MANIFEST)
+            found = self._manifest()
             differs = [name for name, value in said.items() if found.get(name) != value]
             if found.get("format") != _FORMAT or differs:
                 raise _unusable(self.directory, f"a sweep of other {', '.join(differs) or 'format'}", "the same sweep")
             for left in self.directory.glob(".writing-*"):
                 left.unlink(missing_ok=True)
             numbers = sorted(int(p.stem) for p in self.directory.glob("*.json") if re.fullmatch(r"\d{6,}", p.stem))
-            return {i: self._member(i) for i in numbers if i < len(self.members.values)}
+            found_members = {}
+            for i in (i for i in numbers if i < len(self.members.values)):
+                try:
+                    found_members[i] = self._member(i)
+                except PeriluneError as error:
+                    note(f"stored member {i:06d} cannot be used ({error.what}; got {error.got}) and is solved again")
+            return found_members
         except OSError as error:
             raise _unusable(self.directory, str(error.strerror), "a directory that you may write") from error
 
@@ -81,7 +92,7 @@ class Store:
         document = {
             "values": list(point.values),
             "message": point.message,
-            "failure": point.failure.name,
+            **({"failure": point.failure.name} if point.failure else {}),
             "solution": None if solution is None else answer_document(solution),
         }
         self._put(f"{i:06d}.json", json.dumps(finite(document), allow_nan=False).encode())
@@ -100,34 +111,35 @@ class Store:
             "level": members.level,
         }
 
+    def _manifest(self) -> dict[str, Any]:
+        try:
+            return _read_json(self.directory / MANIFEST, "record of a sweep")
+        except PeriluneError as error:
+            raise _unusable(self.directory, f"{MANIFEST}: {error.what}", "the record that the sweep writes") from error
+
     def _put(self, name: str, content: bytes) -> None:
         temporary = self.directory / f".writing-{os.getpid()}-{name}"
         temporary.write_bytes(content)
         os.replace(temporary, self.directory / name)
 
     def _member(self, i: int) -> FamilyPoint:
-        file = self.directory / f"{i:06d}.json"
-        try:
-            document = _read_json(file)
-            values = self.members.values[i]
-            if document.get("values") != list(values):
-                refuse("values", str(document.get("values"))[:60], str(list(values)))
-            failure = Outcome.__members__.get(text(document, "failure"), Outcome.NOT_CONVERGED)
-            entry = document.get("solution")
-            solution = None if entry is None else self._solution(i, part(document, "solution", dict))
-            return FamilyPoint(values=values, solution=solution, message=text(document, "message"), failure=failure)
-        except PeriluneError as error:
-            raise _unusable(file, f"{error.what}: {error.got}", "a member as it was written") from error
+        document = _read_json(self.directory / f"{i:06d}.json", "stored member")
+        values = self.members.values[i]
+        if document.get("values") != list(values):
+            refuse("values", str(document.get("values"))[:60], str(list(values)))
+        message = text(document, "message")
+        if document.get("solution") is None:
+            failure = member(Outcome, Outcome.__members__.get(text(document, "failure")), "failure")
+            return FamilyPoint(values=values, solution=None, message=message, failure=failure)
+        return FamilyPoint(values=values, solution=self._solution(i, part(document, "solution", dict)), message=message)
 
     def _solution(self, i: int, document: Mapping[str, Any]) -> Solution:
         problem = self.members.problem_of(i)
         curves = self.directory / f"{i:06d}.npz"
-        count = len(problem.phases)
-        solution = read_answer(document, problem, Deferred(count, lambda: _read_curves(curves, problem, document)))
-        verification = read_verification(document)
-        told = replace(verification, text=_STORED + verification.text) if verification.checks else verification
-        outcome = Outcome[text(part(document, "outcome", dict), "name")]
-        return replace(solution, outcome=outcome, verification=told)
+        if not self.members.level:  # no proof will look at them
+            _read_curves(curves, problem, document)
+        made = Deferred(len(problem.phases), lambda: _read_curves(curves, problem, document))
+        return replace(read_answer(document, problem, made), outcome=Outcome.SOLVED)
 
 
 def clear(directory: Path) -> None:
@@ -152,9 +164,11 @@ def _curves(solution: Solution) -> bytes:
 def _read_curves(file: Path, problem: Problem, document: Mapping[str, Any]) -> tuple[Trajectory, ...]:
     """The curves of a member, checked as those of a saved solution are."""
     try:
-        if file.stat().st_size > LARGEST_FILE:
-            raise _unusable(file, "too many bytes", "a few hundred kilobytes")
-        with np.load(file, allow_pickle=False) as tables:
+        content = bounded_bytes(file, "table of curves", LARGEST_FILE, expected="the curves of a member", advice="")
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            if sum(entry.file_size for entry in packed.infolist()) > LARGEST_FILE:
+                raise ValueError(f"more than {LARGEST_FILE} bytes when unpacked")
+        with np.load(io.BytesIO(content), allow_pickle=False) as tables:
             found = {name: array(tables[name], name, (None,) * tables[name].ndim) for name in tables.files}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise _unusable(file, str(error)[:80], "the curves of a member") from error
@@ -168,14 +182,11 @@ def _read_curves(file: Path, problem: Problem, document: Mapping[str, Any]) -> t
     return read_trajectories({**document, "phases": phases}, problem)
 
 
-def _read_json(file: Path) -> dict[str, Any]:
-    raw = file.read_bytes()[: LARGEST_FILE + 1]
-    try:
-        document = json.loads(raw.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise _unusable(file, str(error)[:80], "JSON as the sweep writes it") from error
+def _read_json(file: Path, what: str) -> dict[str, Any]:
+    advice = "remove it, and it is computed again"
+    document = tree(bounded_text(file, what, LARGEST_FILE, expected="JSON as the sweep writes it", advice=advice), what)
     if not isinstance(document, dict):
-        raise _unusable(file, type(document).__name__, "a record")
+        raise PeriluneError(f"the {what} is no record", got=type(document).__name__, advice=advice)
     return document
 
 

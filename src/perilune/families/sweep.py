@@ -43,7 +43,8 @@ def sweep(
         Where the members are computed: a `concurrent.futures.Executor` (a process pool, say) or a Dask client.
     store
         Directory into which each member is written as soon as it is there. The same sweep with the same directory goes
-        on where it was broken off, whatever broke it off.
+        on where it was broken off, whatever broke it off: what is there is proved again to `level`, and solved again
+        where that fails. At level 0, and of a member that was not found, the message begins with "as stored".
     watch
         Receives lines of text, ``... (n of N)`` for each member, and each iteration that is made here.
 
@@ -63,12 +64,21 @@ def sweep(
     members = Members(
         problem=problem, names=names, values=values, method=method or Indirect(), level=level, watch=say
     )  # fmt: skip
+    notes: list[str] = []
+
+    def note(text: str) -> None:
+        notes.append(text)
+        say(text)
+
     kept = None if store is None else Store(Path(store), members)
-    done: dict[int, FamilyPoint] = {} if kept is None else kept.open()
-    if done:
-        say(f"{len(done)} of {len(values)} members are in the store")
+    stored = {} if kept is None else kept.open(note)
+    if stored:
+        say(f"{len(stored)} of {len(values)} members are in the store")
+    done: dict[int, FamilyPoint] = {}
     interrupted = False
     try:
+        for i, point in members.taken_over(stored, executor, note):
+            done[i] = point
         for i, point in members.solved([i for i in range(len(values)) if i not in done], executor):
             done[i] = point
             if kept is not None:
@@ -76,4 +86,4 @@ def sweep(
     except KeyboardInterrupt:
         interrupted = True
     points = tuple(done[i] for i in sorted(done))
-    return Family(problem=problem, parameters=names, points=points, interrupted=interrupted)
+    return Family(problem=problem, parameters=names, points=points, interrupted=interrupted, notes=tuple(notes))

@@ -21,7 +21,6 @@ from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, pa
 from perilune.problem.controls import directions
 from perilune.problem.problem import Given, Phase, Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
-from perilune.problem.verification import Check, Verification
 from perilune.words.bounded import bounded_text
 from perilune.words.outcome import Outcome, PeriluneError
 
@@ -91,22 +90,6 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
     )
-
-
-def read_verification(document: Mapping[str, Any]) -> Verification:
-    """The checks that a file tells of, for a reader who has reason to believe it."""
-    entry = part(document, "verification", dict)
-    checks = part(entry, "checks", list)
-    if len(checks) > MOST_ENTRIES or not all(isinstance(c, dict) for c in checks):
-        refuse("verification.checks", f"{len(checks)} entries", f"at most {MOST_ENTRIES} records")
-    read = tuple(_check(c, f"verification.checks[{i}]") for i, c in enumerate(checks))
-    return Verification(checks=read, text=text(entry, "text"))
-
-
-def _check(entry: Mapping[str, Any], where: str) -> Check:
-    value, limit = (math.nan if entry.get(n) is None else number(entry, n, where) for n in ("value", "limit"))
-    words = {name: text(entry, name) for name in ("name", "unit", "meaning")}
-    return Check(level=int(number(entry, "level", where)), value=value, limit=limit, **words)
 
 
 def read_document(directory: str | Path) -> dict[str, Any]:

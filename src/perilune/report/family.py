@@ -45,7 +45,8 @@ def family_document(family: Family) -> dict[str, Any]:
             }
         )
     one = {"parameter": heads[0]["name"], "unit": heads[0]["unit"]} if len(heads) == 1 else {"parameters": heads}
-    return finite({**one, "interrupted": family.interrupted, "points": points})
+    notes = {"notes": list(family.notes)} if family.notes else {}
+    return finite({**one, "interrupted": family.interrupted, **notes, "points": points})
 
 
 def family_csv(family: Family) -> str:
