@@ -12,12 +12,12 @@ __version__ = "0.1.0"
 # name: module. Loaded on first use, so that `import perilune` costs nothing.
 _EXPORTS = {
     "Problem": "perilune.problem.problem",
-    "Phase": "perilune.problem.problem",
-    "Variable": "perilune.problem.problem",
+    "Phase": "perilune.problem.phase",
+    "Variable": "perilune.problem.variables",
     "Direction": "perilune.problem.controls",
     "Bounded": "perilune.problem.controls",
-    "Given": "perilune.problem.problem",
-    "Free": "perilune.problem.problem",
+    "Given": "perilune.problem.variables",
+    "Free": "perilune.problem.variables",
     "Scales": "perilune.words.units",
     "Table": "perilune.words.maths",
     "Finding": "perilune.problem.preflight",
@@ -85,9 +85,11 @@ if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.phase import Phase
     from perilune.problem.preflight import Finding, preflight
-    from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+    from perilune.problem.problem import Problem
     from perilune.problem.solution import Solution
+    from perilune.problem.variables import Free, Given, Variable
     from perilune.problem.verification import Check, Verification
     from perilune.solve import solve, verify
     from perilune.words.maths import Table

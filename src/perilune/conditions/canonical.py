@@ -69,39 +69,37 @@ class PhaseExtremal:
 
 def extremal_parameters(problem: Problem) -> Vector:
     """The numbers p of the canonical equations: the given parameters, then the limits that are numbers of their own."""
-    limits = [limit / problem.scales.of(control.unit) for control, limit in _plain_limits(problem)]
+    limits = [getattr(control, side) / problem.scales.of(control.unit) for _, control, side in _plain_limits(problem)]
     return np.concatenate([canonical_given(problem), limits])
 
 
-def _plain_limits(problem: Problem) -> list[tuple[Bounded, float]]:
-    """Every finite limit of a scalar control that is a number and not a parameter's name."""
+def _plain_limits(problem: Problem) -> list[tuple[int, Bounded, str]]:
+    """(phase, scalar control, side) of every limit that is a finite number and not a parameter's name."""
     return [
-        (control, limit)
-        for phase in problem.phases
+        (k, control, side)
+        for k, phase in enumerate(problem.phases)
         for _, control in scalars(phase.controls)
-        for limit in (control.lower, control.upper)
-        if not isinstance(limit, str) and np.isfinite(limit)
+        for side in ("lower", "upper")
+        if not isinstance(limit := getattr(control, side), str) and np.isfinite(limit)
     ]
 
 
 def limit_symbols(problem: Problem, p: Parameters) -> tuple[ca.SX, list[dict[str, tuple[ca.SX, ca.SX]]]]:
     """Symbols of the plain limits, and for each phase (lower, upper) of each scalar by name."""
-    symbols, found = list[ca.SX](), []
-    for phase in problem.phases:
-        pairs = {}
-        for _, control in scalars(phase.controls):
-            pair = []
-            for limit in (control.lower, control.upper):
-                if isinstance(limit, str):
-                    pair.append(ca.SX(getattr(p.record, limit)))
-                elif np.isfinite(limit):
-                    symbols.append(ca.SX.sym(f"{phase.name}_{control.name}"))
-                    pair.append(symbols[-1])
-                else:
-                    pair.append(ca.SX(limit))
-            pairs[control.name] = (pair[0], pair[1])
-        found.append(pairs)
-    return ca.vertcat(ca.SX(0, 1), *symbols), found
+    place = {(k, control.name, side): i for i, (k, control, side) in enumerate(_plain_limits(problem))}
+    symbols = ca.SX.sym("limit", len(place))
+
+    def limit(k: int, control: Bounded, side: str) -> ca.SX:
+        stated = getattr(control, side)
+        if isinstance(stated, str):
+            return ca.SX(getattr(p.record, stated))
+        i = place.get((k, control.name, side))
+        return ca.SX(stated) if i is None else symbols[i]
+
+    return symbols, [
+        {c.name: (limit(k, c, "lower"), limit(k, c, "upper")) for _, c in scalars(phase.controls)}
+        for k, phase in enumerate(problem.phases)
+    ]
 
 
 def canonical_equations(

@@ -22,11 +22,6 @@ class Body:
         about="inertial (sidereal); negative is retrograde, 0 rad/s a body at rest",
     )
 
-    @property
-    def surface_gravity(self) -> float:
-        """mu/R^2 [m/s^2]."""
-        return self.gravitational_parameter / self.radius**2
-
 
 @record("body")
 class OblateBody(Body):

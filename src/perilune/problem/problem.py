@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
@@ -29,202 +28,17 @@ from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
-from perilune.problem.controls import Control, Limit, limit_value, scalars
+from perilune.problem.controls import scalars
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, trace
+from perilune.problem.phase import Phase
 from perilune.problem.tape import Expression
+from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
-from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.outcome import unknown_name
 from perilune.words.types import Physics
-from perilune.words.units import Scales, dimension_text, unit
-
-
-def _in_si(name: str, text: str) -> None:
-    """Inside, every number is in SI: a unit that would scale it is a mistake waiting to happen."""
-    factor, dimension = unit(text)
-    if factor != 1.0:
-        raise PeriluneError(
-            f"inside a problem numbers are in SI: {name}",
-            got=f"the unit {text!r}",
-            expected=repr(dimension_text(dimension)),
-            advice="convert the number, or read it with units.parse_quantity",
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variable:
-    """A named component with its unit: a state, an end condition, a path condition or an output.
-
-    `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. An end
-    condition with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its
-    name on the axis of a figure, where that is not `name` with blanks.
-    """
-
-    name: str
-    unit: str = "1"
-    lower: Limit = -math.inf
-    upper: Limit = math.inf
-    description: str = ""
-    label: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.name.isidentifier():
-            raise PeriluneError("a name must be a Python identifier", got=repr(self.name))
-        _in_si(self.name, self.unit)
-        if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):
-            raise PeriluneError(
-                f"bounds of {self.name} are empty",
-                got=f"[{self.lower}, {self.upper}]",
-                expected="lower < upper",
-            )
-
-    @property
-    def ranged(self) -> bool:
-        """Whether an end condition of this name is a range and no equality."""
-        return any(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
-
-    def limits(self, p: Any) -> tuple[Any, Any]:
-        """Bounds in SI, where they are parameters those of the record p."""
-        return limit_value(self.lower, p), limit_value(self.upper, p)
-
-    def missed(self, value: Any, p: Any) -> Any:
-        """By how much an end condition of this value is not met, 0 where it is; a number, or an array of them."""
-        lower, upper = self.limits(p)
-        return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
-
-
-@dataclass(frozen=True, kw_only=True)
-class Given:
-    """A parameter with a value in SI and its SI unit.
-
-    `stated` is the decimal text and unit in which a person stated it; a Python float is itself, and has none.
-    """
-
-    value: float
-    unit: str = "1"
-    stated: str = ""
-
-    def __post_init__(self) -> None:
-        _in_si("a given value", self.unit)
-        if not self.stated:
-            object.__setattr__(self, "stated", stated_text(self.value))
-        object.__setattr__(self, "value", float(self.value))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Free:
-    """A parameter that the optimiser chooses, in SI.
-
-    `typical` is its order of magnitude (a first value for methods that need one); a bound that is reached is reported
-    as an extremal of its own.
-    """
-
-    name: str
-    unit: str = "1"
-    lower: float = -math.inf
-    upper: float = math.inf
-    typical: float = 1.0
-
-    def __post_init__(self) -> None:
-        _in_si(self.name, self.unit)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Phase:
-    """One arc with smooth dynamics.
-
-    Parameters
-    ----------
-    name
-        Name of the phase.
-    states, controls
-        Components of x and u in order.
-    dynamics
-        ``dynamics(x, u, p, m)`` returns the rates of all states.
-    duration
-        Name of the parameter (given or free) that is the length of the phase in seconds.
-    end, end_conditions
-        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition; one whose
-        condition has bounds has to lie between them instead.
-    path, path_conditions
-        ``path(x, u, p, m)`` returns values that must not be negative on the phase.
-    outputs, output_variables
-        ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
-    integrals, integral_variables
-        ``integrals(x, u, p, m)`` returns rates; their integrals along the flight are results, named with the unit of
-        the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
-    inertial
-        ``inertial(x, u, t, p, m)`` returns nine values in inertial axes with the body at their origin, t seconds after
-        the first ignition: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
-    track
-        ``track(x, p, m)`` returns how far the flight has come along its way, how far to the left of it, how high, and
-        where `Views.floor` names one, the least height there [m].
-    typical_end
-        ``typical_end(p, m)`` returns a rough end state; only its order matters (a direct method starts there).
-    """
-
-    name: str
-    states: tuple[Variable, ...]
-    controls: tuple[Control, ...] = ()
-    dynamics: Physics
-    duration: str
-    end: Physics | None = None
-    end_conditions: tuple[Variable, ...] = ()
-    path: Physics | None = None
-    path_conditions: tuple[Variable, ...] = ()
-    outputs: Physics | None = None
-    output_variables: tuple[Variable, ...] = ()
-    integrals: Physics | None = None
-    integral_variables: tuple[Variable, ...] = ()
-    inertial: Physics | None = None
-    track: Physics | None = None
-    typical_end: Physics | None = None
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states, in order."""
-        return tuple(s.name for s in self.states)
-
-    @property
-    def control_names(self) -> tuple[str, ...]:
-        """Names of the control components, in order."""
-        return tuple(name for control in self.controls for name in control.names)
-
-    @cached_property
-    def state_record(self) -> Callable[..., Any]:
-        """Record type of x."""
-        return namedtuple("State", self.state_names)
-
-    @cached_property
-    def control_record(self) -> Callable[..., Any]:
-        """Record type of u."""
-        return namedtuple("Control", self.control_names)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are made anew where it arrives
-
-    def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Rates of the states for plain sequences x and u (each component may itself be an array)."""
-        return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
-
-    def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``path``, ``outputs``, ``integrals``, or of ``end`` and ``track``, which take no control.
-
-        Empty where the phase has none.
-        """
-        physics = getattr(self, function)
-        if physics is None:
-            return ()
-        control = () if function in ("end", "track") else (self.control_record(*u),)
-        return physics(self.state_record(*x), *control, p, m)
-
-    def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``inertial``; empty where the phase has none."""
-        if self.inertial is None:
-            return ()
-        return self.inertial(self.state_record(*x), self.control_record(*u), t, p, m)
+from perilune.words.units import Scales
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

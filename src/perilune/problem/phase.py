@@ -1,0 +1,110 @@
+"""One phase of a flight: states, controls and the functions that hold along it and at its end."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+from perilune.problem.controls import Control
+from perilune.problem.variables import Variable
+from perilune.words.maths import NUMERIC
+from perilune.words.types import Physics
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """One arc with smooth dynamics.
+
+    Parameters
+    ----------
+    name
+        Name of the phase.
+    states, controls
+        Components of x and u in order.
+    dynamics
+        ``dynamics(x, u, p, m)`` returns the rates of all states.
+    duration
+        Name of the parameter (given or free) that is the length of the phase in seconds.
+    end, end_conditions
+        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition; one whose
+        condition has bounds has to lie between them instead.
+    path, path_conditions
+        ``path(x, u, p, m)`` returns values that must not be negative on the phase.
+    outputs, output_variables
+        ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
+    integrals, integral_variables
+        ``integrals(x, u, p, m)`` returns rates; their integrals along the flight are results, named with the unit of
+        the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
+    inertial
+        ``inertial(x, u, t, p, m)`` returns nine values in inertial axes with the body at their origin, t seconds after
+        the first ignition: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
+    track
+        ``track(x, p, m)`` returns how far the flight has come along its way, how far to the left of it, how high, and
+        where `Views.floor` names one, the least height there [m].
+    typical_end
+        ``typical_end(p, m)`` returns a rough end state; only its order matters (a direct method starts there).
+    """
+
+    name: str
+    states: tuple[Variable, ...]
+    controls: tuple[Control, ...] = ()
+    dynamics: Physics
+    duration: str
+    end: Physics | None = None
+    end_conditions: tuple[Variable, ...] = ()
+    path: Physics | None = None
+    path_conditions: tuple[Variable, ...] = ()
+    outputs: Physics | None = None
+    output_variables: tuple[Variable, ...] = ()
+    integrals: Physics | None = None
+    integral_variables: tuple[Variable, ...] = ()
+    inertial: Physics | None = None
+    track: Physics | None = None
+    typical_end: Physics | None = None
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states, in order."""
+        return tuple(s.name for s in self.states)
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Names of the control components, in order."""
+        return tuple(name for control in self.controls for name in control.names)
+
+    @cached_property
+    def state_record(self) -> Callable[..., Any]:
+        """Record type of x."""
+        return namedtuple("State", self.state_names)
+
+    @cached_property
+    def control_record(self) -> Callable[..., Any]:
+        """Record type of u."""
+        return namedtuple("Control", self.control_names)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are made anew where it arrives
+
+    def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+        """Rates of the states for plain sequences x and u (each component may itself be an array)."""
+        return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
+
+    def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+        """Values of ``path``, ``outputs``, ``integrals``, or of ``end`` and ``track``, which take no control.
+
+        Empty where the phase has none.
+        """
+        physics = getattr(self, function)
+        if physics is None:
+            return ()
+        control = () if function in ("end", "track") else (self.control_record(*u),)
+        return physics(self.state_record(*x), *control, p, m)
+
+    def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+        """Values of ``inertial``; empty where the phase has none."""
+        if self.inertial is None:
+            return ()
+        return self.inertial(self.state_record(*x), self.control_record(*u), t, p, m)

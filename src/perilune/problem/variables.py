@@ -1,0 +1,103 @@
+"""What a problem names beside its controls: states and conditions, given and free parameters. All in SI."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from perilune.problem.controls import Limit, limit_value
+from perilune.words.declared import stated_text
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from perilune.words.units import dimension_text, unit
+
+
+def _in_si(name: str, text: str) -> None:
+    """Inside, every number is in SI: a unit that would scale it is a mistake waiting to happen."""
+    factor, dimension = unit(text)
+    if factor != 1.0:
+        raise PeriluneError(
+            f"inside a problem numbers are in SI: {name}",
+            got=f"the unit {text!r}",
+            expected=repr(dimension_text(dimension)),
+            advice="convert the number, or read it with units.parse_quantity",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """A named component with its unit: a state, an end condition, a path condition or an output.
+
+    `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. An end
+    condition with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its
+    name on the axis of a figure, where that is not `name` with blanks.
+    """
+
+    name: str
+    unit: str = "1"
+    lower: Limit = -math.inf
+    upper: Limit = math.inf
+    description: str = ""
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise PeriluneError("a name must be a Python identifier", got=repr(self.name))
+        _in_si(self.name, self.unit)
+        if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):
+            raise PeriluneError(
+                f"bounds of {self.name} are empty",
+                got=f"[{self.lower}, {self.upper}]",
+                expected="lower < upper",
+            )
+
+    @property
+    def ranged(self) -> bool:
+        """Whether an end condition of this name is a range and no equality."""
+        return any(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
+
+    def limits(self, p: Any) -> tuple[Any, Any]:
+        """Bounds in SI, where they are parameters those of the record p."""
+        return limit_value(self.lower, p), limit_value(self.upper, p)
+
+    def missed(self, value: Any, p: Any) -> Any:
+        """By how much an end condition of this value is not met, 0 where it is; a number, or an array of them."""
+        lower, upper = self.limits(p)
+        return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """A parameter with a value in SI and its SI unit.
+
+    `stated` is the decimal text and unit in which a person stated it; a Python float is itself, and has none.
+    """
+
+    value: float
+    unit: str = "1"
+    stated: str = ""
+
+    def __post_init__(self) -> None:
+        _in_si("a given value", self.unit)
+        if not self.stated:
+            object.__setattr__(self, "stated", stated_text(self.value))
+        object.__setattr__(self, "value", float(self.value))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Free:
+    """A parameter that the optimiser chooses, in SI.
+
+    `typical` is its order of magnitude (a first value for methods that need one); a bound that is reached is reported
+    as an extremal of its own.
+    """
+
+    name: str
+    unit: str = "1"
+    lower: float = -math.inf
+    upper: float = math.inf
+    typical: float = 1.0
+
+    def __post_init__(self) -> None:
+        _in_si(self.name, self.unit)
