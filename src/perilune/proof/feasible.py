@@ -94,7 +94,7 @@ def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
         yield Check(
             name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
             value=abs(float(condition.missed(float(residual), arc.p))),
-            limit=END_LIMIT * arc.problem.scales.of(condition.unit),
+            limit=END_LIMIT * arc.problem.size_of(condition),
             meaning=f"{what} when the exported control is flown by another integrator",
         )  # fmt: skip
 
@@ -146,7 +146,7 @@ def _paths(arc: Arc, flight: Flight) -> Iterator[Check]:
         yield Check(
             name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
             value=float(np.max(np.maximum(-value, 0.0))) if flight.completed else float("nan"),
-            limit=END_LIMIT * arc.problem.scales.of(condition.unit),
+            limit=END_LIMIT * arc.problem.size_of(condition),
             meaning=f"largest violation of {condition.name} >= 0 at {len(t)} times of the new flight",
         )  # fmt: skip
 

@@ -139,6 +139,14 @@ def just_before(t: Vector) -> Vector:
     return np.nextafter(t, -np.inf)
 
 
+def objective_scale(solution: Solution) -> float:
+    """Size of J [SI]: its canonical unit; where it has a scale of its own, what it is if that is more."""
+    problem = solution.problem
+    return problem.objective_size if problem.objective_scale is None else max(
+        problem.objective_size, abs(solution.objective)
+    )  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
 class Arc:
     """One phase of a solution with what the checks evaluate on it. Arrays are (components, times)."""
@@ -178,8 +186,8 @@ class Arc:
 
     @cached_property
     def state_scale(self) -> Vector:
-        """Canonical units of the states [SI]."""
-        return np.array([self.problem.scales.of(v.unit) for v in self.phase.states])
+        """Sizes of the states [SI]."""
+        return self.problem.reached_sizes(self.phase, np.abs(self.trajectory.state.values).max(axis=0))
 
     @cached_property
     def control_scale(self) -> Vector:
@@ -188,8 +196,8 @@ class Arc:
 
     @property
     def objective_scale(self) -> float:
-        """Canonical unit of J [SI]."""
-        return self.problem.scales.of(self.problem.objective_unit)
+        """Size of J [SI]."""
+        return objective_scale(self.solution)
 
     @cached_property
     def breaks(self) -> Vector:

@@ -142,7 +142,7 @@ def _minimum(arc: Arc) -> Check:
     H = (lam[:, None, :] * arc.rates(x_many, tried).real).sum(axis=0)
     own = H[0].copy()
     for condition, value in zip(arc.phase.path_conditions, arc.path(x_many, tried), strict=True):
-        H = np.where(value < -ADMISSIBLE * arc.problem.scales.of(condition.unit), np.inf, H)
+        H = np.where(value < -ADMISSIBLE * arc.problem.size_of(condition), np.inf, H)
     worst = float((own - H.min(axis=0)).max())
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
