@@ -1,8 +1,8 @@
 """A problem as a tree for JSON and back: its formulas as expressions, so that no code is needed to prove it again.
 
 What was read is a `Problem` like any other: its structure and its units are checked, and its digest must be the one
-that the file names. Functions that are no formulas stay behind (`ranges`, `bookkeeping`): the ranges of the free
-parameters are those that were saved.
+that the file names. Functions that are no formulas stay behind (`ranges`, `preflight`, `bookkeeping`), unless a model
+makes the problem again (`perilune.io.made`): the ranges of the free parameters are those that were saved.
 """
 
 from __future__ import annotations

@@ -80,8 +80,8 @@ class Problem:
         range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
         make no sense together.
     declared
-        Classes of records (`perilune.words.declared`) whose numbers are parameters; each checks its values here again,
-        whoever gave them.
+        Records (`perilune.words.declared`) that the problem was made of, whose numbers are parameters; each checks new
+        values too, whoever gave them. With them `perilune.save` writes what a model is made of again.
     preflight
         ``preflight(p, m)`` of the given parameters returns what physics says before anything is solved, as
         `perilune.problem.preflight.Finding`. Which comparisons there are may depend on which parameters `p` has,
@@ -108,7 +108,7 @@ class Problem:
     results: Physics | None = None
     result_variables: tuple[Variable, ...] = ()
     maximised: str = ""
-    declared: tuple[type, ...] = ()
+    declared: tuple[Any, ...] = ()
     ranges: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
