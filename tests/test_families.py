@@ -235,7 +235,7 @@ def test_a_damaged_member_is_solved_again(
     first = sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path)
     (tmp_path / file).write_bytes(content)
     again = sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path)
-    assert objectives(again) == same(objectives(first))
+    assert objectives(again) == objectives(first)
     (note,) = again.notes
     assert note.startswith("stored member 000000 cannot be used") and note.endswith("is solved again")
     assert sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path).notes == ()
@@ -276,7 +276,7 @@ def test_an_edited_member_is_solved_again(fixed: Problem, tmp_path: Path, change
     with ThreadPoolExecutor(1) as pool:
         again = sweep(fixed, TWO, level=1, store=tmp_path, executor=pool if workers else None)
     assert len(again.notes) == 1 and "stored member 000000" in again.notes[0]
-    assert objectives(again) == same(objectives(first))
+    assert objectives(again) == objectives(first)
     assert {p.outcome for p in again.points} == {Outcome.PROVED}
 
 
@@ -289,7 +289,7 @@ def test_curves_of_another_member_are_solved_again(fixed: Problem, tmp_path: Pat
     other.write_bytes(content[0])
     again = sweep(fixed, TWO, level=1, store=tmp_path)
     assert len(again.notes) == 2
-    assert objectives(again) == same(objectives(first))
+    assert objectives(again) == objectives(first)
 
 
 def test_what_a_member_says_of_itself_counts_for_nothing(fixed: Problem, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import re
 import runpy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 import perilune as pl
 from command_line import read_json
 from perilune.cli import run
+from perilune.io.made import made_document, read_made
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -40,8 +42,9 @@ def edited(directory: Path, change: Callable[[dict[str, Any]], Any]) -> Path:
 
 
 def test_the_papers_landing_proves_again(hybrid: Solution, tmp_path: Path) -> None:
-    """Without a scenario: the expressions are flown, by NumPy, and level 3 holds."""
+    """Without a scenario, and as a file of before models were saved: the expressions are flown, and level 3 holds."""
     pl.save(hybrid, tmp_path / "landing")
+    edited(tmp_path / "landing", lambda document: document.pop("made"))
     back = pl.load(tmp_path / "landing")
     assert back.problem == hybrid.problem
     assert back.outcome is Outcome.SOLVED and back.verification.level == 0
@@ -50,6 +53,74 @@ def test_the_papers_landing_proves_again(hybrid: Solution, tmp_path: Path) -> No
     proved = prove(back, 3)
     assert proved.outcome is Outcome.PROVED
     assert proved.verification.text == "expressions from a file"
+
+
+def test_a_models_problem_is_made_again(hybrid: Solution, tmp_path: Path) -> None:
+    """With what is no formula: ranges, preflight, and the bookkeeping that the proof looks at."""
+    pl.save(hybrid, tmp_path / "landing")
+    problem = pl.load(tmp_path / "landing").problem
+    assert problem == hybrid.problem and problem.title == hybrid.problem.title
+    assert problem.bookkeeping is not None and problem.text == "the problem's own Python functions"
+    assert [f.name for f in pl.preflight(problem)] == [f.name for f in pl.preflight(hybrid.problem)]
+    checks = [{c.name for c in prove(s, 1).verification.checks} for s in (pl.load(tmp_path / "landing"), hybrid)]
+    assert checks[0] == checks[1] >= {"rocket_equation", "propellant", "retro_mass"}
+    with pytest.raises(PeriluneError, match=r"vehicle\.thrust"):
+        problem.with_given(vehicle_thrust=-1.0)
+    assert problem.with_given(vehicle_thrust=500.0).free != problem.free  # its ranges follow
+
+
+@pytest.mark.parametrize("example", ["hybrid_lander", "ordinary_lander", "polar_descent", "precision_landing"])
+def test_every_kind_is_made_again(example: str) -> None:
+    """With other given values and fewer free parameters too, through JSON."""
+    problem = load_file(EXAMPLES / f"{example}.toml").problem
+    heavier = problem.with_given(vehicle_mass=1.01 * problem.given["vehicle_mass"].value)
+    for one in (problem, heavier, problem.with_given(**{problem.free_names[0]: problem.free[0].typical})):
+        made = made_document(one)
+        assert made is not None
+        again = read_made(json.loads(json.dumps(made)), one.given)
+        assert again == one and again.preflight is not None
+
+
+def test_what_no_model_makes_is_saved_as_expressions(hybrid: Solution, hop: Solution) -> None:
+    """A model's problem that was changed, and one that only has the name of a kind."""
+    assert made_document(replace(hybrid.problem, objective=lambda x, p, m: -2.0 * x.m)) is None
+    assert made_document(replace(hybrid.problem, scales=pl.Scales(mass=7.0))) is None
+    assert made_document(replace(hop.problem, name="hybrid_landing")) is None
+    assert made_document(replace(hop.problem, name="hybrid_landing", declared=hybrid.problem.declared)) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda made: made.update(kind="own"), "made.kind"),
+        (lambda made: made.update(kind="powered_descent"), "made.sections"),
+        (lambda made: made["sections"].update(extra={}), "made.sections.extra"),
+        (lambda made: made["sections"]["vehicle"].update(wings=2.0), "vehicle.wings"),
+        (lambda made: made["sections"]["vehicle"].pop("mass"), "vehicle.mass"),
+        (lambda made: made["sections"]["vehicle"].update(mass="300 kg"), "vehicle.mass"),
+        (lambda made: made["sections"]["vehicle"].update(mass=-300.0), "vehicle.mass"),
+        (lambda made: made["sections"].update(vehicle=[1.0]), "made.sections.vehicle"),
+        (lambda made: made["sections"].pop("orbit"), "orbit"),
+        (lambda made: made["sections"]["vehicle"].update(mass=310.0), "the model in the saved solution and the"),
+        (lambda made: made["sections"].pop("retro"), "the model in the saved solution and the"),
+    ],
+)  # fmt: skip
+def test_a_tampered_model_is_refused(
+    change: Callable[[dict[str, Any]], Any], said: str, hybrid: Solution, tmp_path: Path
+) -> None:
+    pl.save(hybrid, tmp_path / "landing")
+    edited(tmp_path / "landing", lambda document: change(document["made"]))
+    with pytest.raises(PeriluneError, match=re.escape(said)):
+        pl.load(tmp_path / "landing")
+
+
+def test_another_choice_of_the_model_is_refused(tmp_path: Path) -> None:
+    """The digest is another: what was solved aims at the site."""
+    problem = load_file(EXAMPLES / "polar_descent.toml").problem
+    made = made_document(problem)
+    assert made is not None and made["sections"]["problem"]["target"] == "site"
+    made["sections"]["problem"]["target"] = "anywhere"
+    assert read_made(made, problem.given).form != problem.form
 
 
 def test_an_own_problem_proves_again(hop: Solution, tmp_path: Path) -> None:

@@ -56,14 +56,14 @@ def check_consistent(problem: Problem) -> None:
                 expected="> 0 s",
             )
     _check_start(problem)
-    for phase in problem.phases:
+    for phase in problem.canonical.phases:
         _check_end(problem, phase)
 
 
 def _check_start(problem: Problem) -> None:
     """Components of the start that depend on no free parameter must lie within their bounds."""
     p = trace_parameters(problem)
-    start = column(problem.start(p.record, SYMBOLIC))
+    start = column(problem.canonical.start(p.record, SYMBOLIC))
     values = np.array(ca.Function("start", [p.free, p.given], [start])(np.nan, canonical_given(problem))).ravel()
     phase = problem.phases[0]
     for state, value, scale in zip(phase.states, values, state_scales(problem, phase), strict=True):
@@ -128,4 +128,4 @@ def _row_names(problem: Problem, phase: Phase, kind: str) -> tuple[list[tuple[st
         return [(f"unit length of a direction in {phase.name}", "")], np.ones(1)
     conditions = phase.path_conditions if kind == "path" else phase.end_conditions
     names = [(f"the {kind} condition {phase.name}.{c.name}", c.unit) for c in conditions]
-    return names, np.array([problem.scales.of(c.unit) for c in conditions])
+    return names, np.array([problem.size_of(c) for c in conditions])

@@ -94,7 +94,7 @@ def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], err
     found = []
     for phase, flown, error in zip(problem.phases, segments, errors, strict=True):
         largest = np.max([np.abs(s.state.values).max(axis=0) for s in flown], axis=0)
-        path = [problem.scales.of(c.unit) for c in phase.path_conditions]
+        path = [problem.size_of(c) for c in phase.path_conditions]
         relative = error / np.concatenate([state_scales(problem, phase) + largest, path])
         found.append(np.where(np.isnan(relative), math.inf, relative))
     return found

@@ -244,7 +244,7 @@ class Program:
 
 def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
     """Canonical bounds of an end condition's value."""
-    scale = problem.scales.of(condition.unit)
+    scale = problem.size_of(condition)
     lower, upper = condition.limits(problem.parameters({}))
     return (lower / scale, upper / scale) if condition.ranged else (0.0, 0.0)
 

@@ -67,7 +67,7 @@ def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
     """Segments of every phase in SI, with costates in J per unit."""
     problem, found = program.problem, []
     p = problem.parameters(answer.free_si(problem))
-    objective_scale = problem.scales.of(problem.objective_unit)
+    objective_scale = problem.objective_size
     for k, (phase, layout, values) in enumerate(zip(problem.phases, program.layouts, answer.phases, strict=True)):
         x_scale, u_scale = state_scales(problem, phase), control_scales(phase.controls, problem.scales)
         rows = {kind: answer.rows[k, kind] for kind in ("defect", "quadrature")}
@@ -136,7 +136,7 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
     phase = problem.phases[k]
     n, width = len(phase.states), len(phase.control_names)
     x_scale = state_scales(problem, phase)
-    lam_scale = problem.scales.of(problem.objective_unit) / x_scale
+    lam_scale = problem.objective_size / x_scale
     fine = max(tolerance, FINEST) * np.concatenate(
         [x_scale, np.full(n, 10.0) * lam_scale, control_scales(phase.controls, problem.scales)]
     )

@@ -22,6 +22,7 @@ from typing import Any
 from perilune import __version__ as perilune_version
 from perilune.io.columns import columns, costate_unit
 from perilune.io.files import finite, fresh_directory, json_text
+from perilune.io.made import made_document
 from perilune.io.physics import physics_document
 from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.problem.controls import Bounded, Direction
@@ -37,6 +38,7 @@ INTERPOLATION = {
 
 _FIELDS = {
     "scenario": "the scenario file this solution answers, word for word, and the SHA-256 of its UTF-8 text; or null",
+    "made": "the model that the problem is of and the values of its records, where no scenario says it; or null",
     "problem": "the problem without its given values; what is at its default (no bound, no title) is left out",
     "problem.functions": "physics as operations in order: [record, component], [const, number] or [operation, "
     "operand, ...], an operand being the index of an earlier entry, as the outputs are",
@@ -172,6 +174,7 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": versions(),
         "scenario": scenario,
+        "made": made_document(problem) if scenario is None else None,
         "problem": physics_document(problem),
         "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
         **answer_document(solution),

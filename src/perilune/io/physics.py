@@ -1,8 +1,8 @@
 """A problem as a tree for JSON and back: its formulas as expressions, so that no code is needed to prove it again.
 
 What was read is a `Problem` like any other: its structure and its units are checked, and its digest must be the one
-that the file names. Functions that are no formulas stay behind (`ranges`, `bookkeeping`): the ranges of the free
-parameters are those that were saved.
+that the file names. Functions that are no formulas stay behind (`ranges`, `preflight`, `bookkeeping`), unless a model
+makes the problem again (`perilune.io.made`): the ranges of the free parameters are those that were saved.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import fields, replace
 from string import Formatter
 from typing import Any
 
-from perilune.io.reading import MOST_ENTRIES, part, plain, record, refuse, text
+from perilune.io.reading import MOST_ENTRIES, number, part, plain, record, refuse, text
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.form import PHASE_FUNCTIONS, roles_of
 from perilune.problem.problem import Free, Given, Phase, Problem, Variable
@@ -38,6 +38,7 @@ def physics_document(problem: Problem) -> dict[str, Any]:
         "scales": plain(problem.scales),
         "free": plain(problem.free),
         "objective_unit": problem.objective_unit,
+        "objective_scale": problem.objective_scale,
         "result_variables": plain(problem.result_variables),
         "maximised": problem.maximised,
         "views": plain(problem.views),
@@ -84,6 +85,7 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
         free=free,
         objective=read("objective", len(phases) - 1) or refuse("functions.objective", "nothing", "a function"),
         objective_unit=text(document, "objective_unit"),
+        objective_scale=_scale(document),
         results=read("results", 0),
         result_variables=_rows(document, "result_variables", Variable),
         maximised=text(document, "maximised"),
@@ -93,6 +95,11 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
     if problem.form.digest != (said := text(document, "digest")):
         refuse("problem.digest", said[:16], f"{problem.form.digest[:16]}, of the expressions beside it")
     return problem
+
+
+def _scale(document: Mapping[str, Any]) -> float | None:
+    """Scale of the objective; files of before it had one are without."""
+    return None if document.get("objective_scale") is None else number(document, "objective_scale", "problem")
 
 
 def _rows(document: Mapping[str, Any], name: str, kind: type) -> tuple[Any, ...]:

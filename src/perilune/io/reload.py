@@ -1,9 +1,9 @@
 """Reading ``solution.json`` back. It may come from a stranger, so it is data, checked before it is used.
 
-The problem is built anew from the expressions inside, or from the scenario's text where there is one; then both must
-state the same, and the text's hash must match. Every number is compared in shape with what that problem needs. What the
-file *claims* of itself (its outcome, its checks) proves nothing: a solution that was verified comes back as SOLVED and
-unverified, for `perilune.proof` to judge.
+The problem is built anew from the expressions inside, or by a model from the scenario's text or the values of records
+where they are there; then both must state the same, and the text's hash must match. Every number is compared in shape
+with what that problem needs. What the file *claims* of itself (its outcome, its checks) proves nothing: a solution that
+was verified comes back as SOLVED and unverified, for `perilune.proof` to judge.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.io.made import read_made
 from perilune.io.physics import read_physics
 from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
 from perilune.problem.controls import directions
@@ -52,9 +53,10 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     Returns
     -------
     Solution
-        Unverified: a file's own claims are not taken over. Its problem is that of the scenario where the file has one
-        (the model's own functions), else that of the expressions in the file; `problem.text` says which. The extremals
-        that the file lists stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`.
+        Unverified: a file's own claims are not taken over. Its problem is that of the scenario or the model where the
+        file has one (the model's own functions and checks), else that of the expressions in the file; `problem.text`
+        says which. The extremals that the file lists stand in `listed`, for `perilune.prove` to find again;
+        `statistics` are `claimed`.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def read_document(directory: str | Path) -> dict[str, Any]:
 
 
 def _problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
-    """The problem by its scenario where there is one, which must be that of the expressions."""
+    """The problem by its scenario or its model where there is one, which must be that of the expressions."""
     stated = None if document.get("scenario") is None else problem_from_scenario(_scenario_text(document))
     if document["format"]["version"] == WITH_SCENARIO_ONLY:
         stated = stated or part(document, "scenario", dict)
@@ -121,17 +123,20 @@ def _problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str],
         return stated
     entries, values = part(document, "given", dict), numbers(document, "given")
     given = {name: Given(value=value, unit=text(entries[name], "unit")) for name, value in values.items()}
+    source = "scenario"
     if stated is not None:
         _check_given(document, stated)
+    elif document.get("made") is not None:
+        source, stated = "model", read_made(part(document, "made", dict), given)
     written = read_physics(part(document, "problem", dict), given)
     if stated is None:
         return written
     if stated.form != written.form or not _close(stated.numbers, written.numbers):
         raise PeriluneError(
-            "the scenario in the saved solution and the expressions beside it state different problems",
+            f"the {source} in the saved solution and the expressions beside it state different problems",
             got=f"expressions with digest {written.form.digest[:16]}",
-            expected=f"{stated.form.digest[:16]} and the numbers of the scenario",
-            advice="solve the scenario again: the file was altered, or written by a version with other models",
+            expected=f"{stated.form.digest[:16]} and the numbers of the {source}",
+            advice=f"solve the {source} again: the file was altered, or written by a version with other models",
         )
     return stated
 

@@ -30,12 +30,22 @@ _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum 
 
 def objective_scale(problem: Problem) -> float:
     """SI size of the canonical unit of J."""
-    return problem.scales.of(problem.objective_unit)
+    return problem.objective_size
 
 
 def residual_scales(problem: Problem, conditions: Conditions) -> Vector:
     """SI size of the canonical unit of each residual."""
-    return np.array([problem.scales.of(unit) for _, unit in conditions.residuals])
+    J, free = problem.objective_size, free_scales(problem.free, problem)
+    states = [
+        np.concatenate([state_scales(problem, phase), free[list(extremal.constants)]])
+        for phase, extremal in zip(problem.phases, conditions.phases, strict=True)
+    ]
+    return np.concatenate([_end_scales(problem), *(J / size for size in states), J / free])
+
+
+def _end_scales(problem: Problem) -> Vector:
+    """SI size of the canonical unit of each end condition, phase by phase."""
+    return np.array([problem.size_of(c) for phase in problem.phases for c in phase.end_conditions])
 
 
 def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
@@ -47,9 +57,8 @@ def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str
 def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
     """Multipliers nu of the end conditions in J per unit."""
     names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
-    units = conditions.unknowns[conditions.free_at.stop :]
-    values = y[conditions.free_at.stop : len(conditions.unknowns)]
-    return {n: float(v) * problem.scales.of(u) for n, v, (_, u) in zip(names, values, units, strict=True)}
+    values = y[conditions.free_at.stop : len(conditions.unknowns)] * problem.objective_size / _end_scales(problem)
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def fly(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[DenseArc]:
@@ -103,7 +112,9 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
     phase, extremal = problem.phases[k], conditions.phases[k]
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
     duration = float(arc.t[-1])
-    size = np.maximum(1.0, np.abs(arc.z).max(axis=0))
+    x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
+    size = np.maximum(1.0, reached)
+    size[:n] = np.maximum(reached[:n], problem.reached_sizes(phase, reached[:n] * x_scale) / x_scale)
     tolerance = np.concatenate([1e-10 * size[:n], 1e-9 * size[half : half + n], np.full(width, 3e-11)])
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = np.abs(arc.end.event_time[0] - 0.5 * duration) < (0.5 - _NOTHING) * duration
@@ -125,7 +136,6 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
         pieces.append((np.append(left + nodes[:-1], right), *evaluate(nodes)))
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     time = problem.scales.time
-    x_scale = state_scales(problem, phase)
     u_scale = control_scales(phase.controls, problem.scales)
     scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
     values, rates = values * scale, rates * scale / time
@@ -150,9 +160,8 @@ def unknowns_from(problem: Problem, guess: Solution) -> Vector:
         for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True)
     ]
     values = {f.name: guess.free.get(f.name, _given_value(guess.problem, f.name, f.typical)) for f in problem.free}
-    units = conditions.unknowns[conditions.free_at.stop :]
     names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
-    nu = [guess.multipliers.get(n, 0.0) / problem.scales.of(u) for n, (_, u) in zip(names, units, strict=True)]
+    nu = np.array([guess.multipliers.get(n, 0.0) for n in names]) * _end_scales(problem) / problem.objective_size
     return np.concatenate([*lam0, canonical_free(problem, values), nu])
 
 

@@ -79,7 +79,7 @@ class ControlFitness:
     """
 
     def __init__(self, problem: Problem, nodes: int = 5) -> None:
-        self.problem, self.nodes = problem, nodes
+        self.problem, self.canonical, self.nodes = problem, problem.canonical, nodes
         lower, upper = free_box(problem)
         boxes = [(lower, upper)]
         for phase in problem.phases:
@@ -95,7 +95,7 @@ class ControlFitness:
             for phase, p, _, states, controls in self._flights(genes):
                 miss += self._miss(phase, p, states, controls)
             last = self.problem.phases[-1]
-            cost = self.problem.objective(last.state_record(*states[-1]), p, NUMERIC)
+            cost = self.canonical.objective(last.state_record(*states[-1]), p, NUMERIC)
             return cost + PRICE * miss
 
     def guess(self, genes: Vector) -> Solution:
@@ -122,7 +122,7 @@ class ControlFitness:
 
     def _flights(self, genes: Matrix) -> Iterator[tuple[Phase, Any, Vector, Batch, Batch]]:
         """Yield each phase, p, duration, states (STEPS + 1, nx, N) and controls (2 STEPS + 1, nu, N)."""
-        problem = self.problem
+        problem = self.canonical
         given = dict(zip(problem.given, canonical_given(problem), strict=True))
         free = dict(zip(problem.free_names, genes.T, strict=False))
         p = SimpleNamespace(**given, **free)
@@ -270,7 +270,7 @@ class CostateFitness:
 
 def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
     """By how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
-    scales = [problem.scales.of(c.unit) for c in conditions]
+    scales = [problem.size_of(c) for c in conditions]
     p = problem.parameters({})
     missed = [c.missed(v * scale, p) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
     return np.array(missed).reshape(len(conditions), *np.shape(values)[1:])

@@ -13,6 +13,7 @@ from perilune.kernels import DenseArc
 from perilune.methods.assemble import controls, fly, free_values, objective_scale
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.symbolic import state_scales
+from perilune.problem.variables import Free, Variable
 from perilune.shooting.function import Root
 from perilune.words.types import Vector
 
@@ -68,7 +69,7 @@ class Judge:
         for free in self.problem.free:
             # A flight does not end before it begins, whatever the bounds say.
             lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
-            yield from self._outside(free.name, free.unit, np.array([values[free.name]]), lower, free.upper)
+            yield from self._outside(free, np.array([values[free.name]]), lower, free.upper)
         flights = fly(self.problem, self.conditions, y, rtol=_ACCURACY, atol=_ACCURACY)
         for phase, extremal, arc in zip(self.problem.phases, self.conditions.phases, flights, strict=True):
             yield from self._along(phase, extremal, arc, values)
@@ -79,19 +80,19 @@ class Judge:
         t, p = np.linspace(0.0, arc.t[-1], _POINTS), self.problem.parameters(values)
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
         for state, along in zip(phase.states, x, strict=True):
-            yield from self._outside(state.name, state.unit, along, *state.limits(p))
+            yield from self._outside(state, along, *state.limits(p))
         if not phase.path_conditions:
             return
         u = controls(extremal, arc, t, self.p).T
         conditions = phase.evaluate("path", list(x), list(u), p)
         for condition, along in zip(phase.path_conditions, conditions, strict=True):
-            least, scale = float(np.min(along)), self.problem.scales.of(condition.unit)
+            least, scale = float(np.min(along)), self.problem.size_of(condition)
             if not least >= -_SLACK * scale:
                 text = f"{condition.name} falls to {least:.6g} {condition.unit}"
                 yield Breach(name=condition.name, text=text, miss=-least, unit=condition.unit, canonical=-least / scale)
 
-    def _outside(self, name: str, unit: str, values: Vector, lower: float, upper: float) -> Iterator[Breach]:
-        scale = self.problem.scales.of(unit)
+    def _outside(self, named: Variable | Free, values: Vector, lower: float, upper: float) -> Iterator[Breach]:
+        name, unit, scale = named.name, named.unit, self.problem.size_of(named)
         sides = (
             ("below", lower, float(np.min(values)), lower - float(np.min(values))),
             ("above", upper, float(np.max(values)), float(np.max(values)) - upper),

@@ -230,9 +230,9 @@ class _Run:
         from perilune.direct.segments import trajectory
 
         s, problem = self.settings, self.problem
-        objective_scale = problem.scales.of(problem.objective_unit)
+        objective_scale = problem.objective_size
         multipliers = {
-            f"{phase.name}.{condition.name}": float(nu * objective_scale) / problem.scales.of(condition.unit)
+            f"{phase.name}.{condition.name}": float(nu * objective_scale) / problem.size_of(condition)
             for k, phase in enumerate(problem.phases)
             for condition, nu in zip(phase.end_conditions, answer.rows[k, "end"], strict=True)
         }

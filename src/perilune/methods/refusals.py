@@ -51,7 +51,7 @@ def ridden_condition(problem: Problem, flight: Solution) -> str | None:
         t = np.linspace(0.05, 0.95, 400) * flown.duration
         values = phase.evaluate("path", flown.state(t).T, flown.control(t).T, flight.parameters)
         for condition, value in zip(phase.path_conditions, values, strict=True):
-            if np.min(value) <= 1e-4 * problem.scales.of(condition.unit):
+            if np.min(value) <= 1e-4 * problem.size_of(condition):
                 return condition.name
     return None
 

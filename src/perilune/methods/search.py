@@ -298,7 +298,7 @@ class Search:
         free = self.problem.free
         conditions = [c for phase in self.problem.phases for c in phase.end_conditions]
         ranges = [conditions[row] for row, _ in self.conditions.ranges]
-        scales = np.array([self.problem.scales.of(v.unit) for v in (*free, *ranges)])
+        scales = np.array([self.problem.size_of(v) for v in (*free, *ranges)])
         p = self.problem.parameters({})
         both = [(f.lower, f.upper) for f in free] + [v.limits(p) for v in ranges]
         lower, upper = np.array(both, dtype=float).reshape(-1, 2).T / scales

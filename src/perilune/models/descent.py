@@ -309,7 +309,7 @@ def powered_descent(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
-    Choices(coordinates=coordinates, target=target, minimise=minimise)
+    choices = Choices(coordinates=coordinates, target=target, minimise=minimise)
     stated = [oblate(body, j2), with_dry_mass(vehicle, dry_mass), start, site]
     if steering is not None or coordinates == "spherical":
         stated.append(steering or Steering())
@@ -330,7 +330,7 @@ def powered_descent(
         result_variables=LANDING,
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
         views=_VIEWS,
-        declared=tuple(type(each) for each in stated),
+        declared=(choices, *stated),
         ranges=_ranges,
         preflight=partial(_preflight, to_site=target == "site"),
         scales=_scales(start, vehicle, _at(given, _ranges)),

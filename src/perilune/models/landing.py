@@ -186,7 +186,8 @@ def hybrid_landing(
         Cho et al. (6). Parameters are named like the scenario's keys with ``_`` for the dot.
     """
     burn = retro or Retro(specific_impulse=vehicle.specific_impulse, delta_v=0.0)
-    given = given_of(body, vehicle, replace(burn, delta_v=None), orbit, LandingSite(altitude=landing_altitude))
+    stated = (body, vehicle, replace(burn, delta_v=None), orbit, LandingSite(altitude=landing_altitude))
+    given = given_of(*stated)
     descent = Phase(
         name="descent",
         states=(
@@ -244,7 +245,7 @@ def hybrid_landing(
             Variable(name="perilune_speed", unit="m/s", description="before the retro burn"),
         ),
         maximised=LANDED_MASS.name,
-        declared=(Body, Vehicle, Retro, Orbit, LandingSite),
+        declared=stated,
         ranges=_ranges,
         preflight=compare_landing,
         bookkeeping=bookkeeping,

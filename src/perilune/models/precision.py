@@ -300,7 +300,7 @@ def precision_landing(
         results=landing,
         result_variables=LANDING,
         maximised=LANDED_MASS.name,
-        declared=tuple(type(each) for each in stated),
+        declared=stated,
         ranges=_ranges,
         preflight=_preflight,
         views=_VIEWS,

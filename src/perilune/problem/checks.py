@@ -43,6 +43,7 @@ def check_structure(problem: Any) -> None:
                 raise unknown_name(f"given parameter for a bound of {state.name}", name, sorted(problem.given))
     for phase in problem.phases:
         _check_bound_units(problem, (*phase.states, *phase.end_conditions, *(c for _, c in scalars(phase.controls))))
+    _check_scales(problem)
     results = [v.name for v in problem.result_variables]
     if problem.maximised and problem.maximised not in results:
         raise unknown_name("result", problem.maximised, results)
@@ -56,12 +57,11 @@ def check_structure(problem: Any) -> None:
 
 def check_given(problem: Any) -> None:
     """Refuse given values that are not finite, or outside what is declared of them."""
-    values = {name: g.value for name, g in problem.given.items()}
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise PeriluneError(f"the value of {name} is not finite", got=str(value), expected="a finite number")
+    for name, g in problem.given.items():
+        if not math.isfinite(g.value):
+            raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
     for record in problem.declared:
-        check_values(record, values)
+        check_values(type(record), vars(problem.parameters({})))
 
 
 def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:
@@ -75,6 +75,18 @@ def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:
                     got=f"{name} in {of}",
                     expected=f"a parameter in {one.unit}",
                 )
+
+
+def _check_scales(problem: Any) -> None:
+    """Refuse scales of what no method computes with; they would be without effect."""
+    told = [v for phase in problem.phases for v in (*phase.output_variables, *phase.integral_variables)]
+    for variable in (*told, *problem.result_variables):
+        if variable.scale is not None:
+            raise PeriluneError(
+                f"{variable.name} has a scale, and is only told of an answer",
+                got=f"scale={variable.scale:g}",
+                expected="scales of states, end conditions and path conditions; objective_scale of the problem",
+            )
 
 
 def check_free(problem: Any) -> None:
@@ -101,7 +113,7 @@ def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, 
     p = SimpleNamespace(**{name: v / scales.of(problem.unit_of(name)) for name, v in vars(known).items()})
     points = []
     for phase in problem.phases:
-        x = [(0.7 + 0.5 * next(fractions)) * si.of(s.unit) / scales.of(s.unit) for s in phase.states]
+        x = [(0.7 + 0.5 * next(fractions)) * problem.size_of(s) / scales.of(s.unit) for s in phase.states]
         u: list[float] = []
         for control in phase.controls:
             value = control.example(fractions, known, si.of(control.unit))

@@ -273,6 +273,34 @@ def trace(problem: Any) -> Form:
     return Form(structure, {s.key: s.traced(parameters) for s in functions})
 
 
+def canonical_expressions(problem: Any) -> dict[Any, Expression]:
+    """Every function of a problem, by its `Stated.key`, as an expression of canonical values.
+
+    It is the traced one but for what has a scale of its own, which is in other units inside the function.
+    """
+    phases, ratio = problem.phases, lambda variable: problem.size_of(variable) / problem.scales.of(variable.unit)
+    objective = problem.objective_size / problem.scales.of(problem.objective_unit)
+    found = {}
+    for s in stated(problem):
+        taken = {"x": phases[s.phase].states, "first": phases[0].states, "last": phases[-1].states}
+        inputs = {(role, v.name): ratio(v) for role in s.records for v in taken.get(role, ())}
+        outputs = [objective] if s.key == "objective" else [ratio(v) for v in _returned(problem, s.key)]
+        found[s.key] = problem.form.expressions[s.key].rescaled(inputs, outputs)
+    return found
+
+
+def _returned(problem: Any, key: Any) -> tuple[Any, ...]:
+    """The variables that a function returns, rates as what they are rates of; none where they have no names."""
+    if key == "results":
+        return problem.result_variables
+    if key == "start":
+        return problem.phases[0].states
+    if key[0] == "links":
+        return problem.phases[key[1] + 1].states
+    field = PHASE_FUNCTIONS[key[1]][1]
+    return getattr(problem.phases[key[0]], field) if field else ()
+
+
 def _named_limits(bounded: Any) -> list[str | None]:
     """Limits that name a parameter are of the form, those that are numbers are not."""
     limits = [getattr(bounded, side, None) for side in ("lower", "upper")]

@@ -75,6 +75,11 @@ class Phase:
         """Names of the control components, in order."""
         return tuple(name for control in self.controls for name in control.names)
 
+    @property
+    def sized(self) -> tuple[Variable, ...]:
+        """What methods compute with in canonical units: states and conditions."""
+        return (*self.states, *self.end_conditions, *self.path_conditions)
+
     @cached_property
     def state_record(self) -> Callable[..., Any]:
         """Record type of x."""

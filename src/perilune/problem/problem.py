@@ -27,18 +27,22 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
-from perilune.problem.controls import scalars
-from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, trace
+from perilune.problem.controls import Control, scalars
+from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
 from perilune.problem.phase import Phase
 from perilune.problem.tape import Expression
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import Free, Given, Variable, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import unknown_name
-from perilune.words.types import Physics
+from perilune.words.types import Physics, Vector
 from perilune.words.units import Scales
+
+FAINT = 1e-3  # of a state's own scale: what never becomes larger counts as that large
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,8 +67,9 @@ class Problem:
         Parameters with values.
     free
         Parameters to be chosen, the durations among them.
-    objective, objective_unit
-        ``objective(x, p, m)`` of the last end state, minimised, and its unit.
+    objective, objective_unit, objective_scale
+        ``objective(x, p, m)`` of the last end state, minimised, its unit, and its size in SI where that is not the size
+        of its unit in `scales`.
     results, result_variables
         ``results(first, last, p, m)`` of the first phase's initial and the last phase's end state returns what is asked
         of a solution (landed mass, flight time), beside the phases' `integrals`.
@@ -75,8 +80,8 @@ class Problem:
         range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
         make no sense together.
     declared
-        Classes of records (`perilune.words.declared`) whose numbers are parameters; each checks its values here again,
-        whoever gave them.
+        Records (`perilune.words.declared`) that the problem was made of, whose numbers are parameters; each checks new
+        values too, whoever gave them. With them `perilune.save` writes what a model is made of again.
     preflight
         ``preflight(p, m)`` of the given parameters returns what physics says before anything is solved, as
         `perilune.problem.preflight.Finding`. Which comparisons there are may depend on which parameters `p` has,
@@ -99,10 +104,11 @@ class Problem:
     free: tuple[Free, ...] = ()
     objective: Physics
     objective_unit: str = "1"
+    objective_scale: float | None = None
     results: Physics | None = None
     result_variables: tuple[Variable, ...] = ()
     maximised: str = ""
-    declared: tuple[type, ...] = ()
+    declared: tuple[Any, ...] = ()
     ranges: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
@@ -112,6 +118,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "given", MappingProxyType(dict(self.given)))
+        object.__setattr__(self, "objective_scale", positive_scale("the objective", self.objective_scale))
         check_given(self)
         self._take_ranges()
         check_structure(self)
@@ -138,7 +145,7 @@ class Problem:
         """What a derivation depends on: the form, what is given and what is free, and which bounds there are.
 
         Whether a limit is a number, and of which sign, decides on the regimes of a control; whether an end condition is
-        a range decides on its row.
+        a range decides on its row. What has a scale of its own has other canonical values.
         """
         bounds = tuple(
             limit if isinstance(limit, str) else (math.isfinite(limit), limit < 0)
@@ -147,7 +154,8 @@ class Problem:
             for limit in (c.lower, c.upper)
         )
         ranges = tuple(c.ranged for phase in self.phases for c in phase.end_conditions)
-        return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges)
+        ratios = tuple((phase, name, scale / self.scales.of(unit)) for phase, name, unit, scale in self._own_scales)
+        return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges, ratios)
 
     @property
     def text(self) -> str:
@@ -157,7 +165,19 @@ class Problem:
     @cached_property
     def expressed(self) -> Problem:
         """The same problem with its functions as expressions."""
-        found = self.form.expressions
+        return self._stated_by(self.form.expressions)
+
+    @cached_property
+    def canonical(self) -> Problem:
+        """The same problem with its functions as expressions of canonical values, which is what methods compute with.
+
+        Homogeneous physics has one text in all units, so these differ from `expressed` only by what has a scale of its
+        own.
+        """
+        return self._stated_by(canonical_expressions(self)) if self._own_scales else self.expressed
+
+    def _stated_by(self, found: Mapping[Any, Expression]) -> Problem:
+        """A problem of the same form with these functions by their key."""
         phases = tuple(
             replace(phase, **{name: found.get((k, name)) for name in PHASE_FUNCTIONS})
             for k, phase in enumerate(self.phases)
@@ -199,7 +219,7 @@ class Problem:
         ]
         given = sorted((name, g.value) for name, g in self.given.items())
         free = tuple((f.name, *_range(f)) for f in self.free)
-        return (self.name, tuple(given), free, tuple(bounds), astuple(self.scales))
+        return (self.name, tuple(given), free, tuple(bounds), (*astuple(self.scales), *self._own_scales))
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, Problem):
@@ -218,6 +238,37 @@ class Problem:
     def duration_names(self) -> tuple[str, ...]:
         """Names of the parameters that are durations of phases."""
         return tuple(phase.duration for phase in self.phases)
+
+    @property
+    def _own_scales(self) -> tuple[tuple[str, str, str, float], ...]:
+        """(phase, name, unit, scale) of what has a scale of its own."""
+        named = [(phase.name, v.name, v.unit, v.scale) for phase in self.phases for v in phase.sized]
+        named.append(("", "objective", self.objective_unit, self.objective_scale))
+        return tuple((phase, name, unit, scale) for phase, name, unit, scale in named if scale is not None)
+
+    def size_of(self, named: Variable | Free | Control) -> float:
+        """SI size of the canonical unit of a state, condition, control or free parameter.
+
+        It is its own `scale`, else the size of its unit in `scales`.
+        """
+        own = named.scale if isinstance(named, Variable) else None
+        return self.scales.of(named.unit) if own is None else own
+
+    def reached_sizes(self, phase: Phase, reached: Vector) -> Vector:
+        """By what errors of the states of a flight are judged [SI], from the largest absolute values that they reach.
+
+        That is their canonical units, but where a state has a scale of its own, what it reaches: so an answer is judged
+        alike whatever scale it was computed with.
+        """
+        return np.array([
+            self.size_of(v) if v.scale is None else max(float(most), FAINT * v.scale)
+            for v, most in zip(phase.states, reached, strict=True)
+        ])  # fmt: skip
+
+    @property
+    def objective_size(self) -> float:
+        """SI size of the canonical unit of J."""
+        return self.scales.of(self.objective_unit) if self.objective_scale is None else self.objective_scale
 
     def unit_of(self, parameter: str) -> str:
         """Unit text of a parameter."""

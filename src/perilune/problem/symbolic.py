@@ -1,7 +1,8 @@
 """Trace a user's physics on CasADi SX: the one text that is also flown by the verifier becomes expressions.
 
 Everything is traced in canonical units: because the physics is dimensionally homogeneous (tested by `Problem`), the
-same text holds when states and parameters are divided by their `Scales`.
+same text holds when states and parameters are divided by their `Scales`; what has a scale of its own is brought to them
+in `Problem.canonical`.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ class Unnumbered:
 
     @cached_property
     def problem(self) -> Problem:
-        """The problem with its functions as expressions."""
-        return self.stated.expressed
+        """The problem with its functions as expressions of canonical values."""
+        return self.stated.canonical
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Unnumbered) and self.stated.structure == other.stated.structure
@@ -243,4 +244,4 @@ def free_scales(parameters: tuple[Free, ...], problem: Problem) -> Vector:
 
 def state_scales(problem: Problem, phase: Phase) -> Vector:
     """SI size of the canonical unit of each state."""
-    return np.array([problem.scales.of(s.unit) for s in phase.states])
+    return np.array([problem.size_of(s) for s in phase.states])

@@ -325,6 +325,29 @@ class Expression:
             return values[outputs[0]]
         return [values[k] for k in outputs]
 
+    def rescaled(self, inputs: Mapping[tuple[str, str], float], outputs: Sequence[float]) -> Expression:
+        """The same function in other units.
+
+        Parameters
+        ----------
+        inputs
+            By (role, component), what it is multiplied by before; others stay as they are.
+        outputs
+            What each value is divided by after; empty where they stay as they are.
+        """
+        recorder = Recorder()
+        records: dict[str, Any] = {role: SimpleNamespace() for role in self.roles}
+        for role, name in (op for op in self.tape.instructions if op[0] in ROLES):
+            symbol, factor = recorder.input(role, name), inputs.get((role, name), 1.0)
+            if name:
+                setattr(records[role], name, symbol if factor == 1.0 else recorder.do("mul", symbol, factor))
+            else:
+                records[role] = symbol
+        found = self(*records.values(), recorder.namespace)
+        values = zip([found] if self.scalar else found, outputs or (1.0,) * len(self.tape.outputs), strict=True)
+        tape = recorder.tape([value if factor == 1.0 else value / factor for value, factor in values])
+        return Expression(tape, self.roles, self.scalar, self.origin)
+
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("tape", "roles", "scalar", "origin")}
 

@@ -13,6 +13,27 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.units import dimension_text, unit
 
 
+def positive_scale(name: str, scale: Any) -> float | None:
+    """The size of a canonical unit, where one is stated.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not a positive, finite number.
+    """
+    if scale is None:
+        return None
+    number = isinstance(scale, (int, float)) and not isinstance(scale, bool)  # NumPy's float64 is a float
+    if not (number and 0 < scale < math.inf):
+        raise PeriluneError(
+            f"the scale of {name} is no size",
+            got=repr(scale)[:60],
+            expected="a positive, finite number in SI",
+            advice="state how large it becomes, in its unit; without a scale the unit's own is taken (Problem.scales)",
+        )
+    return float(scale)
+
+
 def _in_si(name: str, text: str) -> None:
     """Inside, every number is in SI: a unit that would scale it is a mistake waiting to happen."""
     factor, dimension = unit(text)
@@ -32,6 +53,9 @@ class Variable:
     `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. An end
     condition with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its
     name on the axis of a figure, where that is not `name` with blanks.
+
+    `scale` is the size of a state or condition in SI, where it is not of the size of its unit in `Problem.scales`: an
+    altitude beside a downrange, a heat load of 1e8 J/m^2. It is what the methods compute in, and no other answer.
     """
 
     name: str
@@ -40,11 +64,13 @@ class Variable:
     upper: Limit = math.inf
     description: str = ""
     label: str = ""
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise PeriluneError("a name must be a Python identifier", got=repr(self.name))
         _in_si(self.name, self.unit)
+        object.__setattr__(self, "scale", positive_scale(self.name, self.scale))
         if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):
             raise PeriluneError(
                 f"bounds of {self.name} are empty",

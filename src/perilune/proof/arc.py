@@ -111,8 +111,8 @@ class Arc:
 
     @cached_property
     def state_scale(self) -> Vector:
-        """Canonical units of the states [SI]."""
-        return np.array([self.problem.scales.of(v.unit) for v in self.phase.states])
+        """Sizes of the states [SI]."""
+        return self.problem.reached_sizes(self.phase, np.abs(self.trajectory.state.values).max(axis=0))
 
     @cached_property
     def costate_scale(self) -> Vector:
@@ -126,8 +126,8 @@ class Arc:
 
     @property
     def objective_scale(self) -> float:
-        """Canonical unit of J [SI]."""
-        return self.problem.scales.of(self.problem.objective_unit)
+        """Size of J [SI]."""
+        return objective_scale(self.solution)
 
     @cached_property
     def breaks(self) -> Vector:
@@ -235,3 +235,10 @@ class Arc:
         pieces = self.looked_at[0]
         x, u, lam = (values.reshape(len(values), np.size(pieces.times())) for values in self.read(pieces))
         return Sampled(t=pieces.times().ravel(), weights=(pieces.width[:, None] * WEIGHTS).ravel(), x=x, u=u, lam=lam)
+
+
+def objective_scale(solution: Solution) -> float:
+    """Size of J [SI]: its canonical unit; where it has a scale of its own, what it is if that is more."""
+    problem = solution.problem
+    own = 0.0 if problem.objective_scale is None else abs(solution.objective)
+    return max(problem.objective_size, own)

@@ -16,7 +16,7 @@ from perilune.methods.method import Method
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Extremal, Nature, Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
+from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.feasible import feasibility
 from perilune.proof.flight import flights
 from perilune.words.outcome import PeriluneError
@@ -77,7 +77,7 @@ def _rivals(solution: Solution, other: Method | None) -> tuple[list[Solution], s
         return [first], ""
     rivals = [first]
     problem, near = solution.problem, _mesh_error(first)
-    if first.objective - solution.objective > _allowed(problem, problem.objective_unit, first.objective, near):
+    if first.objective - solution.objective > _allowed(objective_scale(solution), first.objective, near):
         # From no guess it ended in a worse optimum, which refutes nothing: does it confirm this one?
         try:
             rivals.append(other.run(problem, solution))
@@ -96,16 +96,16 @@ def _mesh_error(*solutions: Solution) -> float:
     return float(np.fmax.reduce([FINEST, *(s.statistics.residual for s in solutions if not s.statistics.claimed)]))
 
 
-def _allowed(problem: Problem, unit: str, value: float, error: float) -> float:
-    """Difference of a quantity that the mesh error explains [its unit]."""
-    return AGREEMENT * error * (problem.scales.of(unit) + abs(value))
+def _allowed(size: float, value: float, error: float) -> float:
+    """Difference of a quantity of this canonical size that the mesh error explains [its unit]."""
+    return AGREEMENT * error * (size + abs(value))
 
 
 def _objectives(solution: Solution, rival: Solution, error: float) -> Check:
     problem = solution.problem
     return Check(
         name="cross_objective", level=4, value=abs(solution.objective - rival.objective),
-        limit=_allowed(problem, problem.objective_unit, solution.objective, error), unit=problem.objective_unit,
+        limit=_allowed(objective_scale(solution), solution.objective, error), unit=problem.objective_unit,
         meaning=f"difference between the objective, {_both(solution, rival, solution.objective, rival.objective)} "
         f"{problem.objective_unit}; the relative mesh error is {error:.1e}",
     )  # fmt: skip
@@ -128,7 +128,7 @@ def _best(solution: Solution, rivals: Sequence[Solution], error: float) -> Check
     listed = "; ".join(f"J = {e.objective:.9g} by {method}{_where(problem, e)}" for e, method in found)
     return Check(
         name="best_extremal", level=4, value=max(solution.objective - found[0][0].objective, 0.0),
-        limit=_allowed(problem, problem.objective_unit, solution.objective, error), unit=problem.objective_unit,
+        limit=_allowed(objective_scale(solution), solution.objective, error), unit=problem.objective_unit,
         meaning=f"by how much the best extremal found is better than this one, J = {solution.objective:.9g}; found, "
         f"best first: {listed}",
     )  # fmt: skip
@@ -150,7 +150,7 @@ def _parameters(solution: Solution, rival: Solution, error: float) -> Iterator[C
         here, there = solution.free[free.name], rival.free[free.name]
         yield Check(
             name=f"cross_{free.name}", level=4, value=abs(here - there), unit=free.unit,
-            limit=_allowed(solution.problem, free.unit, here, error),
+            limit=_allowed(solution.problem.size_of(free), here, error),
             meaning=f"difference between {free.name}, {_both(solution, rival, here, there)} {free.unit}",
         )  # fmt: skip
 

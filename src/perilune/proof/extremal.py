@@ -27,7 +27,7 @@ import numpy as np
 from perilune.problem.problem import Free
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
+from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.flight import Flight, costate_deviation
 from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
 from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality
@@ -105,7 +105,7 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     """
     psi, ahead = end_gradients(arc)
     wanted = arc.costate(np.array([arc.duration]))[:, 0] * arc.state_scale - ahead
-    size = np.array([arc.problem.scales.of(v.unit) for v in arc.phase.end_conditions])
+    size = np.array([arc.problem.size_of(v) for v in arc.phase.end_conditions])
     nu, met = np.zeros(len(size)), end_sides(arc) != INSIDE
     if met.any():
         nu[met] = np.linalg.lstsq(psi[met].T / size[met], wanted, rcond=None)[0] / size[met]
@@ -117,7 +117,7 @@ def end_sides(arc: Arc) -> Vector:
     end = arc.state(np.array([arc.duration]))[:, 0].tolist()
     sides = []
     for condition, value in zip(arc.phase.end_conditions, arc.phase.evaluate("end", end, (), arc.p), strict=True):
-        near = ACTIVE * arc.problem.scales.of(condition.unit)
+        near = ACTIVE * arc.problem.size_of(condition)
         lower, upper = condition.limits(arc.p)
         low, high = value <= lower + near, value >= upper - near
         sides.append((-1 if low else 1 if high else INSIDE) if condition.ranged else 0)
@@ -128,7 +128,7 @@ def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
     """At a bound of a range J must not fall into its interior: nu <= 0 at the lower one, >= 0 at the upper one."""
     for condition, side, value in zip(arc.phase.end_conditions, end_sides(arc), nu, strict=True):
         if condition.ranged:
-            size = arc.problem.scales.of(condition.unit) / arc.objective_scale
+            size = arc.problem.size_of(condition) / arc.objective_scale
             wrong = 0.0 if side == INSIDE else max(0.0, -float(side * value)) * size
             yield Check(
                 name=f"{arc.prefix}range_{condition.name}", level=2, unit="1", limit=STATIONARY_LIMIT, value=wrong,
@@ -152,7 +152,7 @@ def _multipliers(solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector
         for condition, value in zip(arc.phase.end_conditions, nu, strict=True):
             name = f"{arc.phase.name}.{condition.name}"
             if name in solution.multipliers:
-                size = arc.problem.scales.of(condition.unit) / arc.objective_scale
+                size = arc.problem.size_of(condition) / arc.objective_scale
                 differences.append(abs(value - solution.multipliers[name]) * size)
     if differences:
         yield Check(
@@ -209,7 +209,7 @@ def at_bound(solution: Solution, free: Free) -> tuple[bool, bool]:
 
 def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
     problem = solution.problem
-    scaled = gradient * problem.scales.of(free.unit) / problem.scales.of(problem.objective_unit)
+    scaled = gradient * problem.scales.of(free.unit) / objective_scale(solution)
     lower, upper = at_bound(solution, free)
     limit, meaning = (
         STATIONARY_LIMIT,
@@ -229,7 +229,7 @@ def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
 
 
 def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
-    inside, of = arc.sampled, arc.problem.scales.of
+    inside = arc.sampled
     x = flight.inside.reshape(len(arc.phase.states), -1)
     margins = [
         (f"{condition.name} >= 0", condition, value)
@@ -245,7 +245,7 @@ def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
     upto = np.concatenate([[0.0], np.cumsum(inside.weights)])
     runs: dict[str, tuple[float, str]] = {}
     for text, variable, margin in margins:
-        active = np.concatenate([[False], margin <= near * of(variable.unit), [False]])
+        active = np.concatenate([[False], margin <= near * arc.problem.size_of(variable), [False]])
         begins, ends = (np.nonzero(np.diff(active.astype(int)) == way)[0] for way in (1, -1))
         longest = float((upto[ends] - upto[begins]).max(initial=0.0)) / arc.duration
         runs[variable.name] = max(runs.get(variable.name, (-1.0, "")), (longest, text))

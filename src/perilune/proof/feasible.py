@@ -80,7 +80,7 @@ def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
         yield Check(
             name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
             value=float(np.max([abs(condition.missed(float(value), arc.p)) for value in values])),
-            limit=END_LIMIT * arc.problem.scales.of(condition.unit),
+            limit=END_LIMIT * arc.problem.size_of(condition),
             meaning=f"{what} when the exported control is flown by another integrator",
         )  # fmt: skip
 
@@ -141,7 +141,7 @@ def _paths(arc: Arc, flight: Flight) -> Iterator[Check]:
         yield Check(
             name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
             value=float(np.max(np.maximum(-values, 0.0))),
-            limit=END_LIMIT * arc.problem.scales.of(condition.unit),
+            limit=END_LIMIT * arc.problem.size_of(condition),
             meaning=f"largest violation of {condition.name} >= 0 inside {len(pieces)} pieces of the new flight",
         )  # fmt: skip
 

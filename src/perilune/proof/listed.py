@@ -78,9 +78,9 @@ def _reached(
 def _alike(solution: Solution, one: Extremal, other: Extremal) -> bool:
     """Whether two extremals are the same one, by their objective and their free parameters."""
     problem = solution.problem
-    pairs = [(problem.objective_unit, one.objective, other.objective)]
-    pairs += [(f.unit, one.free[f.name], other.free.get(f.name, np.nan)) for f in problem.free]
-    return all(abs(a - b) <= SAME * (problem.scales.of(unit) + abs(a)) for unit, a, b in pairs)
+    pairs = [(problem.objective_size, one.objective, other.objective)]
+    pairs += [(problem.size_of(f), one.free[f.name], other.free.get(f.name, np.nan)) for f in problem.free]
+    return all(abs(a - b) <= SAME * (size + abs(a)) for size, a, b in pairs)
 
 
 def _are(count: int) -> str:

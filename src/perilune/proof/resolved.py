@@ -17,6 +17,7 @@ from perilune.problem.problem import Given, Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.extremal import at_bound
+from perilune.proof.arc import Arc, objective_scale
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 
@@ -80,9 +81,9 @@ def _initial_costates(problem: Problem, solution: Solution, resolve: Resolve) ->
     if costate is None:
         return
     held = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names}
-    moved, of = problem.with_given(**held), problem.scales.of
-    for state, lam in zip(problem.phases[0].states, costate.values[0], strict=True):
-        shift, size = START_SHIFT * of(state.unit), of(state.unit) / of(problem.objective_unit)
+    moved, arc = problem.with_given(**held), Arc(solution=solution, index=0)
+    for state, of_state, lam in zip(problem.phases[0].states, arc.state_scale, costate.values[0], strict=True):
+        shift, size = START_SHIFT * of_state, of_state / arc.objective_scale
 
         def slope(shift: float, name: str = f"offset_{state.name}") -> float:
             ahead, behind = (_objective(resolve, moved.with_given(**{name: s}), solution) for s in (shift, -shift))
@@ -102,17 +103,16 @@ def _initial_costates(problem: Problem, solution: Solution, resolve: Resolve) ->
 
 
 def _parameters(problem: Problem, solution: Solution, resolve: Resolve) -> Iterator[Check]:
-    of = problem.scales.of
     for free in problem.free:
         if free.name in problem.duration_names:
             continue
-        value = solution.free[free.name]
-        shift = min(PARAMETER_SHIFT * of(free.unit), 0.5 * (value - free.lower), 0.5 * (free.upper - value))
+        value, size = solution.free[free.name], problem.size_of(free)
+        shift = min(PARAMETER_SHIFT * size, 0.5 * (value - free.lower), 0.5 * (free.upper - value))
         sides = [_objective(resolve, problem.with_given(**{free.name: value + s}), solution) for s in (shift, -shift)]
         curvature = (sides[0] + sides[1] - 2 * solution.objective) / shift**2
         yield Check(
             name=f"second_order_{free.name}", level=3, limit=CURVATURE_LIMIT, unit="1",
-            value=-float(np.float64(curvature)) * of(free.unit) ** 2 / of(problem.objective_unit),
+            value=-float(np.float64(curvature)) * size**2 / objective_scale(solution),
             meaning=f"minus the curvature of the optimum over {free.name}, solved again {shift:.3g} "
             f"{free.unit} to "
             "either side (scaled): below 0 at a minimum, above 0 at a maximum (NaN: not solved)",

@@ -170,7 +170,7 @@ def _gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix) -> float:
     """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast."""
     H = arc.hamiltonian(x, tried, lam)
     for condition, value in zip(arc.phase.path_conditions, arc.path(x, tried), strict=True):
-        H = np.where(value < -ADMISSIBLE * arc.problem.scales.of(condition.unit), np.inf, H)
+        H = np.where(value < -ADMISSIBLE * arc.problem.size_of(condition), np.inf, H)
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 

@@ -1,0 +1,77 @@
+"""A problem that a model made, as data: the kind of the model and the values of its records.
+
+So a problem that is read back has what is no formula: its ranges, its comparisons before the flight, its bookkeeping.
+The kinds and their keys are those of scenario files (`perilune.models.kinds`); nothing else can be named, and what is
+made has to be the problem whose expressions stand beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from perilune.io.reading import number, part, refuse, text
+from perilune.models.kinds import KINDS, Section
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Given
+from perilune.words.declared import Quantity, keys_of, made_of, section_of, values_of
+from perilune.words.outcome import PeriluneError
+
+
+def made_document(problem: Problem) -> dict[str, Any] | None:
+    """What the problem is made of; None where no model makes just this one."""
+    if problem.name not in KINDS or not problem.declared:
+        return None
+    sections = {
+        section_of(type(made)): {name: value for name, value in values_of(made).items() if value is not None}
+        for made in problem.declared
+    }
+    document = {"kind": problem.name, "sections": sections}
+    try:
+        same = read_made(document, problem.given) == problem
+    except PeriluneError:  # records of a model, in a problem of another making
+        same = False
+    return document if same else None
+
+
+def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
+    """The problem that the model makes, with the given values that it was solved with.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no such kind, section, key or parameter, or a value is outside what is declared of it.
+    """
+    name, sections = text(document, "kind"), part(document, "sections", dict)
+    if name not in KINDS:
+        refuse("made.kind", name[:40], "one of " + ", ".join(KINDS))
+    kind = KINDS[name]
+    for section in sections:
+        if section not in kind.sections:
+            refuse(f"made.sections.{section}"[:80], "a section that is not known", ", ".join(kind.sections))
+    records = {
+        section: _record(stated, sections.get(section), f"made.sections.{section}")
+        for section, stated in kind.sections.items()
+    }
+    problem = kind.make(**records)
+    free, known = set(problem.free_names), {n: g.value for n, g in problem.given.items()}
+    changed = {n: g.value for n, g in given.items() if n in free or known.get(n) != g.value}
+    return problem.with_given(**changed) if changed else problem
+
+
+def _record(section: Section, values: Any, where: str) -> Any:
+    if values is None:
+        if not section.required:
+            return section.otherwise
+        values = {}
+    if not isinstance(values, dict):
+        refuse(where, str(values)[:40], "a record")
+    keys = keys_of(section.record)
+    for key in values:
+        if key not in keys:
+            refuse(f"{where}.{key}"[:80], "a key that is not known", ", ".join(keys))
+    for key, found in keys.items():
+        if found.required and key not in values:
+            refuse(f"{where}.{key}", "nothing", "a value")
+    read = {k: number(values, k, where) if isinstance(keys[k].declared, Quantity) else text(values, k) for k in values}
+    return made_of(section.record, read)

@@ -1,0 +1,63 @@
+"""A steep entry with the least heat load: a cost of 1e7 J/m^2 beside kilometres and seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.problem.controls import Bounded
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
+from perilune.words.units import Scales
+
+
+def _rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Planar entry over a round planet at rest; stagnation heating after Sutton, Graves (1971)."""
+    density = p.density * m.exp(-x.h / p.scale_height)
+    r = p.radius + x.h
+    push = 0.5 * density * x.v * x.v * p.area / p.mass
+    gravity = p.mu / (r * r)
+    return (
+        x.v * m.sin(x.gamma),
+        -push * (p.drag + p.polar * u.lift * u.lift) - gravity * m.sin(x.gamma),
+        push * u.lift / x.v + (x.v / r - gravity / x.v) * m.cos(x.gamma),
+        p.heating * m.sqrt(density / p.nose) * x.v**3,
+    )
+
+
+def cool_entry(heat: float | None = None) -> Problem:
+    """From 60 km and 3 km/s to 30 km and 1.5 km/s; `heat` is the scale of the heat load [J/m^2]."""
+    phase = Phase(
+        name="entry",
+        states=(
+            Variable(name="h", unit="m"),
+            Variable(name="v", unit="m/s"),
+            Variable(name="gamma", unit="rad"),
+            Variable(name="Q", unit="J/m^2", scale=heat),
+        ),
+        controls=(Bounded(name="lift", lower=-1.0, upper=1.0),),
+        dynamics=_rates,
+        duration="time",
+        end=lambda x, p, m: (x.h - p.last_height, x.v - p.last_speed),
+        end_conditions=(Variable(name="height", unit="m"), Variable(name="speed", unit="m/s")),
+        typical_end=lambda p, m: (p.last_height, p.last_speed, -0.1, p.typical_heat),
+    )
+    given = {
+        "mu": (3.986e14, "m^3/s^2"), "radius": (6.371e6, "m"), "density": (1.225, "kg/m^3"),
+        "scale_height": (7200.0, "m"), "area": (10.0, "m^2"), "mass": (2000.0, "kg"), "drag": (0.5, "1"),
+        "polar": (3.0, "1"), "heating": (1.74e-4, "kg^0.5/m"), "nose": (1.0, "m"), "height": (60e3, "m"),
+        "speed": (3000.0, "m/s"), "path_angle": (-0.15, "rad"), "last_height": (30e3, "m"),
+        "last_speed": (1500.0, "m/s"), "typical_heat": (1e7, "J/m^2"),
+    }  # fmt: skip
+    return Problem(
+        name="cool_entry",
+        phases=(phase,),
+        start=lambda p, m: (p.height, p.speed, p.path_angle, 0.0 * p.typical_heat),
+        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(Free(name="time", unit="s", lower=1.0, upper=2000.0, typical=60.0),),
+        objective=lambda x, p, m: x.Q,
+        objective_unit="J/m^2",
+        objective_scale=heat,
+        scales=Scales(length=1e5, time=100.0, mass=2000.0),
+    )
