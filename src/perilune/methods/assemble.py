@@ -14,7 +14,7 @@ from perilune.kernels import DenseArc
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
-from perilune.problem.symbolic import canonical_free, free_scales, state_scales
+from perilune.problem.symbolic import canonical_free, state_scales
 from perilune.shooting.propagate import flight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -39,16 +39,16 @@ def residual_scales(problem: Problem, conditions: Conditions) -> Vector:
 
 def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
     """Free parameters in SI."""
-    values = y[conditions.free_at] * free_scales(problem.free, problem)
-    return dict(zip(problem.free_names, values.tolist(), strict=True))
+    of, values = problem.scales.of, y[conditions.free_at].tolist()
+    return {f.name: value * of(f.unit) for f, value in zip(problem.free, values, strict=True)}
 
 
 def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
     """Multipliers nu of the end conditions in J per unit."""
     names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
     units = conditions.unknowns[conditions.free_at.stop :]
-    values = y[conditions.free_at.stop : len(conditions.unknowns)]
-    return {n: float(v) * problem.scales.of(u) for n, v, (_, u) in zip(names, values, units, strict=True)}
+    values = y[conditions.free_at.stop : len(conditions.unknowns)].tolist()
+    return {n: v * problem.scales.of(u) for n, v, (_, u) in zip(names, values, units, strict=True)}
 
 
 def fly(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[DenseArc]:
