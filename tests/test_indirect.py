@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -81,6 +82,21 @@ def test_iterations_are_shown(landing: Problem, ordinary: Solution) -> None:
     assert [i.number for i in iterations] == list(range(1, len(iterations) + 1))
     assert iterations[-1].residual < 1e-11
     assert all(0 < i.damping <= 1 for i in iterations)
+
+
+def test_the_search_shows_how_far_it_is_and_counts_its_iterations(landing: Problem) -> None:
+    """Many starts at once: how many of how many have converged, and the least residual of those at work."""
+    seen: list[Iteration | str] = []
+    found = solve(landing, level=0, watch=seen.append)
+    lines = [line for line in seen if isinstance(line, str) and line.startswith("round ")]
+    starts = [line for line in lines if "of 72 converged" in line]
+    assert starts[0].startswith("round 1: 0 of 72 converged, ")
+    assert "at work, least residual" in starts[0]
+    assert re.fullmatch(r"round \d+: [1-9]\d* of 72 converged", starts[-1])
+    assert any("of 33 converged" in line for line in lines)  # the family along the retro burn
+    # A start, a member of the family and the answer itself need a few iterations each; no arc is flown without one.
+    assert 72 < found.statistics.iterations < found.statistics.arcs
+    assert solve(landing, level=0).statistics.iterations == found.statistics.iterations
 
 
 def test_continuation_halves_steps_and_reports() -> None:

@@ -32,6 +32,7 @@ def test_a_lane_of_many_does_what_it_does_alone() -> None:
     for i, start in enumerate((3.0, -2.0, 0.5)):
         alone = run(ATAN, start)
         assert (together.y[i], together.evaluations[i]) == (alone.y[0], alone.evaluations[0])
+        assert together.iterations[i] == alone.iterations[0] == len(alone.history) < alone.evaluations[0]
 
 
 def test_iterations_of_one_lane_are_shown() -> None:
@@ -40,6 +41,15 @@ def test_iterations_of_one_lane_are_shown() -> None:
     assert tuple(seen) == ends.history
     assert [i.number for i in ends.history] == list(range(1, len(ends.history) + 1))
     assert ends.history[0].damping < 1.0 == ends.history[-1].damping
+
+
+def test_rounds_of_many_lanes_are_told() -> None:
+    """Newton's step for the arctangent leaves -2/3 y^3 of a small y."""
+    seen: list[Iteration | str] = []
+    ends = newton(ATAN, np.array([[3.0], [0.1], [1e9]]), ONE, watch=seen.append)
+    assert seen[0] == "round 1: 0 of 3 converged, 3 at work, least residual 6.7e-04"
+    assert seen[-1] == f"round {ends.evaluations.max() - 1}: {ends.converged.sum()} of 3 converged"
+    assert len(seen) == ends.evaluations.max() - 1
 
 
 @pytest.mark.parametrize("copies", [1, 3])

@@ -107,11 +107,11 @@ def test_failure_is_a_status(backend: str) -> None:
     e = compile_arcs(ca.Function("blow", [z, p], [z**2]), backend=backend)
     flight, few = bound(e), bound(e, max_steps=2)
     assert fly(flight, 1.0, 0.0, 2.0) in (ArcStatus.NON_FINITE, ArcStatus.STALLED)
-    assert not flight.succeeded.any()
+    assert flight.lost.tolist() == [0]
     assert fly(flight, np.nan, 0.0, 1.0) == ArcStatus.NON_FINITE
     assert fly(few, 1.0, 0.0, 0.99) == ArcStatus.STEP_LIMIT
     assert fly(flight, 0.1, 0.0, 2.0) == ArcStatus.REACHED  # nothing of the failure is left
-    assert flight.succeeded.all()
+    assert not len(flight.lost)
     assert flight.z[0, 0] == pytest.approx(0.1 / 0.8, rel=1e-12)
 
 

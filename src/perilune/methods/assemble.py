@@ -14,7 +14,7 @@ from perilune.kernels import DenseArc
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
-from perilune.problem.symbolic import canonical_free, free_scales, state_scales
+from perilune.problem.symbolic import canonical_free, state_scales
 from perilune.shooting.propagate import flight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -50,8 +50,8 @@ def _end_scales(problem: Problem) -> Vector:
 
 def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
     """Free parameters in SI."""
-    values = y[conditions.free_at] * free_scales(problem.free, problem)
-    return dict(zip(problem.free_names, values.tolist(), strict=True))
+    of, values = problem.scales.of, y[conditions.free_at].tolist()
+    return {f.name: value * of(f.unit) for f, value in zip(problem.free, values, strict=True)}
 
 
 def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:

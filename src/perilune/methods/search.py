@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -46,7 +47,6 @@ class Search:
     problem: Problem
     watch: Watch
     tried: list[str] = field(default_factory=list)
-    iterations: int = 0
     best_failure: Root | None = None
 
     def __post_init__(self) -> None:
@@ -101,11 +101,11 @@ class Search:
         if self.scanned is None:
             return [Found(root=first.root, minimum=True)], [first]
         self.watch(f"following the family of extremals along {self.problem.free[self.scanned].name}")
-        return scan(self._family(), first, self._bounds(self.scanned), self.settings.scan_points, self.watch)
+        return scan(self._family(), first, self._bounds(self.scanned), self.settings.scan_points)
 
     def _family(self) -> HeldFamily:
         assert self.scanned is not None
-        return HeldFamily(shooting=self.shooting, p=self.p, index=self.scanned, limits=self.others)
+        return HeldFamily(shooting=self.shooting, p=self.p, index=self.scanned, limits=self.others, watch=self.watch)
 
     def _walked_through(self, member: Member) -> bool:
         return any(_same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
@@ -265,9 +265,11 @@ class Search:
         """Roots within their limits; the nearest failure is remembered, and the flights are counted."""
         function = shooting or self.shooting
         numbers = self.p if p is None else p
-        roots = settle(function, Y, numbers, choice, limits, self._iteration, **settings)
+        roots = settle(function, Y, numbers, choice, limits, self.watch, **settings)
+        self.history += roots.history
         if function is not self.shooting:
             self.shooting.arcs += function.arcs
+            self.shooting.iterations += function.iterations
         if not roots.converged.all():
             failed = np.where(roots.converged | ~np.isfinite(roots.residuals), np.inf, roots.residuals)
             nearest, worst = int(np.argmin(failed)), self.best_failure
@@ -275,18 +277,12 @@ class Search:
                 self.best_failure = roots[nearest]
         return roots
 
-    def _iteration(self, event: Iteration | str) -> None:
-        if isinstance(event, Iteration):
-            self.iterations += 1
-            self.history.append(event)
-        self.watch(event)
-
     # -- bounds ---------------------------------------------------------------------------------------------------
 
     def _scanned_parameter(self) -> int | None:
         """Index of the first free parameter between finite bounds that is no duration; None where there is none."""
         for i, f in enumerate(self.problem.free):
-            if f.name not in self.problem.duration_names and np.isfinite(f.upper - f.lower):
+            if math.isfinite(f.upper - f.lower) and f.name not in self.problem.duration_names:
                 return i
         return None
 
@@ -298,10 +294,10 @@ class Search:
         free = self.problem.free
         conditions = [c for phase in self.problem.phases for c in phase.end_conditions]
         ranges = [conditions[row] for row, _ in self.conditions.ranges]
-        scales = np.array([self.problem.size_of(v) for v in (*free, *ranges)])
-        p = self.problem.parameters({})
-        both = [(f.lower, f.upper) for f in free] + [v.limits(p) for v in ranges]
-        lower, upper = np.array(both, dtype=float).reshape(-1, 2).T / scales
+        size_of, p = self.problem.size_of, self.problem.parameters({})
+        both = [(size_of(f), f.lower, f.upper) for f in free] + [(size_of(v), *v.limits(p)) for v in ranges]
+        canonical = [(low / size, high / size) for size, low, high in both]
+        lower, upper = np.array(canonical, dtype=float).reshape(-1, 2).T
         if len(self.problem.phases) == 1 and self.problem.duration_names[0] in self.problem.free_names:
             # The only phase cannot vanish: a flight of no length is no flight.
             at = self.problem.free_names.index(self.problem.duration_names[0])
@@ -346,7 +342,7 @@ class Search:
             statistics=Statistics(
                 rung=rung,
                 tried=tuple(self.tried),
-                iterations=self.iterations,
+                iterations=self.shooting.iterations,
                 arcs=self.shooting.arcs,
                 residual=float(np.abs(best.residual).max()),
                 wall_time=time.perf_counter() - self.began,
@@ -378,7 +374,9 @@ class Search:
 
     def _failure(self) -> NotConvergedError:
         known = self.rough if self.rough is not None and self.rough.statistics.residual < _ROUGHEST else None
-        return not_converged(self.problem, self.conditions, self.tried, self.iterations, self.best_failure, known)
+        return not_converged(
+            self.problem, self.conditions, self.tried, self.shooting.iterations, self.best_failure, known
+        )
 
 
 def _same(one: Vector, other: Vector, tolerance: float) -> bool:

@@ -64,9 +64,10 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     """
     if problem.preflight is None:
         return ()
-    values = {name: g.value for name, g in problem.given.items()} | dict(over or {})
     # NumPy's numbers, for which a division by zero is a limit that is none and not an error.
-    p = SimpleNamespace(**{name: np.asarray(value, dtype=float)[()] for name, value in values.items()})
+    values = {name: np.float64(g.value) for name, g in problem.given.items()}
+    values |= {name: np.asarray(value, dtype=float)[()] for name, value in (over or {}).items()}
+    p = SimpleNamespace(**values)
     with np.errstate(all="ignore"):
         return tuple(problem.preflight(p, NUMERIC))
 

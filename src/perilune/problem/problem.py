@@ -298,7 +298,8 @@ class Problem:
                 raise unknown_name("parameter", name, sorted(known))
             given[name] = Given(value=value, unit=self.unit_of(name))
         free = tuple(f for f in self.free if f.name not in values)
-        new = self._changed(given=MappingProxyType(given), free=free)
+        same = {"structure": self.structure} if len(free) == len(self.free) else {}  # values do not enter it
+        new = self._changed(given=MappingProxyType(given), free=free, **same)
         check_given(new)
         new._take_ranges()
         check_free(new)

@@ -194,7 +194,11 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """How the answer was found; `claimed` where a file says so and nobody here saw it."""
+    """How the answer was found; `claimed` where a file says so and nobody here saw it.
+
+    `iterations` and `arcs` count all that was done for it, in all starts together; `history` has the iterations of
+    those starts that went alone.
+    """
 
     rung: str = ""
     tried: tuple[str, ...] = ()

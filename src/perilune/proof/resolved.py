@@ -16,8 +16,8 @@ import numpy as np
 from perilune.problem.problem import Given, Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.extremal import at_bound
 from perilune.proof.arc import Arc, objective_scale
+from perilune.proof.extremal import at_bound
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 

@@ -8,7 +8,6 @@ whether the bound itself is an extremal (Karush, Kuhn, Tucker).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,6 +17,7 @@ from perilune.shooting.active import Limits, settle
 from perilune.shooting.continuation import Member, follow
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch, silent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,24 +40,27 @@ class HeldFamily:
         Which free parameter is held.
     limits
         What the members keep; those of the held parameter are infinite.
+    watch
+        Receives what Newton tells.
     """
 
     shooting: Shooting
     p: Vector
     index: int
     limits: Limits
+    watch: Watch = silent
 
     def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
         """Newton in lanes with q held at `values`, and what else is held to begin with as in `like`."""
         choices = np.tile(like.choice, (len(values), 1))
         choices[:, self.index], choices[:, self.shooting.plan.held + self.index] = 1.0, values
-        return settle(self.shooting, Y, self.p, choices, self.limits)
+        return settle(self.shooting, Y, self.p, choices, self.limits, self.watch)
 
     def released(self, Y: Matrix, like: Root) -> Roots:
         """Newton in lanes with q free: the transversality condition (19) in place of the held value."""
         choice = like.choice.copy()
         choice[[self.index, self.shooting.plan.held + self.index]] = 0.0
-        return settle(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.limits)
+        return settle(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.limits, self.watch)
 
     def value(self, root: Root) -> float:
         """q at a root."""
@@ -80,7 +83,7 @@ class HeldFamily:
 
 
 def scan(
-    family: HeldFamily, first: Member, bounds: tuple[float, float], points: int, say: Callable[[str], None]
+    family: HeldFamily, first: Member, bounds: tuple[float, float], points: int
 ) -> tuple[list[Found], list[Member]]:
     """Walk from `first` towards both bounds; the extremals met, and the members visited.
 
@@ -91,8 +94,6 @@ def scan(
     points
         How many values between the bounds are visited; extremals closer together than two of them may be missed
         unless dJ/dq dips towards zero between them, which is looked at more closely.
-    say
-        Receives one line about a family that ends before a bound.
     """
     values = np.linspace(*bounds, points)
     tried = list(zip(values.tolist(), family.held(np.tile(first.root.y, (points, 1)), values, first.root), strict=True))
@@ -103,7 +104,7 @@ def scan(
     found = []
     for end, bound, limit in ((0, -1, bounds[0]), (-1, 1, bounds[1])):
         if members[end].value != limit:
-            say(f"the family of extremals ends at {members[end].value:.6g}, before {limit:.6g} (canonical)")
+            family.watch(f"the family of extremals ends at {members[end].value:.6g}, before {limit:.6g} (canonical)")
         elif slopes[end] * bound < 0:  # J rises into the interior; otherwise the bound is no extremal at all
             found.append(Found(root=members[end].root, minimum=True))
     brackets = [

@@ -65,9 +65,8 @@ class Flight:
             h, J, extra = rows[:, :n], rows[:, n : n + n * n].reshape(-1, n, n), rows[:, n + n * n :]
             rows = newton.rows(self.Y, h, J, self.inverse, extra)
         for _, arcs in self.legs:
-            flown = arcs.succeeded
-            if np.count_nonzero(flown) < len(flown):
-                rows[~flown] = np.nan
+            if len(arcs.lost):
+                rows[arcs.lost] = np.nan
         return rows
 
 

@@ -196,7 +196,7 @@ class Shooting:
 
     def tangent(self, root: Root, index: int) -> Vector:
         """dY/dvalue at a root in which free parameter `index` is held."""
-        row = int(np.searchsorted(self.plan.rows, self.conditions.stationarity_at.start + index))
+        row = int(self.plan.rows.searchsorted(self.conditions.stationarity_at.start + index))
         tangent = np.zeros(self.plan.size)
         tangent[self.plan.active] = root.inverse[:, row]
         return tangent
@@ -215,8 +215,8 @@ class Shooting:
         With J' the Jacobian in which q is held, e its row and g the row of dJ/dq, the tangent is t = J'^-1 e and the
         curvature g.t; J t = (g.t) e, so that the entry of J^-1 in q's column and row is 1/(g.t).
         """
-        row = int(np.searchsorted(self.plan.rows, self.conditions.stationarity_at.start + index))
-        at = int(np.searchsorted(self.plan.active, self.conditions.free_at.start + index))
+        row = int(self.plan.rows.searchsorted(self.conditions.stationarity_at.start + index))
+        at = int(self.plan.active.searchsorted(self.conditions.free_at.start + index))
         return 1.0 / float(root.inverse[at, row])
 
     def _fly(self, Y: Matrix, p: Matrix, choice: Matrix, run: Callable[[Evaluate, Matrix, Columns], Ends]) -> Roots:

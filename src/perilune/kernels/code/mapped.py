@@ -117,23 +117,21 @@ def _flat(function: Any) -> Any:
 
 
 def _evaluation(call: Callable[..., None], bound: BoundMap) -> Callable[[], Any]:
-    """What evaluates a bound map in machine code, which knows only addresses."""
+    """What evaluates a bound map, whose arrays live as long as it does, in machine code."""
     entries = [bound.lanes, *map(native.address, bound.outputs)]
     for a in bound.inputs:
         place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
         entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0]
-    table = np.array(entries, dtype=np.int64)
-    place, groups = native.address(table), -(-bound.lanes // _WIDTH)
+    table, groups = native.table(entries), -(-bound.lanes // _WIDTH)
     most = bound.lanes // _LANES_PER_THREAD
-    threads = min(os.cpu_count() or 1, most) if most > 1 else 1
+    threads = min(os.cpu_count() or 1, most)
+    if threads <= 1:
+        return partial(call, 0, groups, table)
     share = -(-groups // threads)
 
-    def evaluate(_held: Any = (bound.inputs, bound.outputs, table)) -> None:
-        if threads == 1:
-            call(0, groups, place)
-            return
+    def evaluate() -> None:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda k: call(k * share, min((k + 1) * share, groups), place), range(threads)))
+            list(pool.map(lambda k: call(k * share, min((k + 1) * share, groups), table), range(threads)))
 
     return evaluate
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -100,6 +101,12 @@ def address(array: NDArray[Any]) -> int:
         buffer: Any = array
         return ctypes.addressof(ctypes.c_char.from_buffer(buffer))
     return array.ctypes.data
+
+
+def table(entries: Iterable[int]) -> Any:
+    """Return what machine code is handed: addresses and whole numbers, 64 bits each. It lives as long as it is held."""
+    numbers = list(entries)
+    return (ctypes.c_int64 * len(numbers))(*numbers)
 
 
 class MachineCode:

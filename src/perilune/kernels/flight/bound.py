@@ -24,6 +24,7 @@ from perilune.words.types import Batch, Matrix
 
 _STATUS, _EVENTS = INFO.index("status"), INFO.index("events")
 _LAST_SUCCESS = float(ArcStatus.EVENT)
+_NONE = np.zeros(0, dtype=np.intp)
 
 
 class BoundArcs:
@@ -37,9 +38,13 @@ class BoundArcs:
         The request, whose arrays are read at each flight.
     bind
         Given this object, returns what flies it, on so many threads or (None) on all.
+    nodes
+        Where the start of each step of the one arc goes, (steps, 3 + nz).
 
     Attributes
     ----------
+    order
+        In which the lanes are flown.
     z, rates
         State at the end, and z' there in the mode at the end, (lanes, nz). Overwritten by the next flight, as all here.
     columns
@@ -50,14 +55,22 @@ class BoundArcs:
         Number and time of each event met, (lanes, MAX_EVENTS, 2); beyond those of this flight they are not this one's.
     """
 
-    def __init__(self, system: Any, asked: Request, bind: Callable[[BoundArcs], Callable[[int | None], None]]) -> None:
+    def __init__(
+        self,
+        system: Any,
+        asked: Request,
+        bind: Callable[[BoundArcs], Callable[[int | None], None]],
+        nodes: Matrix | None = None,
+    ) -> None:
         lanes, nz = asked.z0.shape
-        self.asked = asked
+        self.asked, self.nodes = asked, nodes
+        self.order: NDArray[np.int64] = np.arange(lanes)
         self.z: Matrix = np.full((lanes, nz), np.nan)
         self.rates: Matrix = np.full((lanes, nz), np.nan)
         # Entries that are zero for every arc are never written.
         self.columns: Batch = np.zeros((lanes, nz, 0) if asked.seeds is None else asked.seeds.shape)
         self.info: Matrix = np.full((lanes, len(INFO)), np.nan)
+        self._status = self.info[:, _STATUS]
         self.log: Batch = np.empty((lanes, MAX_EVENTS if system.events else 0, 2))
         self._fly = bind(self)
 
@@ -66,9 +79,11 @@ class BoundArcs:
         self._fly(threads)
 
     @property
-    def succeeded(self) -> NDArray[np.bool_]:
-        """Lanes that reached their end or a terminal event."""
-        return self.info[:, _STATUS] <= _LAST_SUCCESS
+    def lost(self) -> NDArray[np.intp]:
+        """Lanes that reached neither their end nor a terminal event."""
+        if np.maximum.reduce(self._status, initial=0.0) <= _LAST_SUCCESS:
+            return _NONE
+        return np.nonzero(self._status > _LAST_SUCCESS)[0]
 
     def ends(self) -> Arcs:
         """Ends of the last flight; its arrays are those of this object."""

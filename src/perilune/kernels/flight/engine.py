@@ -171,30 +171,9 @@ class NativeEngine:
         nodes
             Where the start of each step of the one arc goes: (steps, 3 + nz).
         """
-        lanes = len(asked.z0)
         width = LANES if nodes is None else 1  # nodes are written by the code for one lane only
-        function, groups = self._call(asked.seeds is not None, width), -(-lanes // width)
-        order = np.arange(lanes)
-
-        def bind(flight: BoundArcs) -> Callable[[int | None], None]:
-            held = {**vars(asked), **vars(flight), "order": order, "nodes": nodes}
-            numbers = {
-                "lanes": lanes,
-                "p_stride": self.system.np if len(asked.p) > 1 else 0,
-                "max_steps": asked.max_steps,
-                "fixed_steps": asked.fixed_steps,
-            }
-            table = _table(held, numbers)
-            place = native.address(table)
-
-            def fly(threads: int | None, held: Any = (held, table)) -> None:  # the machine code knows only addresses
-                if lanes > width:
-                    order[:] = np.argsort(np.abs(asked.duration), kind="stable")
-                _run(function, groups, place, threads)
-
-            return fly
-
-        return BoundArcs(self.system, asked, bind)
+        call = self._call(asked.seeds is not None, width)
+        return BoundArcs(self.system, asked, lambda flight: _flying(call, width, flight), nodes)
 
     def _call(self, columns: bool, width: int) -> Callable[..., None]:
         which = (columns, width)
@@ -215,24 +194,29 @@ class NativeEngine:
         return out
 
 
-def _run(function: Callable[..., None], groups: int, table: int, threads: int | None) -> None:
+def _flying(call: Callable[..., None], width: int, flight: BoundArcs) -> Callable[[int | None], None]:
+    """What flies bound arcs, whose arrays live as long as they do."""
+    asked, order, duration, lanes = flight.asked, flight.order, flight.asked.duration, len(flight.order)
+    held = {**vars(asked), **vars(flight), "lanes": lanes, "p_stride": asked.p.shape[1] if len(asked.p) > 1 else 0}
+    table = native.table(native.address(v) if isinstance(v, np.ndarray) else v or 0 for v in map(held.get, TABLE))
+    groups = -(-lanes // width)
     most = groups // _GROUPS_PER_THREAD
-    count = min(threads or os.cpu_count() or 1, most) if most > 1 else 1
-    if count == 1:
-        function(0, groups, table)
-        return
-    # Sorted by length, the last groups are the longest: small pieces, longest first, keep all cores busy.
-    piece = max(4, groups // (8 * count))
-    starts = range(0, groups, piece)
-    with ThreadPoolExecutor(count) as pool:
-        list(pool.map(lambda first: function(first, min(first + piece, groups), table), reversed(starts)))
+
+    def fly(threads: int | None) -> None:
+        order[:] = np.argsort(np.abs(duration), kind="stable")
+        count = min(threads or os.cpu_count() or 1, most)
+        if count <= 1:
+            call(0, groups, table)
+            return
+        # Sorted by length, the last groups are the longest: small pieces, longest first, keep all cores busy.
+        piece = max(4, groups // (8 * count))
+        starts = range(0, groups, piece)
+        with ThreadPoolExecutor(count) as pool:
+            list(pool.map(lambda first: call(first, min(first + piece, groups), table), reversed(starts)))
+
+    return fly if groups > 1 else lambda _: call(0, groups, table)
 
 
 def _name(system: ArcSystem, width: int) -> str:
     """Key of a system's machine code."""
     return disk.key(system.key, str(width), *native.processor(), *native.versions())
-
-
-def _table(held: dict[str, Any], numbers: dict[str, int]) -> NDArray[np.int64]:
-    entries = [numbers[n] if n in numbers else 0 if held[n] is None else native.address(held[n]) for n in TABLE]
-    return np.array(entries, dtype=np.int64)
