@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 from perilune.models.bodies import MOON
 from perilune.problem.preflight import possible, preflight, refuse_impossible
 from perilune.problem.problem import Given
-from perilune.scenario import KINDS, load_file, load_text, template, values_of
+from perilune.scenario import KINDS, load_file, load_text, quantities_of, template, values_of
 from perilune.scenario.reader import names_of
 from perilune.scenario.reference import reference
 from perilune.scenario.text import LARGEST_FILE
@@ -24,6 +24,9 @@ from perilune.words.outcome import InfeasibleError, PeriluneError
 EXAMPLES = Path(__file__).parent.parent / "examples"
 HYBRID = EXAMPLES / "hybrid_lander.toml"
 TEXT = HYBRID.read_text(encoding="utf-8")
+
+
+KEYS = quantities_of(HYBRID)
 
 
 def refused(*changes: str) -> PeriluneError:
@@ -156,7 +159,7 @@ def test_a_change_may_add_a_section() -> None:
         ("body.rotation_rate=13.2 deg", "body.rotation_rate - the unit has the wrong dimension", "deg/s"),
         ("body.name=mars", "a name and quantities", "leave out"),
         ("orbit.perilune_altitude=15 m", "lower than the terrain", "m in place of km"),
-        ("orbit.parking_altitude=100000 km", "no longer rules the orbit", "km in place of m"),
+        ("orbit.parking_altitude=100000 km", "no longer rules the flight", "km in place of m"),
         ("orbit.parking_altitude=100 m", "lower than the terrain", "m in place of km"),
         ("landing.altitude=-2000 km", "deeper than any valley", "km in place of m"),
         ("vehicle.mass=1e999 kg", "not finite", "ordinary size"),
@@ -288,10 +291,10 @@ def test_a_file_with_one_line_damaged_is_a_problem_or_a_refusal(data: st.DataObj
 
 
 def test_the_range_of_a_sweep() -> None:
-    assert values_of("retro.specific_impulse", "310s:300s:-5s") == [310.0, 305.0, 300.0]
-    assert values_of("retro.delta_v", "0:100:50 m/s") == [0.0, 50.0, 100.0]
-    assert values_of("orbit.perilune_altitude", "10 km : 12 km : 1000 m") == [10e3, 11e3, 12e3]
-    tenths = values_of("vehicle.mass", "1:2:0.1 kg")
+    assert values_of("retro.specific_impulse", "310s:300s:-5s", KEYS) == [310.0, 305.0, 300.0]
+    assert values_of("retro.delta_v", "0:100:50 m/s", KEYS) == [0.0, 50.0, 100.0]
+    assert values_of("orbit.perilune_altitude", "10 km : 12 km : 1000 m", KEYS) == [10e3, 11e3, 12e3]
+    tenths = values_of("vehicle.mass", "1:2:0.1 kg", KEYS)
     assert len(tenths) == 11
     assert all(b > a for a, b in itertools.pairwise(tenths))
 
@@ -314,7 +317,7 @@ def test_the_range_of_a_sweep() -> None:
 )
 def test_a_range_that_is_none_is_refused(key: str, text: str, what: str) -> None:
     with pytest.raises(PeriluneError, match=re.escape(what)) as caught:
-        values_of(key, text)
+        values_of(key, text, KEYS)
     # Not what a scenario should say there, such as to leave the key out.
     if what != "no key":
         assert any(word in caught.value.advice for word in ("START", "larger step", "0:1600:50 m/s"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,7 +78,7 @@ def say(answer: Answer, as_json: bool) -> int:
     """
     refused = "error" in answer.document
     if refused:
-        print(answer.text, file=sys.stderr)
+        aside(answer.text)
     if as_json or not refused:
         text = answer.text
         if as_json:
@@ -95,9 +96,15 @@ def tell(text: str, code: int = 0) -> int:
     except OSError as error:
         forsake_stdout()
         if not isinstance(error, BrokenPipeError):  # a reader who has seen enough is no fault
-            print(f"perilune: the answer cannot be written\n  got: stdout: {error.strerror}", file=sys.stderr)
+            aside(f"perilune: the answer cannot be written\n  got: stdout: {error.strerror}")
             return code or 2
     return code
+
+
+def aside(text: str) -> None:
+    """Print a text on stderr; where that cannot be written nobody is told, and nothing else changes."""
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
 
 
 def forsake_stdout() -> None:

@@ -27,6 +27,8 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     Told
         With the text, where only that is wanted.
     """
+    if list(arguments[:1]) == ["new"]:  # of which argparse would not see the FILE in `new KIND --force FILE`
+        arguments = sorted(arguments, key=lambda argument: argument.startswith("-"))
     return _parser().parse_args(arguments)
 
 

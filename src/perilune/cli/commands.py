@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -12,7 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import Answer, deliver, refusal, say, tell
+from perilune.cli.answer import Answer, aside, deliver, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
@@ -31,7 +30,7 @@ def obey(arguments: Sequence[str]) -> int:
     except PeriluneError as usage:
         return say(refusal(usage, usage.exit_code), as_json="--json" in arguments)
     if typed.command is None:
-        print(help_text(), file=sys.stderr)
+        aside(help_text())
         return 2
     if getattr(typed, "no_cache", False):
         os.environ["PERILUNE_CACHE"] = "off"  # read by perilune.kernels.code.cache

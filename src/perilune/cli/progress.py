@@ -5,22 +5,28 @@ Progress on stderr, warnings, and what is kept when the work does not end well.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from perilune.cli.answer import INTERRUPTED, refusal, stopped
+from perilune.cli.answer import INTERRUPTED, aside, refusal, stopped
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from perilune.problem.preflight import Finding
     from perilune.scenario import Scenario
     from perilune.words.watch import Iteration
 
 LONGEST_LOG = 1000  # lines of progress that a failure keeps
+_COUNT = re.compile(r"\d+ of \d+")  # members that are done, of all
+_COUNTED = re.compile(r" \(\d+ of \d+\).*")
 
 
 def _iteration_line(i: Iteration) -> str:
@@ -30,25 +36,40 @@ def _iteration_line(i: Iteration) -> str:
 @contextmanager
 def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | str], None]]:
     """A `watch` that keeps lines in `log`, prints them if verbose, and else moves a spinner on a terminal."""
-    status = None
+    shown: AbstractContextManager[Any] = nullcontext()
+    show: Callable[[str], object] = aside if verbose else str
     if not verbose and sys.stderr.isatty():
         from rich.console import Console
 
-        status = Console(stderr=True).status("solving")
+        console, told = Console(stderr=True), Told()
+        shown = console.status("solving")
+        spin, room = shown.update, console.width - 3  # beside the spinner
+        show = lambda line: spin(told.line(line, room))  # noqa: E731
 
     def watch(event: Iteration | str) -> None:
         line = event if isinstance(event, str) else _iteration_line(event)
         log.append(line)
-        if verbose:
-            print(line, file=sys.stderr)
-        elif status is not None:
-            status.update(line.replace("[", "\\["))
+        show(line)
 
-    if status is None:
+    with shown:
         yield watch
-    else:
-        with status:
-            yield watch
+
+
+@dataclass
+class Told:
+    """What a spinner says: how many are done, which stays until there is another number, and what is at work."""
+
+    count: str = ""
+
+    def line(self, text: str, width: int) -> Text:
+        """One line that is not longer than the terminal is wide."""
+        from rich.text import Text
+
+        if found := _COUNT.findall(text):
+            self.count = f"{found[-1]}: "
+        told = Text(self.count + _COUNTED.sub("", text))
+        told.truncate(width, overflow="ellipsis")
+        return told
 
 
 def warn(found: Sequence[Finding]) -> None:
@@ -56,12 +77,12 @@ def warn(found: Sequence[Finding]) -> None:
     for f in found:
         if f.verdict == "warning":
             limit = f"{f.limit:.4g} {f.unit}".removesuffix(" 1")
-            print(f"warning: {f.meaning} ({f.name} {f.value:.4g}, limit {limit})", file=sys.stderr)
+            aside(f"warning: {f.meaning} ({f.name} {f.value:.4g}, limit {limit})")
 
 
 def note(text: str) -> None:
     """Print what the reader of the answer should know beside it."""
-    print(f"perilune: {text}", file=sys.stderr)
+    aside(f"perilune: {text}")
 
 
 def refuse_used(out: Path | None, force: bool) -> None:
@@ -75,13 +96,15 @@ def refuse_used(out: Path | None, force: bool) -> None:
 
 @contextmanager
 def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[str]) -> Iterator[None]:
-    """Save what was computed before a failure or Ctrl-C as ``failure.json``."""
+    """Save what was computed before a failure or Ctrl-C as ``failure.json``; Ctrl-C replaces no earlier result."""
     try:
         yield
     except (InfeasibleError, NotConvergedError, KeyboardInterrupt) as error:
-        if out is not None:
+        from perilune.io.files import FAILURE_FILE, fresh_directory, in_use, json_text
+
+        interrupted = isinstance(error, KeyboardInterrupt)
+        if out is not None and not (interrupted and in_use(out)):
             from perilune.io.export import versions
-            from perilune.io.files import fresh_directory, json_text
             from perilune.io.reload import hash_of
 
             known = error if isinstance(error, PeriluneError) else stopped()
@@ -89,5 +112,5 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
             origin = {"sha256": hash_of(scenario.text), "text": scenario.text}
             with fresh_directory(out, force) as work:
                 document = {**said.document, "log": list(log), "scenario": origin, "versions": versions()}
-                (work / "failure.json").write_text(json_text(document), encoding="utf-8")
+                (work / FAILURE_FILE).write_text(json_text(document), encoding="utf-8")
         raise

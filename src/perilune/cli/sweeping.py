@@ -25,19 +25,14 @@ MEMBERS = "members"  # in the output directory: what a sweep goes on from
 
 def sweep_answer(order: Namespace) -> Answer:
     """Solve the family and show it."""
-    from perilune.scenario import values_of
-
     if order.resume and order.out is None:
         raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
-    over: dict[str, list[float]] = {}
-    for range_ in order.vary:
-        key, _, text = range_.partition("=")
-        over[key.strip()] = values_of(key.strip(), text)
     method = method_of(order.method)
+    over = _ranges(order)
     problem = _varied(order.file, order.changes, over)
     options: dict[str, Any] = {} if order.method == "indirect" else {"method": method}
     if order.out is not None:
-        refuse_used(order.out, order.force or order.resume)
+        _refuse_used(order)
         options["store"] = order.out / MEMBERS
         if not order.resume:
             from perilune.families.store import clear
@@ -84,13 +79,56 @@ def _leave_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def _ranges(order: Namespace) -> dict[str, list[float]]:
+    """The values of each key that is varied, in SI."""
+    from perilune.scenario import quantities_of, values_of
+
+    known, over = quantities_of(order.file, order.changes), dict[str, list[float]]()
+    changed = {change.partition("=")[0].strip() for change in order.changes}
+    for range_ in order.vary:
+        key, _, text = (part.strip() for part in range_.partition("="))
+        if key in over:
+            raise PeriluneError(
+                f"--vary names {key} twice", got=range_, expected="each key once", advice="run a sweep for each range"
+            )
+        if key in changed:
+            raise PeriluneError(
+                f"{key} is varied and set at once", got=f"--vary and --set {key}", expected="one of the two"
+            )
+        over[key] = values_of(key, text, known)
+    return over
+
+
+def _refuse_used(order: Namespace) -> None:
+    """Refuse a directory in which something else is, or a sweep that is neither to be gone on with nor replaced."""
+    from perilune.families.store import MANIFEST
+    from perilune.io.files import in_use
+
+    stored = (order.out / MEMBERS / MANIFEST).is_file()
+    if stored and not (order.force or order.resume):
+        raise PeriluneError(
+            "the output directory holds a sweep already",
+            got=str(order.out),
+            expected="a new or empty directory",
+            advice="--resume to go on with it, --force to begin anew, or another directory",
+        )
+    if order.resume and not stored and in_use(order.out) and not order.force:
+        raise PeriluneError(
+            "there is no sweep in the output directory to go on with",
+            got=str(order.out),
+            expected=f"the directory of an earlier sweep, with {MEMBERS}/{MANIFEST}",
+            advice="leave out --resume and choose another directory",
+        )
+    refuse_used(order.out, order.force or order.resume)
+
+
 def _varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Problem:
     """The problem with the keys in it; both ends of the ranges are checked as the file itself is."""
-    from perilune.scenario import load_file, quantity_of
+    from perilune.scenario import load_file, quantities_of
 
-    found = None
+    known, found = quantities_of(file, changes), None
     for end in (-1, 0):
         with suppress(InfeasibleError):  # the table will say so
-            ends = [f"{key}={values[end]!r} {quantity_of(key).unit}" for key, values in over.items()]
+            ends = [f"{key}={values[end]!r} {known[key].unit}" for key, values in over.items()]
             found = load_file(file, [*changes, *ends]).problem
     return found or load_file(file, changes).problem

@@ -138,7 +138,7 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
     scenario_text
         The scenario that `solution.problem` was made of, with every change made to it; None for a problem in Python.
     force
-        Whether files of the same names may be replaced.
+        Whether what an earlier run wrote there may be replaced.
 
     Raises
     ------

@@ -1,23 +1,40 @@
 """Writing to disk so that a reader sees either the whole result or nothing of it.
 
 Everything is written into a temporary directory beside the target and moved when it is complete, so an error
-or Ctrl-C in the middle leaves the target as it was. Nothing that is there already is overwritten unless the
-caller says so, and files that this program did not write are never removed.
+or Ctrl-C in the middle leaves the target as it was. A killed process leaves that directory; the next writer of the same
+target removes it. Nothing that is there already is overwritten unless the caller says so. Then what an earlier run
+wrote goes as a whole, so that no figure of it stays beside the new ones; files that this program did not write are
+never removed.
 """
 
 from __future__ import annotations
 
+import errno
+import glob
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from perilune.words.outcome import PeriluneError
+
+try:
+    import fcntl
+except ImportError:  # Windows: what a killed process leaves there stays
+    fcntl = None
+
+FAILURE_FILE = "failure.json"
+FIGURES, DRAWN_BY = "figures", "perilune"  # their folder, and the creator that an SVG names
+# What runs write into their directory by name; where others may use the name too, by what is near its head.
+_RESULTS = re.compile(r"(solution|failure|family)\.json|family\.(csv|png|svg)|trajectory(_\d+_\w+)?\.csv")
+_DRAWING, _REPORT = f"<dc:title>{DRAWN_BY}</dc:title>".encode(), b"\n\n## Results\n\n| quantity | value | unit |"
+_HEAD = 2000  # bytes
 
 
 @contextmanager
@@ -29,28 +46,30 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
     target
         Where the files shall be; made if it is not there.
     force
-        Whether files of the same names in `target` may be replaced.
+        Whether what an earlier run wrote there may be replaced, and files of the same names.
 
     Raises
     ------
     PeriluneError
-        If `target` is a file, cannot be written, or holds files already and `force` is false.
+        If `target` is a file, cannot be written, or holds more than a failure already and `force` is false.
     """
     target = Path(target)
     if target.exists() and not target.is_dir():
         raise PeriluneError(
             "the output directory is a file", got=str(target), expected="a directory", advice="choose another name"
         )
-    if not force and target.is_dir() and any(target.iterdir()):
+    if not force and in_use(target):
         raise PeriluneError(
             "the output directory is not empty",
             got=str(target),
             expected="a new or empty directory",
-            advice="choose another, or pass --force to replace the files of the same names",
+            advice="choose another, or replace what an earlier run wrote: --force (in Python force=True)",
         )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        if target.is_dir() and not os.access(target, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        work, lock = _temporary(target)
     except OSError as error:
         raise PeriluneError(
             "the output directory cannot be written",
@@ -63,14 +82,72 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
         _move(work, target)
     finally:
         shutil.rmtree(work, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def in_use(target: Path) -> bool:
+    """Whether a directory holds more than what a run that failed left of itself."""
+    return target.is_dir() and any(path.name != FAILURE_FILE for path in target.iterdir())
+
+
+def _temporary(target: Path) -> tuple[Path, int | None]:
+    """A directory to write into, locked while its writer lives; those of writers that were killed are removed."""
+    prefix = f".{target.name}-writing-"
+    for left in target.parent.glob(glob.escape(prefix) + "?" * 8):  # as `mkdtemp` names them
+        if left.is_dir() and not left.is_symlink() and (lock := _locked(left)) is not None:
+            shutil.rmtree(left, ignore_errors=True)
+            os.close(lock)
+    while True:
+        work = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
+        if fcntl is None or (lock := _locked(work)) is not None:
+            return work, None if fcntl is None else lock
+
+
+def _locked(directory: Path) -> int | None:
+    """Handle of a directory that is locked by it; None where another has it, it is gone, or nothing can be locked."""
+    if fcntl is None:
+        return None
+    with suppress(OSError):
+        handle = os.open(directory, os.O_RDONLY)
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if directory.exists():
+                return handle
+        os.close(handle)
+    return None
 
 
 def _move(work: Path, target: Path) -> None:
-    """Move every file of `work` to the same place in `target`; each single move is atomic."""
+    """Move every file of `work` to the same place in `target`, each at once; then remove what an older run left."""
+    moved = set()
     for source in sorted(path for path in work.rglob("*") if path.is_file()):
         place = target / source.relative_to(work)
         place.parent.mkdir(parents=True, exist_ok=True)
         os.replace(source, place)
+        moved.add(place)
+    if moved:
+        for left in _results_in(target) - moved:
+            left.unlink(missing_ok=True)
+        with suppress(OSError):
+            (target / FIGURES).rmdir()  # where it is empty
+
+
+def _results_in(target: Path) -> set[Path]:
+    """Every file that runs of this program wrote into a directory."""
+    found = {path for path in target.iterdir() if _RESULTS.fullmatch(path.name) and path.is_file()}
+    if _near_head(target / "report.md", _REPORT):
+        found.add(target / "report.md")
+    for drawn in (target / FIGURES).glob("*.svg"):
+        if _near_head(drawn, _DRAWING):
+            found |= {drawn, drawn.with_suffix(".png")}
+    return found
+
+
+def _near_head(file: Path, mark: bytes) -> bool:
+    with suppress(OSError), file.open("rb") as opened:
+        return mark in opened.read(_HEAD)
+    return False
 
 
 def finite(value: Any) -> Any:

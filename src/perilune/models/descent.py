@@ -46,7 +46,8 @@ from perilune.words.units import Scales
 
 _FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
 
-_LONGITUDE: dict[str, Any] = {"about": "east; over a pole it names the meridian from which the heading is measured"}
+SPEED: dict[str, Any] = {"least": -1e5, "most": 1e5, "hint": "look for km/s in place of m/s"}
+_TURNS: dict[str, Any] = {"least": -4 * math.pi, "most": 4 * math.pi}
 _LATITUDE: dict[str, Any] = {
     "least": -0.5 * math.pi - 1e-12,
     "most": 0.5 * math.pi + 1e-12,
@@ -99,12 +100,16 @@ class Ignition:
     """Where the powered descent begins, relative to the turning body."""
 
     altitude: float = quantity("m", "15 km", about="above the body's radius")
-    longitude: float = quantity("rad", "0 deg", **_LONGITUDE)
+    longitude: float = quantity(
+        "rad", "0 deg", **_TURNS, about="east; over a pole it names the meridian from which the heading is measured"
+    )  # fmt: skip
     latitude: float = quantity("rad", "90 deg", **_LATITUDE)
-    heading: float = quantity("rad", "180 deg", hint="from north towards east", about="of oy, from north towards east")
-    forward_speed: float = quantity("m/s", "1694.3 m/s", about="along oy, at the heading")
-    sideways_speed: float = quantity("m/s", "0 m/s", default=0.0, about="along oz, up x oy")
-    vertical_speed: float = quantity("m/s", "0 m/s", default=0.0, about="up")
+    heading: float = quantity(
+        "rad", "180 deg", **_TURNS, hint="from north towards east", about="of oy, from north towards east"
+    )  # fmt: skip
+    forward_speed: float = quantity("m/s", "1694.3 m/s", **SPEED, about="along oy, at the heading")
+    sideways_speed: float = quantity("m/s", "0 m/s", **SPEED, default=0.0, about="along oz, up x oy")
+    vertical_speed: float = quantity("m/s", "0 m/s", **SPEED, default=0.0, about="up")
 
 
 @record("site")
@@ -112,7 +117,7 @@ class Site:
     """Where the flight ends at rest."""
 
     altitude: float = quantity("m", "2 km", default=0.0, about="above the body's radius")
-    longitude: float = quantity("rad", "5 deg", about="east")
+    longitude: float = quantity("rad", "5 deg", **_TURNS, about="east")
     latitude: float = quantity("rad", "76 deg", **_LATITUDE)
 
 

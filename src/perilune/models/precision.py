@@ -21,7 +21,7 @@ from typing import Any
 
 from perilune.models.bodies import MOON, Body, oblate
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
-from perilune.models.descent import THROTTLE, Site, with_dry_mass
+from perilune.models.descent import SPEED, THROTTLE, Site, with_dry_mass
 from perilune.models.descent_frames import mass_rate, thrust, variables
 from perilune.models.landing import mass_state
 from perilune.models.limits import (
@@ -56,9 +56,9 @@ class Approach:
     east: float = quantity("m", "-1800 m", about="position from the site")
     north: float = quantity("m", "300 m", about="position from the site")
     up: float = quantity("m", "1 km", above=0.0, outside="begins below the site", about="height above the site")
-    east_speed: float = quantity("m/s", "50 m/s", default=0.0, about="relative to the site")
-    north_speed: float = quantity("m/s", "0 m/s", default=0.0, about="relative to the site")
-    up_speed: float = quantity("m/s", "-30 m/s", default=0.0, about="negative when it descends")
+    east_speed: float = quantity("m/s", "50 m/s", **SPEED, default=0.0, about="relative to the site")
+    north_speed: float = quantity("m/s", "0 m/s", **SPEED, default=0.0, about="relative to the site")
+    up_speed: float = quantity("m/s", "-30 m/s", **SPEED, default=0.0, about="negative when it descends")
 
 
 @record("corridor")

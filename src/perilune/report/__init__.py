@@ -28,7 +28,7 @@ def write_all(
     ordinary
         A plainer flight of the same problem, drawn into the same figures.
     force
-        Whether files of the same names may be replaced.
+        Whether what an earlier run wrote there may be replaced.
 
     Raises
     ------

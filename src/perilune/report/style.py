@@ -16,6 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from perilune.io.files import DRAWN_BY
+
 COLUMN_WIDTH = 3.4  # inches
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#6B6B6B",
@@ -51,7 +53,7 @@ def save(figure: Figure, directory: Path, name: str) -> None:
     """Write ``name.png`` and ``name.svg``; equal figures give equal files."""
     with matplotlib.rc_context(STYLE):
         FigureCanvasAgg(figure).print_figure(directory / f"{name}.png", metadata={"Software": None})
-        FigureCanvasSVG(figure).print_figure(directory / f"{name}.svg", metadata={"Date": None, "Creator": "perilune"})
+        FigureCanvasSVG(figure).print_figure(directory / f"{name}.svg", metadata={"Date": None, "Creator": DRAWN_BY})
 
 
 def new_figure(height: float = 2.3, rows: int = 1, cols: int = 1, width: float = COLUMN_WIDTH) -> tuple[Figure, Any]:

@@ -23,7 +23,7 @@ def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch
     out_dir
         Directory; its files appear together when all are complete.
     force
-        Whether files of the same names may be replaced.
+        Whether what an earlier run wrote there may be replaced.
     watch
         Receives lines of text and iterations.
     settings

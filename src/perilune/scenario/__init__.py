@@ -14,15 +14,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from perilune.models.kinds import KINDS
 from perilune.problem.problem import Problem
 from perilune.scenario.ranges import values_of
-from perilune.scenario.reader import problem_of, quantity_of
+from perilune.scenario.reader import problem_of, quantities_in
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
+from perilune.words.declared import Quantity
 
-__all__ = ["KINDS", "Scenario", "load_file", "load_text", "quantity_of", "template", "values_of"]
+__all__ = ["KINDS", "Scenario", "load_file", "load_text", "quantities_of", "template", "values_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +50,21 @@ def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
     PeriluneError
         If the file cannot be read, is no scenario, or a value is wrong or looks wrong.
     """
+    text, document = _document(path, changes)
+    return Scenario(text=written(document, changes) if changes else text, problem=problem_of(document))
+
+
+def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Quantity]:
+    """What is declared of each key that is a quantity in a file of this kind, which need not be complete."""
+    return quantities_in(_document(path, changes)[1])
+
+
+def _document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, Any]]:
     text = read(Path(path))
     document = parse(text)
-    if changes:
-        for change in changes:
-            apply(document, change)
-        text = written(document, changes)
-    return Scenario(text=text, problem=problem_of(document))
+    for change in changes:
+        apply(document, change)
+    return text, document
 
 
 def load_text(text: str) -> Problem:

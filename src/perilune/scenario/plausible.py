@@ -11,7 +11,9 @@ from dataclasses import replace
 from typing import Any, NoReturn
 
 from perilune.models.bodies import BODIES, Body
+from perilune.models.descent import Ignition
 from perilune.models.landing import LandingSite, Orbit
+from perilune.models.precision import Approach
 from perilune.models.vehicle import Vehicle
 from perilune.words.declared import values_of
 from perilune.words.outcome import PeriluneError
@@ -29,13 +31,24 @@ def refuse_slips(records: Mapping[str, Any]) -> None:
     _check_body(body)
     if isinstance(orbit := records.get("orbit"), Orbit):
         _check_orbit(orbit, body)
+    if isinstance(start := records.get("start"), Ignition):
+        _check_away("start.altitude", start.altitude, body)
+    if isinstance(approach := records.get("approach"), Approach):
+        for name in ("east", "north", "up"):
+            _check_away(f"approach.{name}", getattr(approach, name), body)
     if isinstance(landing := records.get("landing"), LandingSite):
         _check_site(landing, body)
     _check_vehicle(records["vehicle"])
 
 
 def _like(body: Body) -> Body | None:
-    return next((known for known in BODIES.values() if _close(known.radius, body.radius, 0.02)), None)
+    """The known body of this size and pull: Callisto is as large as Mercury, and has a third of its mass."""
+    for known in BODIES.values():
+        if _close(known.radius, body.radius, 0.02) and _close(
+            known.gravitational_parameter, body.gravitational_parameter, 0.02
+        ):
+            return known
+    return None
 
 
 def recognised(body: Body) -> Body:
@@ -86,10 +99,14 @@ def _check_orbit(orbit: Orbit, body: Body) -> None:
                 expected=f"at least {terrain:.3g} m",
                 advice="look for m in place of km",
             )
-    if orbit.parking_altitude > 50 * body.radius:
+    _check_away("orbit.parking_altitude", orbit.parking_altitude, body)
+
+
+def _check_away(key: str, way: float, body: Body) -> None:
+    if abs(way) > 50 * body.radius:
         _refuse(
-            "orbit.parking_altitude is so high that the body no longer rules the orbit",
-            got=f"{orbit.parking_altitude / 1e3:g} km",
+            f"{key} is so far away that the body no longer rules the flight",
+            got=f"{way / 1e3:g} km",
             expected=f"at most {50 * body.radius / 1e3:.3g} km, 50 radii",
             advice="look for km in place of m",
         )

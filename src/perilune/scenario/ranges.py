@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 
-from perilune.scenario.reader import quantity_of
-from perilune.words.declared import LONGEST_VALUE, named
-from perilune.words.outcome import PeriluneError
+from perilune.words.declared import LONGEST_VALUE, Quantity, named
+from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity
 
 MOST_STEPS = 10_000
 _ADVICE = 'for example --vary "retro.delta_v=0:1600:50 m/s", or with a unit in each part'
 
 
-def values_of(key: str, text: str) -> list[float]:
+def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
     """Values in SI of ``"START:STOP:STEP"`` for a key; the unit may stand in each part or in the last only.
 
-    STOP is included where a step meets it.
+    STOP is included where a step meets it. `known` are the keys that may be varied.
 
     Raises
     ------
     PeriluneError
-        If it is no such range, has more than `MOST_STEPS` values, or the step leads away from STOP.
+        If there is no such key, it is no such range, has more than `MOST_STEPS` values, or the step leads away from
+        STOP.
     """
-    quantity, parts = quantity_of(key), [part.strip() for part in text[:LONGEST_VALUE].split(":")]
+    if key not in known:
+        raise unknown_name("key with a quantity", key, list(known))
+    quantity, parts = known[key], [part.strip() for part in text[:LONGEST_VALUE].split(":")]
     if len(parts) != 3 or not all(parts):
         raise PeriluneError(
             f"the range of {key} must have three parts",

@@ -33,24 +33,20 @@ def problem_of(document: Mapping[str, Any]) -> Problem:
     return kind.make(**records)
 
 
-def quantity_of(key: str) -> Quantity:
-    """What is declared of a key such as ``"vehicle.thrust"``.
+def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
+    """What is declared of each key, such as ``"vehicle.thrust"``, that is a quantity in a file of this kind.
 
     Raises
     ------
     PeriluneError
-        If there is no such key or it is no quantity.
+        If there is no such kind.
     """
-    known = {
-        f"{name}.{k}": found.declared
-        for kind in KINDS.values()
-        for name, section in kind.sections.items()
-        for k, found in keys_of(section.record).items()
+    return {
+        f"{name}.{key}": found.declared
+        for name, section in _kind_of(document).sections.items()
+        for key, found in keys_of(section.record).items()
         if isinstance(found.declared, Quantity)
     }
-    if key not in known:
-        raise unknown_name("key with a quantity", key, list(known))
-    return known[key]
 
 
 def names_of(section_name: str, section: Section) -> dict[str, Key]:

@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from perilune.models.kinds import KINDS
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.outcome import PeriluneError
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
 LONGEST_LINE = 1000  # characters; keeps the time of the TOML parser linear in practice
@@ -110,11 +109,8 @@ def apply(document: dict[str, Any], change: str) -> None:
             expected="SECTION.KEY=VALUE",
             advice='for example --set "vehicle.thrust=500 N"',
         )
-    known = list(dict.fromkeys(name for kind in KINDS.values() for name in kind.sections))
-    if section not in known:
-        raise unknown_name("section", section, known)
-    table = document.setdefault(section, {})
-    if isinstance(table, dict):  # anything else is refused later, with the file's own fault named
+    table = document.setdefault(section, {})  # a section that there is not is refused later, as one of the file is
+    if isinstance(table, dict):  # and so is anything else, with the file's own fault named
         table[name] = value.strip().strip("\"'")
 
 

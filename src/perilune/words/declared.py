@@ -22,6 +22,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.units import parse_quantity, unit
 
 LONGEST_VALUE = 200  # characters
+ORDINARY = 1e30  # in SI: the Sun's mu is 1.3e20 m^3/s^2; beyond it, squares and cubes of values overflow
 T = TypeVar("T")
 
 
@@ -104,6 +105,9 @@ class Quantity:
         """PeriluneError, without the key, for a value in SI that is not finite or out of range."""
         if not math.isfinite(value):
             raise PeriluneError("is not finite", got=str(value), expected="a finite number")
+        if abs(value) > ORDINARY or (self.low == 0 and self.open_low and 0 < value < 1 / ORDINARY):
+            size = f"between {1 / ORDINARY:g} and {ORDINARY:g} in SI"
+            raise PeriluneError("is of no ordinary size", got=got or str(value), expected=size, advice=self._advice)
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
         if not (above and below):
@@ -111,8 +115,12 @@ class Quantity:
                 self.outside,
                 got=got or self.shown(value),
                 expected=self.range,
-                advice=self.hint or f'for example "{self.example}"',
+                advice=self._advice,
             )
+
+    @property
+    def _advice(self) -> str:
+        return self.hint or f'for example "{self.example}"'
 
     @property
     def spoken_unit(self) -> str:

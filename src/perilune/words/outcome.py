@@ -27,6 +27,7 @@ class Outcome(Enum):
         return _EXIT_CODES[self.name]
 
 
+_SHORT_LIST = 6  # names, which a reader takes in at a glance, in their own order
 _EXIT_CODES = {
     "PROVED": 0,
     "SOLVED": 5,
@@ -113,10 +114,18 @@ class NotConvergedError(PeriluneError):
 
 
 def unknown_name(kind: str, got: str, known: Sequence[str]) -> PeriluneError:
-    """Error for a name that does not exist, with the nearest one offered."""
+    """Error for a name that does not exist, with the nearest one offered; a long list begins with the nearest."""
     import difflib
 
     near = difflib.get_close_matches(got, known, n=1, cutoff=0.5)
+    if len(known) > _SHORT_LIST:
+        likeness = difflib.SequenceMatcher(b=got)
+
+        def alike(name: str) -> float:
+            likeness.set_seq1(name)
+            return likeness.ratio()
+
+        known = sorted(known, key=alike, reverse=True)
     return PeriluneError(
         f"there is no {kind} of this name",
         got=repr(got[:60]),
