@@ -120,7 +120,15 @@ def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]
 
 
 def _column(name: str, unit: str, values: Any, t: Vector) -> Column:
-    values = full(values, t)
-    return Column(name=name, unit="deg", values=np.degrees(values)) if unit == "rad" else Column(
-        name=name, unit=unit, values=values
-    )  # fmt: skip
+    factor, unit = spoken(unit)
+    return Column(name=name, unit=unit, values=full(values, t) * factor)
+
+
+def spoken(unit: str) -> tuple[float, str]:
+    """Factor from an SI unit to the one in which a reader expects it, and that unit: degrees for radians."""
+    return (180 / math.pi, "deg") if unit == "rad" else (1.0, unit)
+
+
+def rounded(value: float, unit: str) -> float:
+    """A value in its spoken unit without the rounding of pi: 30 degrees, and not 29.999999999999996."""
+    return float(f"{value:.15g}") if unit == "deg" else float(value)

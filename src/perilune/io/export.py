@@ -20,7 +20,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from perilune import __version__ as perilune_version
-from perilune.io.columns import columns, costate_unit
+from perilune.io.columns import columns, costate_unit, rounded
 from perilune.io.files import finite, fresh_directory, json_text
 from perilune.io.made import made_document
 from perilune.io.physics import physics_document
@@ -216,8 +216,10 @@ def trajectory_csv(solution: Solution, k: int = 0) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([column.heading for column in table.values()])
+    units = [column.unit for column in table.values()]
     for row in zip(*(column.values for column in table.values()), strict=True):
-        writer.writerow([repr(float(value)) if math.isfinite(value) else "" for value in row])
+        cells = zip(row, units, strict=True)
+        writer.writerow([repr(rounded(value, unit)) if math.isfinite(value) else "" for value, unit in cells])
     return text.getvalue()
 
 

@@ -14,7 +14,7 @@ from perilune.kernels import DenseArc
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
-from perilune.problem.symbolic import canonical_free, state_scales
+from perilune.problem.symbolic import canonical_free, free_scales, state_scales
 from perilune.shooting.propagate import flight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector

@@ -22,6 +22,19 @@ class Body:
         about="inertial (sidereal); negative is retrograde, 0 rad/s a body at rest",
     )
 
+    air: float = 0.0  # Pa, pressure at the surface; the equations of every model leave it out, and say so
+
+    @property
+    def spoken(self) -> str:
+        """How it is called in a sentence: the Moon, Mars; the body where it has no name of its own."""
+        name = self.name[:1].upper() + self.name[1:]
+        return {"Moon": "the Moon", "Body": "the body"}.get(name, name)
+
+    @property
+    def titled(self) -> str:
+        """The same where it stands beside an answer, which must not be silent about air."""
+        return f"{self.spoken}, its air left out" if self.air else self.spoken
+
 
 @record("body")
 class OblateBody(Body):
@@ -43,12 +56,13 @@ def _sidereal(days: float) -> float:
 
 
 # mu: JPL DE440 (Park et al. 2021) for planets' systems and the Moon, JPL satellite ephemerides for Europa,
-# Dawn (Konopliv et al. 2018) for Ceres. Mean radii and rotation: IAU WGCCRE 2015 (Archinal et al. 2018).
+# Dawn (Konopliv et al. 2018) for Ceres. Mean radii and rotation: IAU WGCCRE 2015 (Archinal et al. 2018). Air: NASA
+# planetary fact sheets; those of Europa, Mercury and Ceres are no air to a lander.
 MOON = Body(name="moon", gravitational_parameter=4.902800118e12, radius=1737.4e3, rotation_rate=2.6616995e-6)
 MERCURY = Body(
     name="mercury", gravitational_parameter=2.2031868551e13, radius=2439.4e3, rotation_rate=_sidereal(58.6461)
 )
-MARS = Body(name="mars", gravitational_parameter=4.282837362e13, radius=3389.5e3, rotation_rate=7.088218e-5)
+MARS = Body(name="mars", gravitational_parameter=4.282837362e13, radius=3389.5e3, rotation_rate=7.088218e-5, air=636.0)
 EUROPA = Body(name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3, rotation_rate=_sidereal(3.551181))
 CERES = Body(name="ceres", gravitational_parameter=6.26274e10, radius=470.0e3, rotation_rate=1.923e-4)
 

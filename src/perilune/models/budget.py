@@ -41,8 +41,9 @@ SPENT = (
 
 
 def landing(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Values of `LANDING`."""
-    return last.m, p.vehicle_mass - last.m, p.flight_time
+    """Values of `LANDING`, and of the time of a free fall before ignition where there is one."""
+    fall = (p.coast_time,) if hasattr(p, "coast_time") else ()
+    return last.m, p.vehicle_mass - last.m, p.flight_time, *fall
 
 
 def spent(velocity: Sequence[Any], push: Any, direction: Sequence[Any], pull: Sequence[Any], m: Any) -> Sequence[Any]:

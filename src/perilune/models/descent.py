@@ -17,10 +17,13 @@ from typing import Any, Literal
 
 from perilune.models.bodies import MOON, Body, oblate
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing
+from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
 from perilune.models.descent_frames import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
 from perilune.models.landing import mass_state
 from perilune.models.limits import (
     SLACK,
+    above_site,
+    air_left_out,
     braking,
     engine_holds_dry_mass,
     longest_burn,
@@ -77,6 +80,13 @@ _VIEWS = Views(
 )
 
 
+# What of the burn holds, or means something, in a free fall as well.
+_WITHOUT_THRUST = {
+    "path_conditions": ("height_above_site",),
+    "output_variables": tuple(v.name for v in OUTPUTS if v.name not in ("thrust_elevation", "thrust_azimuth")),
+}
+
+
 @record("problem")
 class Choices:
     """How a descent is stated."""
@@ -110,6 +120,7 @@ class Ignition:
     forward_speed: float = quantity("m/s", "1694.3 m/s", **SPEED, about="along oy, at the heading")
     sideways_speed: float = quantity("m/s", "0 m/s", **SPEED, default=0.0, about="along oz, up x oy")
     vertical_speed: float = quantity("m/s", "0 m/s", **SPEED, default=0.0, about="up")
+    longest_coast: float | None = LONGEST
 
 
 @record("site")
@@ -145,18 +156,18 @@ def _flight_time(x: Any, p: Any, m: Any) -> Any:
     return p.flight_time
 
 
-def _preflight(p: Any, m: Any, *, to_site: bool) -> tuple[Finding, ...]:
+def _preflight(p: Any, m: Any, *, to_site: bool, body: Body = MOON) -> tuple[Finding, ...]:
     """Bounds of `perilune.models.limits`, and how far the propellant reaches."""
     r_site = p.body_radius + p.site_altitude
     position, velocity = CARTESIAN.start(p, m)[:3], CARTESIAN.start(p, m)[3:6]
-    found = [thrust_against_weight(p.site_altitude, p)]
+    found = [above_site(p.start_altitude, p.site_altitude), thrust_against_weight(p.site_altitude, p)]
     found += engine_holds_dry_mass(r_site, p, m)
     found.append(stopping_distance(position, velocity, AXIS, r_site, p, m))
     if hasattr(p, "vehicle_dry_mass"):
         found.append(propellant_stops(position, velocity, AXIS, r_site, p, m))
-        if to_site and not hasattr(p, "throttle_lower"):
+        if to_site and not hasattr(p, "throttle_lower") and not hasattr(p, "start_longest_coast"):
             found.append(_reach(position, velocity, r_site, p, m))
-    return tuple(found)
+    return (*found, *air_left_out(body))
 
 
 def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding:
@@ -184,19 +195,18 @@ def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding
 
 
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
-    """Bounds and order of magnitude of the flight time; refuses given values that make no sense together."""
-    if not -p.body_radius < p.site_altitude < p.start_altitude:
-        raise PeriluneError(
-            "the descent begins below the landing site",
-            got=f"start {p.start_altitude / 1e3:g} km, site {p.site_altitude / 1e3:g} km",
-            expected="start altitude > site altitude",
-        )
+    """Bounds and orders of magnitude of the times; refuses given values that make no sense together."""
+    if not min(p.site_altitude, p.start_altitude) > -p.body_radius:
+        raise PeriluneError("an altitude lies below the centre of the body", expected=f"above {-p.body_radius:g} m")
     speed = m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
     # To stop the whole speed (rocket equation), and part of the time to drop the height by burns down and up.
     _, stop = braking(speed, p, m)
-    drop = m.sqrt((p.start_altitude - p.site_altitude) * p.vehicle_mass / p.vehicle_thrust)
+    drop = m.sqrt(m.fabs(p.start_altitude - p.site_altitude) * p.vehicle_mass / p.vehicle_thrust)
     longest = math.inf if hasattr(p, "throttle_lower") else longest_burn(p)
-    return {"flight_time": (0.0, longest, m.fmin(stop + drop, 0.9 * longest_burn(p)))}
+    ranges = {"flight_time": (0.0, longest, m.fmin(stop + drop, 0.9 * longest_burn(p)))}
+    if hasattr(p, "start_longest_coast"):
+        ranges[FREE.name] = coast_range(p.start_longest_coast)
+    return ranges
 
 
 def _controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
@@ -256,9 +266,9 @@ def _at(given: Mapping[str, Given], ranges: Physics) -> Any:
 
 
 def _scales(start: Ignition, vehicle: Vehicle, ranges: Mapping[str, tuple[float, float, float]]) -> Scales:
-    time = float(ranges["flight_time"][2])
-    speed = max(math.hypot(start.forward_speed, start.sideways_speed, start.vertical_speed), start.altitude / time)
-    return Scales(length=speed * time, time=time, mass=float(vehicle.mass))
+    time = float(ranges["flight_time"][2]) or 1.0  # at rest at its site, which the pre-flight refuses
+    speed = max(math.hypot(start.forward_speed, start.sideways_speed, start.vertical_speed), abs(start.altitude) / time)
+    return Scales(length=(speed or 1.0) * time, time=time, mass=float(vehicle.mass))
 
 
 def powered_descent(
@@ -301,8 +311,8 @@ def powered_descent(
     Returns
     -------
     Problem
-        States and units as in `perilune.models.descent_frames`; free `flight_time` [s]. Parameters are named
-        like the scenario's keys with ``_`` for the dot.
+        States and units as in `perilune.models.descent_frames`; free `flight_time` [s], and `coast_time` [s] before it
+        where the start has a `longest_coast`. Parameters are named like the scenario's keys with ``_`` for the dot.
 
     Raises
     ------
@@ -317,21 +327,24 @@ def powered_descent(
         stated.append(Throttle(lower=throttle[0], upper=throttle[1]))
     given = given_of(*stated)
     controls = _controls(coordinates, throttle is not None)
+    burn = _phase(coordinates, target, steering, controls, dry="vehicle_dry_mass" in given)
+    coasts = start.longest_coast is not None
     return Problem(
         name="powered_descent",
-        title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over the {body.name}",
-        phases=(_phase(coordinates, target, steering, controls, dry="vehicle_dry_mass" in given),),
+        title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over {body.titled}",
+        phases=with_coast(burn, _FRAMES[coordinates].path, _WITHOUT_THRUST) if coasts else (burn,),
+        links=(at_ignition,) if coasts else (),
         start=_FRAMES[coordinates].start,
         given=given,
-        free=(Free(name="flight_time", unit="s"),),
+        free=(Free(name="flight_time", unit="s"), *((FREE,) if coasts else ())),
         objective=_minus_landed_mass if minimise == "propellant" else _flight_time,
         objective_unit="kg" if minimise == "propellant" else "s",
         results=landing,
-        result_variables=LANDING,
+        result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
         views=_VIEWS,
         declared=(choices, *stated),
         ranges=_ranges,
-        preflight=partial(_preflight, to_site=target == "site"),
+        preflight=partial(_preflight, to_site=target == "site", body=body),
         scales=_scales(start, vehicle, _at(given, _ranges)),
     )

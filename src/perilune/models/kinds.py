@@ -97,7 +97,7 @@ def _precision(
     throttle: Throttle,
     approach: Approach,
     site: Site,
-    corridor: Corridor,
+    corridor: Corridor | None,
 ) -> Problem:
     return precision_landing(
         vehicle, approach, site, corridor, (throttle.lower, throttle.upper), body, j2=body.j2
@@ -151,7 +151,7 @@ PRECISION = Kind(
         "throttle": Section(record=Throttle),
         "approach": Section(record=Approach),
         "site": Section(record=Site),
-        "corridor": Section(record=Corridor),
+        "corridor": Section(record=Corridor, required=False),
     },
     make=_precision,
     example={
@@ -162,6 +162,8 @@ PRECISION = Kind(
         "approach.up_speed": "-30 m/s",
         "site.longitude": "0 deg",
         "site.latitude": "-85 deg",
+        "corridor.tilt": "50 deg",
+        "corridor.slope": "20 deg",
     },
 )
 KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION)}

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -37,10 +38,20 @@ from perilune.words.units import Scales
 
 @record("orbit")
 class Orbit:
-    """Circular parking orbit and the perilune of the Hohmann transfer, altitudes above the body's radius."""
+    """Circular parking orbit and the perilune of the Hohmann transfer, altitudes above the body's radius.
 
-    parking_altitude: float = quantity("m", "100 km", about="of the circular parking orbit, above the body's radius")
-    perilune_altitude: float = quantity("m", "15 km", about="of the perilune, where the burns begin")
+    The transfer leaves the parking orbit, so that `parking_altitude` is its apolune. An orbit that is elliptic already
+    is stated by its apolune there.
+    """
+
+    parking_altitude: float = quantity(
+        "m", "100 km", also=("apolune_altitude", "apoapsis_altitude", "apogee_altitude"),
+        about="of the circular parking orbit, above the body's radius: the apolune of the transfer to the perilune",
+    )  # fmt: skip
+    perilune_altitude: float = quantity(
+        "m", "15 km", also=("periapsis_altitude", "perigee_altitude"),
+        about="of the perilune, above the body's radius, where the burns begin",
+    )  # fmt: skip
 
 
 @record("landing")
@@ -229,7 +240,7 @@ def hybrid_landing(
     speed, time = ranges["retro_delta_v"][1], ranges["flight_time"][2]
     problem = Problem(
         name="hybrid_landing",
-        title=f"{vehicle.mass:g} kg lander from {orbit.perilune_altitude / 1e3:g} km to the {body.name}",
+        title=f"{vehicle.mass:g} kg lander from {orbit.perilune_altitude / 1e3:g} km to {body.titled}",
         phases=(descent,),
         start=_start,
         given=given,
@@ -247,7 +258,7 @@ def hybrid_landing(
         maximised=LANDED_MASS.name,
         declared=stated,
         ranges=_ranges,
-        preflight=compare_landing,
+        preflight=partial(compare_landing, body=body),
         bookkeeping=bookkeeping,
         views=_VIEWS,
         scales=Scales(length=speed * time, time=time, mass=float(vehicle.mass)),

@@ -11,7 +11,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from perilune.models.bodies import MOON, Body
 from perilune.models.limits import (
+    air_left_out,
     braking,
     exhaust_speed,
     mass_held,
@@ -31,9 +33,9 @@ def perilune_speed(p: Any, m: Any) -> Any:
     return m.sqrt(p.body_gravitational_parameter * (2 / r0 - 2 / (r0 + r_parking)))
 
 
-def compare_landing(p: Any, m: Any) -> tuple[Finding, ...]:
+def compare_landing(p: Any, m: Any, body: Body = MOON) -> tuple[Finding, ...]:
     """Every comparison of a landing from perilune, for `Problem.preflight`."""
-    return (*_geometry(p), *_burns(p, m), *_warnings(p, m))
+    return (*_geometry(p), *_burns(p, m), *_warnings(p, m), *air_left_out(body))
 
 
 def _geometry(p: Any) -> tuple[Finding, ...]:

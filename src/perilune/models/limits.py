@@ -27,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from perilune.models.bodies import Body
 from perilune.models.rotating import combine, cross, dot
 from perilune.problem.preflight import Finding
 
@@ -95,6 +96,38 @@ def engine_holds_dry_mass(r_site: Any, p: Any, m: Any) -> tuple[Finding, ...]:
             binding=True,
             meaning="even at its greatest throttle the engine cannot stop the descent of an empty vehicle",
             advice="more thrust, or a lighter vehicle",
+        ),
+    )
+
+
+def above_site(start: Any, site: Any) -> Finding:
+    """Whether the descent begins above its site, altitudes in m; a millimetre stands for "strictly above"."""
+    return Finding(
+        name="start above the site",
+        value=start - site,
+        limit=1e-3,
+        at_least=True,
+        unit="m",
+        binding=True,
+        meaning="the descent does not begin above its site, and no flight here goes below that",
+        advice="a higher start, or a lower site",
+    )
+
+
+def air_left_out(body: Body) -> tuple[Finding, ...]:
+    """A word about the air of a body that has some: no model here knows of drag, lift or heat."""
+    if not body.air:
+        return ()
+    return (
+        Finding(
+            name="pressure of the air at the surface",
+            value=body.air,
+            limit=0.0,
+            at_least=False,
+            unit="Pa",
+            binding=False,
+            meaning=f"{body.spoken} has air, which is left out: the answer is that of an airless body",
+            advice="take it for the last part, where the lander is slow, and know the drag to be missing",
         ),
     )
 

@@ -16,15 +16,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 from perilune.models.bodies import MOON, Body, oblate
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
+from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
 from perilune.models.descent import SPEED, THROTTLE, Site, with_dry_mass
 from perilune.models.descent_frames import mass_rate, thrust, variables
 from perilune.models.landing import mass_state
 from perilune.models.limits import (
+    above_site,
+    air_left_out,
     engine_holds_dry_mass,
     propellant_stops,
     stopping_distance,
@@ -55,19 +60,20 @@ class Approach:
 
     east: float = quantity("m", "-1800 m", about="position from the site")
     north: float = quantity("m", "300 m", about="position from the site")
-    up: float = quantity("m", "1 km", above=0.0, outside="begins below the site", about="height above the site")
+    up: float = quantity("m", "1 km", about="height above the site")
     east_speed: float = quantity("m/s", "50 m/s", **SPEED, default=0.0, about="relative to the site")
     north_speed: float = quantity("m/s", "0 m/s", **SPEED, default=0.0, about="relative to the site")
     up_speed: float = quantity("m/s", "-30 m/s", **SPEED, default=0.0, about="negative when it descends")
+    longest_coast: float | None = LONGEST
 
 
 @record("corridor")
 class Corridor:
-    """What the flight must keep to."""
+    """What the flight must keep to; it may be left out, and then nothing but the ground is in the way."""
 
     tilt: float = quantity(
         "rad", "50 deg", above=0.0, below=0.5 * math.pi, outside="is no angle",
-        about="most angle of the thrust from the vertical",
+        about="most angle of the thrust from the vertical; up to it the lander may touch down tilted",
     )  # fmt: skip
     slope: float = quantity(
         "rad", "20 deg", above=0.0, below=0.5 * math.pi, outside="is no angle",
@@ -109,8 +115,16 @@ def _above_slope(x: Any, p: Any, m: Any) -> Any:
     return x.up - m.tan(p.corridor_slope) * (m.sqrt(x.east * x.east + x.north * x.north + a * a) - a)
 
 
-def _path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _in_corridor(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     return _above_slope(x, p, m), u.toward_up - m.cos(p.corridor_tilt)
+
+
+def _falls_in_corridor(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    return (_above_slope(x, p, m),)
+
+
+def _above_ground(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    return (x.up,)
 
 
 def _spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
@@ -129,13 +143,14 @@ def _inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
 def _track(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """Along the line from the start to the site, left of it, height; the least height on the glide slope there.
 
-    From straight above the site the line is to the east.
+    From straight above the site the line is to the east. Without a corridor there is no least height.
     """
     none = 1e-300  # m: below any distance
     away = m.sqrt(p.approach_east * p.approach_east + p.approach_north * p.approach_north)
     east = -p.approach_east / m.fmax(away, none) + (1 - m.fmin(away / none, 1.0))
     north = -p.approach_north / m.fmax(away, none)
-    return east * x.east + north * x.north, east * x.north - north * x.east, x.up, x.up - _above_slope(x, p, m)
+    floor = (x.up - _above_slope(x, p, m),) if hasattr(p, "corridor_slope") else ()
+    return east * x.east + north * x.north, east * x.north - north * x.east, x.up, *floor
 
 
 _VIEWS = Views(
@@ -147,8 +162,12 @@ _VIEWS = Views(
     height="up",
     radius="body_radius",
     frame=INERTIAL_AXES,
-    floor="glide slope",
 )
+# What of the burn holds, or means something, in a free fall as well.
+_WITHOUT_THRUST = {
+    "path_conditions": ("height_above_glide_slope", "height_above_site"),
+    "output_variables": ("thrust_acceleration",),
+}
 
 
 def _outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
@@ -164,29 +183,34 @@ def _typical_end(p: Any, m: Any) -> Sequence[Any]:
     return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
 
 
-def _preflight(p: Any, m: Any) -> tuple[Finding, ...]:
+def _preflight(p: Any, m: Any, *, body: Body = MOON) -> tuple[Finding, ...]:
     """Bounds of `perilune.models.limits`, the glide slope at the start, and the throttle's floor."""
     r_site, axis = p.body_radius + p.site_altitude, _axis(p, m)
     start = SimpleNamespace(east=p.approach_east, north=p.approach_north, up=p.approach_up)
     position, velocity = _centre_to(start, p), (p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
-    found = [thrust_against_weight(p.site_altitude, p), *engine_holds_dry_mass(r_site, p, m)]
-    found.append(_throttle_floor(p, m))
-    found.append(
-        Finding(
-            name="height above the glide slope",
-            value=_above_slope(start, p, m),
-            limit=0.0,
-            at_least=True,
-            unit="m",
-            binding=True,
-            meaning="the approach begins below the glide slope",
-            advice="a higher or nearer start, or a flatter corridor.slope",
-        )
-    )
+    found = [above_site(p.approach_up, 0.0)]
+    found += [thrust_against_weight(p.site_altitude, p), *engine_holds_dry_mass(r_site, p, m)]
+    if hasattr(p, "corridor_slope"):
+        if not hasattr(p, "approach_longest_coast"):  # with its engine off it comes down all the same
+            found.append(_throttle_floor(p, m))
+        found.append(_above_slope_at_start(start, p, m))
     found.append(stopping_distance(position, velocity, axis, r_site, p, m))
     if hasattr(p, "vehicle_dry_mass"):
         found.append(propellant_stops(position, velocity, axis, r_site, p, m))
-    return tuple(found)
+    return (*found, *air_left_out(body))
+
+
+def _above_slope_at_start(start: Any, p: Any, m: Any) -> Finding:
+    return Finding(
+        name="height above the glide slope",
+        value=_above_slope(start, p, m),
+        limit=0.0,
+        at_least=True,
+        unit="m",
+        binding=True,
+        meaning="the approach begins below the glide slope",
+        advice="a higher or nearer start, or a flatter corridor.slope",
+    )
 
 
 def _throttle_floor(p: Any, m: Any) -> Finding:
@@ -211,11 +235,20 @@ def _throttle_floor(p: Any, m: Any) -> Finding:
 
 
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
-    """Order of magnitude of the flight time."""
-    return {"flight_time": (0.0, math.inf, _typical_time(p))}
+    """Bounds and orders of magnitude of the times."""
+    ranges = {"flight_time": (0.0, math.inf, _typical_time(p))}
+    if hasattr(p, "approach_longest_coast"):
+        ranges[FREE.name] = coast_range(p.approach_longest_coast)
+    return ranges
 
 
-def _phase(*, dry: bool) -> Phase:
+def _phase(*, dry: bool, corridor: bool) -> Phase:
+    path, conditions = _above_ground, variables("m", "height_above_site")
+    if corridor:
+        margin = Variable(
+            name="pointing_margin", description="cosine of the thrust's tilt less that of corridor.tilt"
+        )  # fmt: skip
+        path, conditions = _in_corridor, (*variables("m", "height_above_glide_slope"), margin)
     return Phase(
         name="landing",
         states=(
@@ -233,8 +266,8 @@ def _phase(*, dry: bool) -> Phase:
             *variables("m", "site_east", "site_north", "site_up"),
             *variables("m/s", "rest_east", "rest_north", "rest_up"),
         ),
-        path=_path,
-        path_conditions=(*variables("m", "height_above_glide_slope"), *variables("1", "pointing_margin")),
+        path=path,
+        path_conditions=conditions,
         outputs=_outputs,
         output_variables=(
             Variable(name="thrust_tilt", unit="rad", description="of the thrust from the vertical", label="tilt"),
@@ -252,7 +285,7 @@ def precision_landing(
     vehicle: Vehicle,
     approach: Approach,
     site: Site,
-    corridor: Corridor,
+    corridor: Corridor | None,
     throttle: tuple[float, float],
     body: Body = MOON,
     *,
@@ -264,7 +297,7 @@ def precision_landing(
     Parameters
     ----------
     vehicle, approach, site, corridor, body
-        The lander, where it begins, where it lands, what it must keep to, and on what body.
+        The lander, where it begins, where it lands, what it must keep to (None: the ground alone), and on what body.
     throttle
         Least and greatest share of full thrust.
     dry_mass
@@ -275,8 +308,8 @@ def precision_landing(
     Returns
     -------
     Problem
-        States east, north, up [m], v_east, v_north, v_up [m/s], m [kg]; free `flight_time` [s]; J = -m(t_f)
-        [kg].
+        States east, north, up [m], v_east, v_north, v_up [m/s], m [kg]; free `flight_time` [s], and `coast_time` [s]
+        before it where the approach has a `longest_coast`; J = -m(t_f) [kg].
 
     Raises
     ------
@@ -284,27 +317,32 @@ def precision_landing(
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
     lander, shares = with_dry_mass(vehicle, dry_mass), Throttle(lower=throttle[0], upper=throttle[1])
-    stated = (oblate(body, j2), lander, site, approach, corridor, shares)
-    given = given_of(*stated)
+    stated = [oblate(body, j2), lander, site, approach, shares]
+    if corridor is not None:
+        stated.insert(4, corridor)
+    given, coasts = given_of(*stated), approach.longest_coast is not None
     time = _ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)["flight_time"][2]
     way = math.hypot(approach.east, approach.north, approach.up)
+    burn = _phase(dry="vehicle_dry_mass" in given, corridor=corridor is not None)
+    falls = _above_ground if corridor is None else _falls_in_corridor
     return Problem(
         name="precision_landing",
-        title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on the {body.name}",
-        phases=(_phase(dry="vehicle_dry_mass" in given),),
+        title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on {body.titled}",
+        phases=with_coast(burn, falls, _WITHOUT_THRUST) if coasts else (burn,),
+        links=(at_ignition,) if coasts else (),
         start=_start,
         given=given,
-        free=(Free(name="flight_time", unit="s"),),
+        free=(Free(name="flight_time", unit="s"), *((FREE,) if coasts else ())),
         objective=_minus_landed_mass,
         objective_unit="kg",
         results=landing,
-        result_variables=LANDING,
+        result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
         maximised=LANDED_MASS.name,
         declared=stated,
         ranges=_ranges,
-        preflight=_preflight,
-        views=_VIEWS,
-        scales=Scales(length=way, time=time, mass=float(vehicle.mass)),
+        preflight=partial(_preflight, body=body),
+        views=_VIEWS if corridor is None else replace(_VIEWS, floor="glide slope"),
+        scales=Scales(length=way or 1.0, time=time, mass=float(vehicle.mass)),
     )
 
 
@@ -312,5 +350,5 @@ def _typical_time(p: Any) -> float:
     """Time in which the mean of start and end speed covers the way, or a fall from rest does."""
     way = math.hypot(p.approach_east, p.approach_north, p.approach_up)
     speed = math.hypot(p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
-    fall = math.sqrt(2 * p.approach_up * p.body_radius**2 / p.body_gravitational_parameter)
-    return min(2 * way / speed, 3 * fall) if speed > 0 else 2 * fall
+    fall = math.sqrt(2 * (abs(p.approach_up) or way or 1.0) * p.body_radius**2 / p.body_gravitational_parameter)
+    return min(2 * way / speed, 3 * fall) if speed * way > 0 else 2 * fall

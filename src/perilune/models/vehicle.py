@@ -14,6 +14,7 @@ _SPECIFIC_IMPULSE: dict[str, Any] = {
     "most": 1000.0,
     "hint": "an exhaust velocity in m/s, divided by 9.80665 m/s^2, is the specific impulse in seconds",
     "about": "in seconds, not an exhaust velocity",
+    "also": ("isp", "exhaust_velocity", "exhaust_speed"),
 }
 
 
@@ -21,7 +22,9 @@ _SPECIFIC_IMPULSE: dict[str, Any] = {
 class Vehicle:
     """A lander before its first burn."""
 
-    mass: float = quantity("kg", "300 kg", above=0.0, about="before the first burn, propellant included")
+    mass: float = quantity(
+        "kg", "300 kg", above=0.0, about="before the first burn, propellant included", also=("wet_mass", "initial_mass")
+    )  # fmt: skip
     thrust: float = quantity("N", "440 N", above=0.0, about="of the continuous engine at full throttle")
     specific_impulse: float = quantity("s", "310 s", **_SPECIFIC_IMPULSE)
     standard_gravity: float = quantity(
@@ -39,6 +42,7 @@ class Vehicle:
         default=None,
         above=0.0,
         about="what must be left at touchdown; else any landed mass will do",
+        also=("empty_mass", "final_mass", "landed_mass"),
     )
 
     def __post_init__(self) -> None:

@@ -49,7 +49,7 @@ class Views:
     histories
         Figures against time, in order.
     height
-        Name of the quantity that is the height above the body's radius; drawn from 0, where the ground is.
+        Name of the quantity that is the height above the body's radius; drawn from 0 or from a site below.
     radius
         Name of the parameter that is the body's radius [m].
     frame

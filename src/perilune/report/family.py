@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from perilune.io.columns import rounded, spoken
 from perilune.io.export import results
 from perilune.io.files import finite, fresh_directory, json_text
 
@@ -29,12 +30,12 @@ def family_document(family: Family) -> dict[str, Any]:
 
     Of a family along several parameters ``parameters`` and ``values`` stand in their place, in one order.
     """
-    shown = [_shown(unit) for unit in family.units]
+    shown = [spoken(unit) for unit in family.units]
     heads = [{"name": name, "unit": unit} for name, (_, unit) in zip(family.parameters, shown, strict=True)]
     points = []
     for point in family.points:
         solution = point.solution
-        values = [float(value) * factor for value, (factor, _) in zip(point.values, shown, strict=True)]
+        values = [rounded(value * factor, unit) for value, (factor, unit) in zip(point.values, shown, strict=True)]
         points.append(
             {
                 **({"value": values[0]} if len(values) == 1 else {"values": values}),
@@ -116,7 +117,3 @@ def _same(values: np.ndarray, parameter: np.ndarray) -> bool:
     """Whether a result is the parameter itself, which needs no panel."""
     known = np.isfinite(values)
     return bool(np.allclose(values[known], parameter[known], rtol=1e-12))
-
-
-def _shown(unit: str) -> tuple[float, str]:
-    return (180 / math.pi, "deg") if unit == "rad" else (1.0, unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.io.columns import columns
@@ -28,11 +29,12 @@ def solution_figures(solution: Solution, beside: Solution | None = None) -> dict
         Another flight of the same problem, drawn with it.
     """
     flights = {label(s): s for s in (solution, beside) if s is not None}
-    first, known = solution.problem.phases[0], columns(solution)
+    first = solution.problem.phases[0]
+    known = {name for k in range(len(solution.problem.phases)) for name in columns(solution, k, np.zeros(1))}
     made = {
         shown.name: history(flights, shown)
         for shown in solution.problem.views.histories or _generic(solution.problem)
-        if set(shown.quantities) & set(known)
+        if known & set(shown.quantities)
     }
     if first.track is not None:
         made["track"] = track(flights)
@@ -55,6 +57,8 @@ def label(solution: Solution) -> str:
 
 def _generic(problem: Problem) -> tuple[History, ...]:
     """Each state and each control, of a problem that says nothing of its figures."""
-    first = problem.phases[0]
-    both = (("states", first.state_names), ("controls", first.control_names))
-    return tuple(History(name=name, quantities=names) for name, names in both if names)
+    both = {
+        "states": [name for phase in problem.phases for name in phase.state_names],
+        "controls": [name for phase in problem.phases for name in phase.control_names],
+    }
+    return tuple(History(name=name, quantities=tuple(dict.fromkeys(names))) for name, names in both.items() if names)

@@ -15,7 +15,7 @@ from perilune.io.columns import Column, flight_columns
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.views import History
-from perilune.report.style import BLUE, GREY, LOOKS, TIME, VERMILION, legend_above, new_figure, styled
+from perilune.report.style import BLUE, GREY, LOOKS, VERMILION, legend_above, new_figure, styled, time_text
 
 LONG = 2000.0  # m: from here on a way is told in kilometres
 GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
@@ -42,9 +42,10 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
                 time, column = parts[-1]
                 ax.plot(time[-1], factor * column.values[-1], "o", color=colour, markersize=3, clip_on=False)
         ax.set_ylabel(text if rows == 1 else text.replace(" (", "\n("))
-        if name == problem.views.height:
-            ax.set_ylim(bottom=0)
-    axes[-1].set_xlabel(TIME)
+        if name == problem.views.height:  # from the ground: 0, or a site below it
+            lowest = min(float(column.values.min()) for parts in flown.values() for _, column in parts)
+            ax.set_ylim(bottom=min(0.0, factor * lowest))
+    axes[-1].set_xlabel(time_text(problem))
     axes[-1].set_xlim(left=0)
     figure.align_ylabels()
     legend_above(figure, axes[0])
@@ -78,13 +79,16 @@ def costates(solution: Solution) -> Figure:
         ax.set_ylabel(_costate_symbol(parts[0][1]) + f"\n({parts[0][1].unit})")
         ax.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
     figure.align_ylabels()
-    axes[-1].set(xlabel=TIME, xlim=(0, sum(trajectory.duration for trajectory in solution.trajectories)))
+    axes[-1].set(
+        xlabel=time_text(solution.problem), xlim=(0, sum(trajectory.duration for trajectory in solution.trajectories))
+    )
     return figure
 
 
 def _costate_symbol(column: Column) -> str:
-    state = column.name.removeprefix("lambda_")
-    return rf"$\lambda_{{\{state}}}$" if state in GREEK else rf"$\lambda_{{{state.replace('_', ',')}}}$"
+    parts = column.name.removeprefix("lambda_").split("_")
+    letters = (rf"\{p}" if p in GREEK else p if len(p) == 1 else rf"\mathrm{{{p}}}" for p in parts)
+    return rf"$\lambda_{{{','.join(letters)}}}$"
 
 
 @styled

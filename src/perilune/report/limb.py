@@ -2,7 +2,7 @@
 
 A landing from 15 km covers some hundred kilometres of ground, so at true scale its height would be a hair's
 width. The height above the ground is stretched by a round factor, which the picture names; angles at the
-centre are true.
+centre are true. The ground is the sphere of the body's radius, or, of a site in a depression, that of the lowest site.
 """
 
 from __future__ import annotations
@@ -29,18 +29,19 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     paths = {who: _path(solution, plane, radius) for who, solution in flights.items()}
     begin = min(float(phi[0]) for phi, _ in paths.values())
     end = max(float(phi[-1]) for phi, _ in paths.values())
-    highest = max(float(height.max()) for _, height in paths.values())
+    ground_level = min(0.0, *(float(height.min()) for _, height in paths.values()))
+    highest = max(float(height.max()) for _, height in paths.values()) - ground_level
     stretch = _round_factor(0.16 * radius * (end - begin) / highest)
     margin = max(0.07 * (end - begin), 0.2 * highest / radius)
     middle = 0.5 * (begin + end)
 
     def place(phi: Any, height: Any) -> tuple[Any, Any]:
         """Kilometres right and up from the ground at the middle; flight is to the right."""
-        r = radius + stretch * np.asarray(height)
+        r = radius + stretch * (np.asarray(height) - ground_level)
         return r * np.sin(phi - middle) / 1e3, (r * np.cos(phi - middle) - radius) / 1e3
 
     figure, axes = new_figure(height=2.2, width=WIDTH)
-    ground = place(np.linspace(begin - margin, end + margin, 300), np.zeros(300))
+    ground = place(np.linspace(begin - margin, end + margin, 300), np.full(300, ground_level))
     span = float(ground[0][-1] - ground[0][0])
     # Room for the scale bars under the top of the limb.
     floor = min(float(ground[1].min()) - 0.02 * span, -0.11 * span)

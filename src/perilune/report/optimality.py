@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from perilune.io.columns import hamiltonian, hamiltonian_terms, required_hamiltonian
 from perilune.problem.controls import directions
 from perilune.problem.solution import Solution
-from perilune.report.style import BLUE, GREEN, TIME, VERMILION, new_figure, styled
+from perilune.report.style import BLUE, GREEN, VERMILION, new_figure, styled, time_text
 from perilune.words.types import Vector
 
 
@@ -45,7 +45,7 @@ def optimality(solution: Solution) -> Figure:
     if planar:
         axes[1].set_ylabel(rf"$H(\beta+\delta)-H(\beta)$ ({per})")
         axes[1].legend(loc="lower center", bbox_to_anchor=(0.45, 1.0), ncols=3, handlelength=2.0, columnspacing=1.0)
-    axes[-1].set(xlabel=TIME, xlim=(0, begin))
+    axes[-1].set(xlabel=time_text(solution.problem), xlim=(0, begin))
     figure.align_ylabels()
     return figure
 

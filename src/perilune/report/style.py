@@ -17,6 +17,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from perilune.io.files import DRAWN_BY
+from perilune.problem.problem import Problem
 
 COLUMN_WIDTH = 3.4  # inches
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, GREY = (
@@ -46,7 +47,11 @@ STYLE: dict[Any, Any] = {
 
 # Of the flights that share a figure, in order.
 LOOKS = ((BLUE, "-"), (VERMILION, "--"), (GREEN, ":"))
-TIME = "time from ignition (s)"
+
+
+def time_text(problem: Problem) -> str:
+    """Text of the axis of time; a flight that begins with a free fall has its ignition later."""
+    return f"time from {'ignition' if problem.phases[0].controls else 'the start'} (s)"
 
 
 def save(figure: Figure, directory: Path, name: str) -> None:

@@ -52,9 +52,9 @@ def _like(body: Body) -> Body | None:
 
 
 def recognised(body: Body) -> Body:
-    """The body with the name of the known one of its size, if there is one."""
+    """The body with the name and the air of the known one of its size, if there is one."""
     like = _like(body)
-    return replace(body, name=like.name) if like else body
+    return replace(body, name=like.name, air=like.air) if like else body
 
 
 def _check_body(body: Body) -> None:

@@ -79,7 +79,8 @@ def _check_names(kind: Kind, name: str, table: Any) -> None:
     known = names_of(name, kind.sections[name])
     for key in table if isinstance(table, Mapping) else ():
         if key not in known:
-            error = unknown_name("key", key[:60], list(known))
+            also = {other: k for k, found in known.items() for other in getattr(found.declared, "also", ())}
+            error = unknown_name("key", key[:60], list(known), also)
             what = f"{error.what} in [{name}]"
             raise PeriluneError(what, got=error.got, expected=error.expected, advice=error.advice)
 

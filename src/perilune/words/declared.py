@@ -66,6 +66,7 @@ class Quantity:
     outside: str = "is out of range"
     hint: str = ""
     about: str = ""
+    also: tuple[str, ...] = ()
 
     def read(self, value: object) -> Stated:
         """Value in SI of a scenario's text, or of a bare number where there is no unit to guess.
@@ -189,6 +190,7 @@ def quantity(
     outside: str = "is out of range",
     hint: str = "",
     about: str = "",
+    also: tuple[str, ...] = (),
 ) -> Any:
     """Field of a record that is a number in SI.
 
@@ -204,6 +206,8 @@ def quantity(
         What is said of a value outside, after its name.
     hint, about
         What to try, and what it is.
+    also
+        Other names of it in the field, for which this one is offered.
     """
     declared = Quantity(
         unit=unit,
@@ -215,6 +219,7 @@ def quantity(
         outside=outside,
         hint=hint,
         about=about,
+        also=also,
     )
     return field(default=default, metadata={"keys": {"": declared}})
 

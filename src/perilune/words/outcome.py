@@ -6,7 +6,7 @@ wrong, what was *got*, what was *expected* and what to *try*.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any
 
@@ -113,11 +113,15 @@ class NotConvergedError(PeriluneError):
         self.flight = flight
 
 
-def unknown_name(kind: str, got: str, known: Sequence[str]) -> PeriluneError:
-    """Error for a name that does not exist, with the nearest one offered; a long list begins with the nearest."""
+def unknown_name(kind: str, got: str, known: Sequence[str], also: Mapping[str, str] | None = None) -> PeriluneError:
+    """Error for a name that does not exist, with the nearest one offered; a long list begins with the nearest.
+
+    `also` are other names, each with the one that is known.
+    """
     import difflib
 
-    near = difflib.get_close_matches(got, known, n=1, cutoff=0.5)
+    meant = {**{name: name for name in known}, **(also or {})}
+    near = [meant[name] for name in difflib.get_close_matches(got, meant, n=1, cutoff=0.5)]
     if len(known) > _SHORT_LIST:
         likeness = difflib.SequenceMatcher(b=got)
 
