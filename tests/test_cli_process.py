@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -61,7 +60,7 @@ def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(
     assert any(line.startswith("rung") for line in kept["log"])
 
 
-def test_help_is_quick_and_loads_nothing_heavy() -> None:
+def test_help_loads_nothing_heavy() -> None:
     heavy = "numpy scipy casadi matplotlib pydantic llvmlite rich"
     program = (
         "import sys, perilune.cli\n"
@@ -71,12 +70,6 @@ def test_help_is_quick_and_loads_nothing_heavy() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT)
     assert done.stderr.strip() == "0 []"
     assert "solve" in done.stdout
-    took = []
-    for _ in range(3):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "perilune", "--help"], capture_output=True, env=ENVIRONMENT, check=True)
-        took.append(time.perf_counter() - start)
-    assert min(took) < 0.5  # 0.17 s measured on an idle machine; the goal of 0.25 s is for benchmarks/
 
 
 BAD_FILES: dict[str, bytes] = {
@@ -100,25 +93,24 @@ def test_a_bad_file_answers_quickly_and_small(tmp_path: Path, name: str) -> None
     path.write_bytes(BAD_FILES[name])
     # Not getrusage: its peak survives exec, so it would be that of this test process.
     program = (
-        "import sys; from perilune.cli import run\n"
+        "import sys, time; from perilune.cli import run\n"
         "code = run(sys.argv[1:])\n"
         "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
-        "print(peak.split()[1], file=sys.stderr)\n"
+        "print(time.process_time(), peak.split()[1], file=sys.stderr)\n"
         "sys.exit(code)"
     )
-    start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", program, "solve", str(path), "--json"],
         capture_output=True,
         text=True,
         env=ENVIRONMENT,
     )
-    took = time.perf_counter() - start
+    took, peak = done.stderr.split()[-2:]
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert read_json(done.stdout)["error"]["what"]
-    assert int(done.stderr.split()[-1]) * 1024 < 200e6
-    assert took < 2.0  # 0.6 s measured
+    assert int(peak) * 1024 < 200e6
+    assert float(took) < 2.0  # s of the processor; 0.3 s measured
 
 
 @pytest.mark.parametrize("arguments", [["new"], ["--help"], ["new", "--help"], ["--version"]])
