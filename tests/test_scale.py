@@ -144,7 +144,7 @@ def test_canonical_physics_is_the_users_in_other_units() -> None:
 
 def test_without_scales_nothing_is_done() -> None:
     problem = KNOWN["hybrid landing"].make()
-    assert problem.canonical is problem.expressed
+    assert problem.canonical is problem
 
 
 def test_derivations_are_shared_by_equal_sizes_only() -> None:
@@ -155,6 +155,25 @@ def test_derivations_are_shared_by_equal_sizes_only() -> None:
     assert one == same and hash(one) == hash(same) and one not in (problem, other)
     assert derive(one) is derive(same)
     assert derive(one) is not derive(other) and derive(one) is not derive(problem)
+
+
+def test_a_state_and_a_condition_of_one_name_are_two() -> None:
+    phase = KNOWN["lunar ascent"].make().phases[0]
+    sizes = ((1e5, None), (None, 1e5))
+    both = [
+        replace(
+            KNOWN["lunar ascent"].make(),
+            phases=(
+                replace(
+                    phase,
+                    states=(replace(phase.states[0], scale=state), *phase.states[1:]),
+                    end_conditions=(replace(phase.end_conditions[0], name="y", scale=end), *phase.end_conditions[1:]),
+                ),
+            ),
+        )
+        for state, end in sizes
+    ]
+    assert both[0] != both[1] and derive(both[0]) is not derive(both[1])
 
 
 def test_a_guess_of_other_sizes_is_taken_as_a_flight() -> None:

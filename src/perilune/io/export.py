@@ -22,11 +22,10 @@ from typing import Any
 from perilune import __version__ as perilune_version
 from perilune.io.columns import columns, costate_unit, rounded
 from perilune.io.files import finite, fresh_directory, json_text
-from perilune.io.made import made_document
 from perilune.io.physics import physics_document
 from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.problem.controls import Bounded, Direction
-from perilune.problem.problem import Phase
+from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.words.maths import NUMERIC
 
@@ -174,7 +173,7 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": versions(),
         "scenario": scenario,
-        "made": made_document(problem) if scenario is None else None,
+        "made": _made_document(problem) if scenario is None else None,
         "problem": physics_document(problem),
         "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
         **answer_document(solution),
@@ -183,6 +182,14 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
             for phase, trajectory in zip(problem.phases, solution.trajectories, strict=True)
         ],
     }
+
+
+def _made_document(problem: Problem) -> dict[str, Any] | None:
+    if not problem.declared:
+        return None
+    from perilune.io.made import made_document  # and with it all models, which an own problem has no use for
+
+    return made_document(problem)
 
 
 def answer_document(solution: Solution) -> dict[str, Any]:

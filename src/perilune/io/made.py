@@ -20,7 +20,7 @@ from perilune.words.outcome import PeriluneError
 
 def made_document(problem: Problem) -> dict[str, Any] | None:
     """What the problem is made of; None where no model makes just this one."""
-    if problem.name not in KINDS or not problem.declared:
+    if problem.name not in KINDS:
         return None
     sections = {
         section_of(type(made)): {name: value for name, value in values_of(made).items() if value is not None}

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from perilune.io.made import read_made
 from perilune.io.physics import read_physics
 from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
 from perilune.problem.controls import directions
@@ -127,6 +126,8 @@ def _problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str],
     if stated is not None:
         _check_given(document, stated)
     elif document.get("made") is not None:
+        from perilune.io.made import read_made
+
         source, stated = "model", read_made(part(document, "made", dict), given)
     written = read_physics(part(document, "problem", dict), given)
     if stated is None:

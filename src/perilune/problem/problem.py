@@ -154,7 +154,7 @@ class Problem:
             for limit in (c.lower, c.upper)
         )
         ranges = tuple(c.ranged for phase in self.phases for c in phase.end_conditions)
-        ratios = tuple((phase, name, scale / self.scales.of(unit)) for phase, name, unit, scale in self._own_scales)
+        ratios = tuple((place, scale / self.scales.of(unit)) for place, unit, scale in self._own_scales)
         return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges, ratios)
 
     @property
@@ -169,12 +169,11 @@ class Problem:
 
     @cached_property
     def canonical(self) -> Problem:
-        """The same problem with its functions as expressions of canonical values, which is what methods compute with.
+        """The same problem with functions of canonical values, which is what methods compute with.
 
-        Homogeneous physics has one text in all units, so these differ from `expressed` only by what has a scale of its
-        own.
+        Homogeneous physics has one text in all units: the problem itself, unless something has a scale of its own.
         """
-        return self._stated_by(canonical_expressions(self)) if self._own_scales else self.expressed
+        return self._stated_by(canonical_expressions(self)) if self._own_scales else self
 
     def _stated_by(self, found: Mapping[Any, Expression]) -> Problem:
         """A problem of the same form with these functions by their key."""
@@ -184,7 +183,9 @@ class Problem:
         )
         links = tuple(found["links", k] for k in range(len(self.links)))
         own = {name: found[name] for name in ("start", "objective", "results") if name in found}
-        return self._changed(phases=phases, links=links, **own)
+        new = self._changed(phases=phases, links=links, **own)
+        new.__dict__["expressed"] = new
+        return new
 
     def _changed(self, **changes: Any) -> Problem:
         """A problem of the same form, which is not traced or tried again."""
@@ -240,11 +241,11 @@ class Problem:
         return tuple(phase.duration for phase in self.phases)
 
     @property
-    def _own_scales(self) -> tuple[tuple[str, str, str, float], ...]:
-        """(phase, name, unit, scale) of what has a scale of its own."""
-        named = [(phase.name, v.name, v.unit, v.scale) for phase in self.phases for v in phase.sized]
-        named.append(("", "objective", self.objective_unit, self.objective_scale))
-        return tuple((phase, name, unit, scale) for phase, name, unit, scale in named if scale is not None)
+    def _own_scales(self) -> tuple[tuple[int, str, float], ...]:
+        """(place, unit, scale) of what has a scale of its own, of all states and conditions, then J."""
+        sized = [(v.unit, v.scale) for phase in self.phases for v in phase.sized]
+        sized.append((self.objective_unit, self.objective_scale))
+        return tuple((place, unit, scale) for place, (unit, scale) in enumerate(sized) if scale is not None)
 
     def size_of(self, named: Variable | Free | Control) -> float:
         """SI size of the canonical unit of a state, condition, control or free parameter.

@@ -44,7 +44,7 @@ class Unnumbered:
     @cached_property
     def problem(self) -> Problem:
         """The problem with its functions as expressions of canonical values."""
-        return self.stated.canonical
+        return self.stated.canonical.expressed
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Unnumbered) and self.stated.structure == other.stated.structure
