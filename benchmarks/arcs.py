@@ -138,7 +138,6 @@ def main() -> None:
     starts, seeds, cores = start(asked.lanes), landing_seeds(asked.lanes), os.cpu_count() or 1
     engine = compile_arcs(landing_rhs(), columns=6)
     pruned = prune(landing_rhs(), [0, 2, 3], fixed={6: 0.0})
-    z, p = pruned.reduce(starts, PARAMETERS)
     few = np.zeros((len(pruned.kept), 3))
     few[[pruned.kept.index(i) for i in (5, 7, 8)], range(3)] = 1.0
     small = compile_arcs(pruned.rhs, columns=few != 0)
@@ -146,7 +145,7 @@ def main() -> None:
     print(f"{native.processor()[1]}, {cores} cores, measured FMA peak of one core {peak / 1e9:.1f} Gflop/s")
     for name, e, args in (
         ("six columns", engine, (starts, PARAMETERS, DURATION, seeds)),
-        ("pruned, three columns", small, (z, p, DURATION, few)),
+        ("pruned, three columns", small, (starts[:, pruned.kept], PARAMETERS, DURATION, few)),
     ):
         e.propagate(*args)
         for tolerance in (1e-12, 1e-15):
