@@ -49,6 +49,58 @@ def test_a_hidden_constant_is_found() -> None:
         slider(phases=(phase,))
 
 
+@pytest.mark.parametrize(
+    ("rate", "got", "expected"),
+    [
+        (lambda x, u, p, m: p.push * u.along - 9.81,
+         "p.push*u.along in m/s^2, beside 9.81 without a unit, in p.push*u.along - 9.81", "one unit of both"),
+        (lambda x, u, p, m: x.v, "x.v in m/s", "a quantity in m/s^2"),
+        (lambda x, u, p, m: p.push * m.exp(-x.x / 500.0), "(-x.x)/500 in m, in m.exp((-x.x)/500)",
+         "a number without a unit there"),
+        (lambda x, u, p, m: m.sqrt(p.push * x.x) + p.push, "m.sqrt(p.push*x.x) in m/s, beside p.push in m/s^2, in "
+         "m.sqrt(p.push*x.x) + p.push", "one unit of both"),
+        (lambda x, u, p, m: p.push * (x.x - x.v) / p.distance, "x.x in m, beside x.v in m/s, in x.x - x.v",
+         "one unit of both"),
+        (lambda x, u, p, m: p.push**2, "p.push**2 in m^2/s^4", "a quantity in m/s^2"),
+        (lambda x, u, p, m: 0.0 - x.v / 3.0, "0 - x.v/3 in m/s", "a quantity in m/s^2"),
+        (lambda x, u, p, m: p.push + m.atan2(x.x, x.v), "x.x in m, beside x.v in m/s, in m.atan2(x.x, x.v)",
+         "one unit of both"),
+    ],
+)  # fmt: skip
+def test_units_that_clash_are_named_in_the_users_formula(rate: Any, got: str, expected: str) -> None:
+    phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v, rate(x, u, p, m)))
+    with pytest.raises(PeriluneError) as caught:
+        slider(phases=(phase,))
+    assert caught.value.what.endswith("dynamics of slide, v")
+    assert (caught.value.got, caught.value.expected) == (got, expected)
+    assert "in SI" not in str(caught.value)
+
+
+def test_a_comparison_with_a_bare_number_is_refused() -> None:
+    # No value shows it: both branches scale as they should.
+    def changed(compared: Any) -> Problem:
+        rate = lambda x, u, p, m: (x.v, m.where(compared(x, p), p.push, 2 * p.push) * u.along)  # noqa: E731
+        return slider(phases=(replace(slider().phases[0], dynamics=rate),))
+
+    with pytest.raises(PeriluneError, match="dynamics of slide") as caught:
+        changed(lambda x, p: x.x < 3.0)
+    assert caught.value.got == "x.x in m, beside 3 without a unit, in x.x < 3"
+    changed(lambda x, p: x.x < 0.25 * p.distance)
+    changed(lambda x, p: x.v > 0.0)
+
+
+def test_units_that_clash_are_named_in_links_and_ends_too() -> None:
+    one = slider()
+    first = replace(one.phases[0], name="first", end=None, end_conditions=())
+    with pytest.raises(PeriluneError, match=r"link to slide, v(.|\n)*got: x.x in m\n"):
+        slider(phases=(first, one.phases[0]), links=(lambda x, p, m: (x.x, x.x),))
+    ended = replace(one.phases[0], end=lambda x, p, m: (x.x - p.push, x.v))
+    with pytest.raises(PeriluneError, match=r"end of slide, .*(.|\n)*x.x in m, beside p.push in m/s\^2"):
+        slider(phases=(ended,))
+    with pytest.raises(PeriluneError, match=r"objective, J(.|\n)*got: x.x in m\n"):
+        slider(objective=lambda x, p, m: x.x)
+
+
 def test_wrong_number_of_rates() -> None:
     """Named, with what is expected."""
     phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v,))

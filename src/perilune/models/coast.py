@@ -43,8 +43,7 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
         Names of these (``path_conditions``), and of the outputs that mean something then (``output_variables``).
     """
 
-    def off(name: str) -> Physics | None:
-        function = getattr(burn, name)
+    def off(function: Physics | None) -> Physics | None:
         return function and partial(_without_thrust, function=function, names=burn.control_names)
 
     conditions, outputs = (
@@ -62,10 +61,10 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
         end_conditions=(),
         path=path,
         path_conditions=conditions,
-        outputs=partial(_picked, function=off("outputs"), places=places),
+        outputs=partial(_picked, function=off(burn.outputs), places=places) if outputs else None,
         output_variables=outputs,
-        integrals=off("integrals"),
-        inertial=off("inertial"),
+        integrals=off(burn.integrals),
+        inertial=off(burn.inertial),
         typical_end=None,
     )
     return fall, burn
@@ -81,6 +80,6 @@ def _without_thrust(x: Any, u: Any, *rest: Any, function: Physics, names: Sequen
     return function(x, SimpleNamespace(**{**dict.fromkeys(names, 0.0), "throttle": 0.0}), *rest)
 
 
-def _picked(x: Any, u: Any, p: Any, m: Any, *, function: Physics, places: Sequence[int]) -> Sequence[Any]:
+def _picked(x: Any, u: Any, p: Any, m: Any, *, function: Any, places: Sequence[int]) -> Sequence[Any]:
     values = function(x, u, p, m)
     return [values[k] for k in places]

@@ -7,12 +7,13 @@ The functions here take a `Problem`, whose file stands above this one.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 from perilune.problem.controls import scalars
-from perilune.problem.form import stated
+from perilune.problem.dimensions import Clash, clash, mixed_comparison
+from perilune.problem.form import Stated, stated
 from perilune.problem.views import check_views
 from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -122,19 +123,18 @@ def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, 
     return p, points
 
 
-def _values(problem: Any, scales: Scales, place: int) -> list[tuple[str, str, float]]:
-    """(what, unit, value) of everything the user's functions return at the sample, written in canonical units."""
+def _values(problem: Any, scales: Scales, place: int) -> list[tuple[Stated, int, float]]:
+    """(function, which of its results, value) of all that the user's functions return at the sample, canonical."""
     p, points = _sample(problem, scales, place)
     everywhere = {
         "p": p, "t": 0.7 * problem.scales.time / scales.time, "first": points[0][0], "last": points[-1][0]
     }  # fmt: skip
-    found: list[tuple[str, str, float]] = []
+    found: list[tuple[Stated, int, float]] = []
     for function in stated(problem):
         if not function.rough:
             x, u = points[function.phase]
             values = function.numbers({"x": x, "u": u, **everywhere})
-            pairs = zip(function.results, values, strict=True)
-            found.extend((f"{function.what}, {name}", unit, value) for (name, unit), value in pairs)
+            found.extend((function, k, value) for k, value in enumerate(values))
     return found
 
 
@@ -144,7 +144,7 @@ def check_homogeneous(problem: Any) -> None:
     scales, undefined = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7), []
     for place in range(_PLACES):
         values = _values(problem, Scales(), place)
-        undefined = [what for what, _, si in values if math.isnan(si)]
+        undefined = [function.told(k) for function, k, si in values if math.isnan(si)]
         if not undefined:
             break
     else:
@@ -154,14 +154,41 @@ def check_homogeneous(problem: Any) -> None:
             expected="a number for states of the size of the problem's scales",
             advice="look for the root or logarithm of something negative, and for 0/0; check units, scales and values",
         )
-    for (what, unit_text, si), (_, _, other) in zip(values, _values(problem, scales, place), strict=True):
+    for (function, k, si), (_, _, other) in zip(values, _values(problem, scales, place), strict=True):
+        unit_text = function.results[k][1]
         scaled = other * scales.of(unit_text)
         if math.isfinite(si) and not math.isclose(
             si, scaled, rel_tol=1e-6, abs_tol=1e-9 * problem.scales.of(unit_text)
         ):
-            raise PeriluneError(
-                f"the physics is not dimensionally homogeneous: {what}",
-                got=f"{si:.6g} computed in SI, {scaled:.6g} computed in other units",
-                expected=f"a quantity in {unit_text}",
-                advice="move constants with a dimension out of the function into `given`, with their unit",
-            )
+            wanted = function.results[k][1]
+            parameters = sorted({*problem.given, *problem.free_names})
+            found = clash(function.traced(parameters), k, _units(problem, function), wanted)
+            raise _inhomogeneous(function.told(k), found, wanted)
+    for function in stated(problem):
+        if mixed := mixed_comparison(problem.form.expressions[function.key], _units(problem, function)):
+            raise _inhomogeneous(function.what, mixed)
+
+
+def _units(problem: Any, function: Stated) -> Callable[[str, str], str]:
+    """Unit of each component that a function takes."""
+    phase = problem.phases[function.phase]
+    units = {
+        "p": {name: problem.unit_of(name) for name in (*problem.given, *problem.free_names)},
+        "x": {s.name: s.unit for s in phase.states},
+        "u": {name: c.unit for c in phase.controls for name in c.names},
+        "first": {s.name: s.unit for s in problem.phases[0].states},
+        "last": {s.name: s.unit for s in problem.phases[-1].states},
+    }
+    if isinstance(function.key, tuple) and function.key[0] == "links":  # it takes the state of the phase before
+        units["x"] = {s.name: s.unit for s in problem.phases[function.key[1]].states}
+    return lambda role, name: units[role][name]
+
+
+def _inhomogeneous(what: str, found: Clash | None, wanted: str = "") -> PeriluneError:
+    return PeriluneError(
+        f"the physics is not dimensionally homogeneous: {what}",
+        got=found.got if found else "a value that depends on the units that it is computed in",
+        expected=found.expected if found else f"a quantity in {wanted}",
+        advice="move constants with a dimension out of the function into `given`, with their unit; or look for a "
+        "missing factor",
+    )

@@ -125,6 +125,10 @@ class Stated:
             raise self._no_numbers(values) from error
         return Expression(tape, tuple(self.records), scalar=self.key == "objective", origin="a copy")
 
+    def told(self, k: int) -> str:
+        """How one of its values is called."""
+        return f"{self.what}, {self.results[k][0]}"
+
     @property
     def _wanted(self) -> str:
         return f"{len(self.results)}: " + ", ".join(name for name, _ in self.results)

@@ -179,18 +179,19 @@ class Recorder:
         needed = set(outputs)
         for number in range(len(self.instructions) - 1, -1, -1):
             if number in needed:
-                needed.update(_operands(self.instructions[number]))
+                needed.update(operands(self.instructions[number]))
         place = {number: k for k, number in enumerate(sorted(needed))}
         kept = [self.instructions[number] for number in place]
         moved = tuple(
-            (op[0], *(place[i] for i in _operands(op)), *op[1 + ARITY[op[0]] :]) if _operands(op) else op for op in kept
+            (op[0], *(place[i] for i in operands(op)), *op[1 + ARITY[op[0]] :]) if operands(op) else op for op in kept
         )
         used = {op[2] for op in kept if op[0] == "table"}
         tables = tuple(table for digest, table in sorted(self.tables.items()) if digest in used)
         return Tape(moved, tuple(place[i] for i in outputs), tables)
 
 
-def _operands(instruction: Instruction) -> tuple[int, ...]:
+def operands(instruction: Instruction) -> tuple[int, ...]:
+    """Which values an instruction works on."""
     return instruction[1 : 1 + ARITY.get(instruction[0], 0)]
 
 
@@ -357,12 +358,12 @@ class Expression:
         operations = self.tape.instructions
         inputs = [k for k, op in enumerate(operations) if op[0] in ROLES]
         constants = [k for k, op in enumerate(operations) if op[0] == "const"]
-        rest = [k for k, op in enumerate(operations) if _operands(op)]
+        rest = [k for k, op in enumerate(operations) if operands(op)]
         place = {number: k for k, number in enumerate([*inputs, *constants, *rest])}
         return (
             [(self.roles.index(operations[k][0]), operations[k][1]) for k in inputs],
             [float(operations[k][1]) for k in constants],
-            [(operations[k], [place[i] for i in _operands(operations[k])]) for k in rest],
+            [(operations[k], [place[i] for i in operands(operations[k])]) for k in rest],
             [place[k] for k in self.tape.outputs],
         )
 
