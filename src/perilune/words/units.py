@@ -178,6 +178,7 @@ class Scales:
         for name in ("length", "time", "mass", "temperature"):
             if not (value := getattr(self, name)) > 0 or not math.isfinite(value):
                 raise PeriluneError(f"a scale must be positive: {name}", got=str(value), expected="> 0 and finite")
+            object.__setattr__(self, name, float(value))  # numpy's numbers show in every answer, and are slow alone
 
     @cached_property
     def _sizes(self) -> dict[str, float]:
