@@ -239,3 +239,35 @@ def test_a_scale_without_effect_is_refused() -> None:
     )
     with pytest.raises(PeriluneError, match="place has a scale"):
         replace(problem, phases=(phase,))
+
+
+# -- the proof --------------------------------------------------------------------------------------------------------
+
+
+def test_no_stated_size_loosens_the_proof_at_will() -> None:
+    """A file may state any scale: a table that is wrong, or an end that is missed, shows all the same."""
+    solution = pl.solve(KNOWN["lunar ascent"].make(), level=0)
+    problem, flown = solution.problem, solution.trajectories[0]
+    phase = problem.phases[0]
+    huge = {
+        "states": tuple(replace(v, scale=1e30) for v in phase.states),
+        "end_conditions": tuple(replace(v, scale=1e30) for v in phase.end_conditions),
+    }
+    stated = replace(problem, phases=(replace(phase, **huge),), objective_scale=1e30)
+    honest = pl.verify(replace(solution, problem=stated), level=2)
+    assert honest.passed, str(honest)
+    values = flown.state.values.copy()
+    values[len(values) // 2, 0] *= 1.0 + 1e-6
+    bent = replace(flown, state=replace(flown.state, values=values))
+    short = replace(flown, control=_turned(flown.control, 1e-5))
+    for trajectory, name in ((bent, "state_y"), (short, "height")):
+        checks = pl.verify(replace(solution, problem=stated, trajectories=(trajectory,)), level=1).checks
+        assert name in {c.name for c in checks if not c.passed}
+    claimed = replace(solution, problem=stated, objective=solution.objective * (1 + 1e-6))
+    assert "objective" in {c.name for c in pl.verify(claimed, level=1).checks if not c.passed}
+
+
+def _turned(control: Any, angle: float) -> Any:
+    """The direction turned all along."""
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    return replace(control, values=control.values @ turn, rates=control.rates @ turn)

@@ -42,7 +42,20 @@ from perilune.words.outcome import unknown_name
 from perilune.words.types import Physics, Vector
 from perilune.words.units import Scales
 
-FAINT = 1e-3  # of a state's own scale: what never becomes larger counts as that large
+_BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
+
+
+def borne_out(scale: float, unit: float, reached: float) -> float:
+    """A stated scale [SI] as far as a flight bears it out, so that no limit is loosened at will.
+
+    Parameters
+    ----------
+    scale, unit
+        The scale, and the size of the variable's unit.
+    reached
+        Its largest absolute value on the flight.
+    """
+    return min(scale, max(_BEYOND * reached, unit))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -259,11 +272,12 @@ class Problem:
         """By what errors of the states of a flight are judged [SI], from the largest absolute values that they reach.
 
         That is their canonical units, but where a state has a scale of its own, what it reaches: so an answer is judged
-        alike whatever scale it was computed with.
+        alike whatever scale it was computed with. One that stays near zero is not smaller than a thousandth of it.
         """
+        units = (self.scales.of(v.unit) for v in phase.states)
         return np.array([
-            self.size_of(v) if v.scale is None else max(float(most), FAINT * v.scale)
-            for v, most in zip(phase.states, reached, strict=True)
+            unit if v.scale is None else max(most, borne_out(v.scale, unit, most) / _BEYOND)
+            for v, unit, most in zip(phase.states, units, reached.tolist(), strict=True)
         ])  # fmt: skip
 
     @property

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.problem import Phase, Problem, borne_out
 from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.variables import Variable
 from perilune.proof.numerics import COMPLEX, STEP, stacked
 from perilune.proof.pieces import BLOCK, POINTS, WEIGHTS, Pieces
 from perilune.words.types import Matrix, Vector
@@ -113,6 +114,29 @@ class Arc:
     def state_scale(self) -> Vector:
         """Sizes of the states [SI]."""
         return self.problem.reached_sizes(self.phase, np.abs(self.trajectory.state.values).max(axis=0))
+
+    @cached_property
+    def end_scale(self) -> Vector:
+        """Sizes of the end conditions [SI]."""
+        return self._condition_sizes("end", self.phase.end_conditions)
+
+    @cached_property
+    def path_scale(self) -> Vector:
+        """Sizes of the path conditions [SI]."""
+        return self._condition_sizes("path", self.phase.path_conditions)
+
+    def _condition_sizes(self, function: str, conditions: Sequence[Variable]) -> Vector:
+        """Canonical units; of a condition with a scale of its own no more than what it goes through bears out."""
+        sizes = np.array([self.problem.size_of(c) for c in conditions])
+        if any(c.scale is not None for c in conditions):
+            t = self.trajectory.state.time
+            values = self.phase.evaluate(function, list(self.state(t)), list(self.control(t)), self.p)
+            reached = np.abs(stacked(values, t.shape, float)).max(axis=1)
+            sizes = np.array([
+                size if c.scale is None else borne_out(size, self.problem.scales.of(c.unit), float(most))
+                for c, size, most in zip(conditions, sizes, reached, strict=True)
+            ])  # fmt: skip
+        return sizes
 
     @cached_property
     def costate_scale(self) -> Vector:
@@ -238,7 +262,8 @@ class Arc:
 
 
 def objective_scale(solution: Solution) -> float:
-    """Size of J [SI]: its canonical unit; where it has a scale of its own, what it is if that is more."""
-    problem = solution.problem
-    own = 0.0 if problem.objective_scale is None else abs(solution.objective)
-    return max(problem.objective_size, own)
+    """Size of J [SI]: its canonical unit; with a scale of its own at least what it is."""
+    problem, reached = solution.problem, abs(solution.objective)
+    if problem.objective_scale is None:
+        return problem.objective_size
+    return max(reached, borne_out(problem.objective_scale, problem.scales.of(problem.objective_unit), reached))

@@ -105,8 +105,8 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     """
     psi, ahead = end_gradients(arc)
     wanted = arc.costate(np.array([arc.duration]))[:, 0] * arc.state_scale - ahead
-    size = np.array([arc.problem.size_of(v) for v in arc.phase.end_conditions])
-    nu, met = np.zeros(len(size)), end_sides(arc) != INSIDE
+    size, met = arc.end_scale, end_sides(arc) != INSIDE
+    nu = np.zeros(len(size))
     if met.any():
         nu[met] = np.linalg.lstsq(psi[met].T / size[met], wanted, rcond=None)[0] / size[met]
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
@@ -115,10 +115,9 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
 def end_sides(arc: Arc) -> Vector:
     """For each end condition 0 if it is an equality, -1 or 1 at the lower or upper bound of a range, INSIDE between."""
     end = arc.state(np.array([arc.duration]))[:, 0].tolist()
-    sides = []
-    for condition, value in zip(arc.phase.end_conditions, arc.phase.evaluate("end", end, (), arc.p), strict=True):
-        near = ACTIVE * arc.problem.size_of(condition)
-        lower, upper = condition.limits(arc.p)
+    sides, values = [], arc.phase.evaluate("end", end, (), arc.p)
+    for condition, size, value in zip(arc.phase.end_conditions, arc.end_scale, values, strict=True):
+        near, (lower, upper) = ACTIVE * size, condition.limits(arc.p)
         low, high = value <= lower + near, value >= upper - near
         sides.append((-1 if low else 1 if high else INSIDE) if condition.ranged else 0)
     return np.array(sides)
@@ -126,9 +125,9 @@ def end_sides(arc: Arc) -> Vector:
 
 def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
     """At a bound of a range J must not fall into its interior: nu <= 0 at the lower one, >= 0 at the upper one."""
-    for condition, side, value in zip(arc.phase.end_conditions, end_sides(arc), nu, strict=True):
+    sizes = arc.end_scale / arc.objective_scale
+    for condition, side, value, size in zip(arc.phase.end_conditions, end_sides(arc), nu, sizes, strict=True):
         if condition.ranged:
-            size = arc.problem.size_of(condition) / arc.objective_scale
             wrong = 0.0 if side == INSIDE else max(0.0, -float(side * value)) * size
             yield Check(
                 name=f"{arc.prefix}range_{condition.name}", level=2, unit="1", limit=STATIONARY_LIMIT, value=wrong,
@@ -149,11 +148,10 @@ def _transversality(arc: Arc, residual: Vector) -> Check:
 def _multipliers(solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector]) -> Iterator[Check]:
     differences = []
     for arc, nu in zip(arcs, found, strict=True):
-        for condition, value in zip(arc.phase.end_conditions, nu, strict=True):
+        for condition, value, size in zip(arc.phase.end_conditions, nu, arc.end_scale, strict=True):
             name = f"{arc.phase.name}.{condition.name}"
             if name in solution.multipliers:
-                size = arc.problem.size_of(condition) / arc.objective_scale
-                differences.append(abs(value - solution.multipliers[name]) * size)
+                differences.append(abs(value - solution.multipliers[name]) * size / arc.objective_scale)
     if differences:
         yield Check(
             name="multipliers", level=2, value=float(np.max(differences)), limit=STATIONARY_LIMIT, unit="1",
@@ -231,21 +229,19 @@ def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
 def _inactive(arc: Arc, flight: Flight) -> Iterator[Check]:
     inside = arc.sampled
     x = flight.inside.reshape(len(arc.phase.states), -1)
-    margins = [
-        (f"{condition.name} >= 0", condition, value)
-        for condition, value in zip(arc.phase.path_conditions, arc.path(x, inside.u), strict=True)
-    ]
-    for state, value in zip(arc.phase.states, x, strict=True):
+    paths = zip(arc.phase.path_conditions, arc.path_scale, arc.path(x, inside.u), strict=True)
+    margins = [(f"{condition.name} >= 0", condition, size, value) for condition, size, value in paths]
+    for state, size, value in zip(arc.phase.states, arc.state_scale, x, strict=True):
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower):
-            margins.append((f"{state.name} >= {lower:g}", state, value - lower))
+            margins.append((f"{state.name} >= {lower:g}", state, size, value - lower))
         if np.isfinite(upper):
-            margins.append((f"{state.name} <= {upper:g}", state, upper - value))
+            margins.append((f"{state.name} <= {upper:g}", state, size, upper - value))
     near = float(np.fmax(TOUCHING, TOUCHING_MESH * arc.solution.statistics.residual))
     upto = np.concatenate([[0.0], np.cumsum(inside.weights)])
     runs: dict[str, tuple[float, str]] = {}
-    for text, variable, margin in margins:
-        active = np.concatenate([[False], margin <= near * arc.problem.size_of(variable), [False]])
+    for text, variable, size, margin in margins:
+        active = np.concatenate([[False], margin <= near * size, [False]])
         begins, ends = (np.nonzero(np.diff(active.astype(int)) == way)[0] for way in (1, -1))
         longest = float((upto[ends] - upto[begins]).max(initial=0.0)) / arc.duration
         runs[variable.name] = max(runs.get(variable.name, (-1.0, "")), (longest, text))

@@ -75,12 +75,13 @@ def _times(arc: Arc) -> Iterator[Check]:
 
 def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
     residuals = [arc.phase.evaluate("end", end.tolist(), (), arc.p) for end in flight.ends]
-    for condition, values in zip(arc.phase.end_conditions, zip(*residuals, strict=True), strict=True):
+    of_conditions = zip(arc.phase.end_conditions, arc.end_scale, zip(*residuals, strict=True), strict=True)
+    for condition, size, values in of_conditions:
         what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
         yield Check(
             name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
             value=float(np.max([abs(condition.missed(float(value), arc.p)) for value in values])),
-            limit=END_LIMIT * arc.problem.size_of(condition),
+            limit=END_LIMIT * float(size),
             meaning=f"{what} when the exported control is flown by another integrator",
         )  # fmt: skip
 
@@ -141,7 +142,7 @@ def _paths(arc: Arc, flight: Flight) -> Iterator[Check]:
         yield Check(
             name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
             value=float(np.max(np.maximum(-values, 0.0))),
-            limit=END_LIMIT * arc.problem.size_of(condition),
+            limit=END_LIMIT * float(arc.path_scale[row]),
             meaning=f"largest violation of {condition.name} >= 0 inside {len(pieces)} pieces of the new flight",
         )  # fmt: skip
 

@@ -346,6 +346,5 @@ def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matr
 
     x = arc.state(np.array([arc.duration]))[:, 0]
     first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
-    size = np.array([arc.problem.size_of(v) for v in arc.phase.end_conditions])
     held = end_sides(arc) != INSIDE  # a range that is not at a bound is free to vary
-    return first[1:][held] / size[held, None], second
+    return first[1:][held] / arc.end_scale[held, None], second

@@ -169,8 +169,8 @@ def _product(parts: Sequence[Any]) -> Any:
 def _gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix) -> float:
     """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast."""
     H = arc.hamiltonian(x, tried, lam)
-    for condition, value in zip(arc.phase.path_conditions, arc.path(x, tried), strict=True):
-        H = np.where(value < -ADMISSIBLE * arc.problem.size_of(condition), np.inf, H)
+    for size, value in zip(arc.path_scale, arc.path(x, tried), strict=True):
+        H = np.where(value < -ADMISSIBLE * size, np.inf, H)
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 
