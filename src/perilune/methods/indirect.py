@@ -50,7 +50,7 @@ class Indirect(Ladder):
         guess
             A solution of any method for this problem or one of the same form; without it the ladder is climbed.
         watch
-            Receives each Newton iteration, and a line of text at each rung.
+            Receives each Newton iteration, or a line of text for each round of many starts, and a line at each rung.
 
         Returns
         -------
