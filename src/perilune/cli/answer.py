@@ -63,7 +63,7 @@ def refusal(error: PeriluneError, code: int) -> Answer:
     document: dict[str, Any] = {"outcome": OUTCOME_OF_CODE.get(code, "REFUSED"), "error": parts}
     if isinstance(error, InfeasibleError):
         parts["reason"] = error.reason
-    if isinstance(error, NotConvergedError):
+    if isinstance(error, NotConvergedError) or (isinstance(error, InfeasibleError) and error.partial):
         document["partial"] = error.partial
     return Answer(text=f"perilune: {error}", document=document, exit_code=code)
 

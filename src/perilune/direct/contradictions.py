@@ -105,9 +105,9 @@ def _check_inside(what: str, state: Variable, bounds: tuple[float, float], value
         )
 
 
-def missed_conditions(program: Program, answer: Answer, slack: float) -> list[str]:
-    """Every condition that an iterate violates, the worst (in canonical units) first, in words and SI."""
-    found: list[tuple[float, str]] = []
+def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tuple[str, str]]:
+    """Every condition that an iterate misses and by how much in SI, the worst (in canonical units) first."""
+    found: list[tuple[float, tuple[str, str]]] = []
     for (k, kind), residual in answer.residuals.items():
         names, scales = _row_names(program.problem, program.problem.phases[k], kind)
         if not len(residual):
@@ -115,8 +115,8 @@ def missed_conditions(program: Program, answer: Answer, slack: float) -> list[st
         worst = residual.reshape(-1, len(names)).max(axis=0)
         for (name, unit), scale, violation in zip(names, scales, worst, strict=True):
             if not violation <= slack:
-                found.append((float(violation), f"{name} is missed by {violation * scale:.4g} {unit}"))
-    return [text for _, text in sorted(found, key=lambda pair: -pair[0])]
+                found.append((float(violation), (name, f"{violation * scale:.4g} {unit}")))
+    return [pair for _, pair in sorted(found, key=lambda pair: -pair[0])]
 
 
 def _row_names(problem: Problem, phase: Phase, kind: str) -> tuple[list[tuple[str, str]], Vector]:

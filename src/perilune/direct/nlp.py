@@ -161,7 +161,8 @@ class Program:
     ) -> Answer:
         """Solve from a first guess in canonical units.
 
-        With `nearest` the end conditions are not held; the sum of squares of what they miss is minimised instead of J.
+        With `nearest` the end and path conditions are not held; what they miss by is minimised instead of J: the sum
+        of the squares at the ends, and of the mean square along each path.
 
         Raises
         ------
@@ -171,18 +172,20 @@ class Program:
         solver = _solver(Unnumbered(self.problem), self.layouts, iterations, tolerance, nearest)
         lower, upper = self._bounds()
         first = np.concatenate([free, *(_pack(g) for g in guesses)])
-        low_rows, high_rows, is_end = self._row_bounds()
-        slack = np.where(is_end, math.inf if nearest else 0.0, 0.0)
+        low_rows, high_rows = self._row_bounds()
+        misses = sum(layout.path + 2 * layout.end for layout in self.layouts) if nearest else 0
         out = solver(
-            x0=np.clip(first, lower, upper), lbx=lower, ubx=upper,
-            p=np.concatenate([canonical_given(self.problem), low_rows[is_end], high_rows[is_end]]),
-            lbg=low_rows - slack, ubg=high_rows + slack,
+            x0=np.append(np.clip(first, lower, upper), np.full(misses, 0.1)),
+            lbx=np.append(lower, np.zeros(misses)), ubx=np.append(upper, np.full(misses, math.inf)),
+            p=canonical_given(self.problem), lbg=low_rows, ubg=high_rows,
         )  # fmt: skip
         stats = solver.stats()
         # Ctrl-C inside a derivative reaches IPOPT as a foreign exception.
         if stats["return_status"] in ("User_Requested_Stop", "NonIpopt_Exception_Thrown"):
             raise KeyboardInterrupt
         w, g, lam = (np.array(out[key]).ravel() for key in ("x", "g", "lam_g"))
+        w, missed = np.split(w, [len(first)])
+        g = g - self._lent(missed) if nearest else g
         violation = np.maximum(low_rows - g, 0.0) + np.maximum(g - high_rows, 0.0)
         return Answer(
             status=stats["return_status"],
@@ -193,6 +196,15 @@ class Program:
             rows=self._split(lam),
             residuals=self._split(violation),
         )
+
+    def _lent(self, missed: Vector) -> Vector:
+        """What the misses add to the rows."""
+        lent = []
+        for layout in self.layouts:
+            below, over, missed = np.split(missed, np.cumsum([layout.path + layout.end, layout.end]))
+            rows = {"path": np.tile(below[: layout.path], layout.nodes), "end": below[layout.path :] - over}
+            lent += [rows.get(kind, np.zeros(size)) for kind, size in layout.rows.items()]
+        return np.concatenate(lent)
 
     def _bounds(self) -> tuple[Vector, Vector]:
         problem, scales = self.problem, free_scales(self.problem.free, self.problem)
@@ -207,17 +219,16 @@ class Program:
                 ends[side].append(_control_bounds(problem, phase, mesh, sign).ravel())
         return np.concatenate(ends[0]), np.concatenate(ends[1])
 
-    def _row_bounds(self) -> tuple[Vector, Vector, Vector]:
-        """Lower and upper bounds of the rows, and which of them are end conditions."""
-        lower, upper, is_end = [], [], []
+    def _row_bounds(self) -> tuple[Vector, Vector]:
+        """Lower and upper bounds of the rows."""
+        lower, upper = [], []
         for phase, layout in zip(self.problem.phases, self.layouts, strict=True):
             ranges = {"path": [(0.0, math.inf)], "end": [_end_range(self.problem, c) for c in phase.end_conditions]}
             for kind, size in layout.rows.items():
                 pairs = np.resize(np.array(ranges.get(kind, [(0.0, 0.0)])), (size, 2))
                 lower.append(pairs[:, 0])
                 upper.append(pairs[:, 1])
-                is_end.append(np.full(size, kind == "end"))
-        return np.concatenate(lower), np.concatenate(upper), np.concatenate(is_end)
+        return np.concatenate(lower), np.concatenate(upper)
 
     def _unpack(self, w: Vector) -> list[PhaseValues]:
         at, found = len(self.problem.free), []
@@ -312,20 +323,24 @@ def _solver(
     phases, objective = _traced(unnumbered.problem)
     free = ca.MX.sym("free", objective.numel_in(1))
     given = ca.MX.sym("given", objective.numel_in(2))
-    unknowns, rows, ends = [free], [], []
+    unknowns, rows, misses = [free], [], list[ca.MX]()
     before = ca.MX(0, 1)
     for functions, layout in zip(phases, layouts, strict=True):
         own, conditions, before = _phase(functions, layout, before, free, given)
         unknowns += own
+        if nearest:  # a miss of every path condition, the same all along, and two of each end condition
+            below, over = ca.MX.sym("below", layout.path + layout.end), ca.MX.sym("over", layout.end)
+            at = len(conditions) - (layout.path > 0) - (layout.end > 0)
+            if layout.path:
+                conditions[at] += ca.repmat(below[: layout.path], layout.nodes, 1)
+            if layout.end:
+                conditions[-1] += below[layout.path :] - over
+            misses += [below, over]
         rows += conditions
-        ends += conditions[-1:] if layout.end else []
-    end = ca.vertcat(ca.MX(0, 1), *ends)
-    low, high = (ca.MX.sym(name, end.numel()) for name in ("low", "high"))
-    missed = ca.fmax(low - end, 0) + ca.fmax(end - high, 0)
-    J = ca.sumsqr(missed) if nearest else objective(before, free, given)
+    J = ca.sum1(ca.vertcat(*misses)) if nearest else objective(before, free, given)
     program = {
-        "x": ca.vertcat(*unknowns),
-        "p": ca.vertcat(given, low, high),
+        "x": ca.vertcat(*unknowns, *misses),
+        "p": given,
         "f": J,
         "g": ca.vertcat(*rows),
     }

@@ -34,6 +34,8 @@ class Breach:
         By how much it is broken, SI.
     canonical
         The same in canonical units, to compare breaches of different kinds.
+    path
+        Whether it is a path condition, which an extremal knows nothing of, and not a bound.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Breach:
     miss: float
     unit: str
     canonical: float
+    path: bool = False
 
 
 class Judge:
@@ -89,7 +92,8 @@ class Judge:
             least, scale = float(np.min(along)), self.problem.size_of(condition)
             if not least >= -_SLACK * scale:
                 text = f"{condition.name} falls to {least:.6g} {condition.unit}"
-                yield Breach(name=condition.name, text=text, miss=-least, unit=condition.unit, canonical=-least / scale)
+                miss, unit = -least, condition.unit
+                yield Breach(name=condition.name, text=text, miss=miss, unit=unit, canonical=miss / scale, path=True)
 
     def _outside(self, named: Variable | Free, values: Vector, lower: float, upper: float) -> Iterator[Breach]:
         name, unit, scale = named.name, named.unit, self.problem.size_of(named)

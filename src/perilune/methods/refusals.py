@@ -1,4 +1,8 @@
-"""Why a search has no answer: refused because nothing can fly it, or not converged, with what was found kept."""
+"""Why a search has no answer: refused because nothing can fly it, or not converged, with what was found kept.
+
+That every extremal breaks something is an answer of the method, not of physics. A refusal needs a bound that holds for
+every flight, or a direct method that found no flight from any of its starts.
+"""
 
 from __future__ import annotations
 
@@ -8,40 +12,72 @@ import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import beyond_shooting, free_values, residual_scales
+from perilune.methods.coarse import Coarse
 from perilune.methods.judge import Breach
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.function import Root
-from perilune.words.outcome import InfeasibleError, NotConvergedError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
+
+_BROKEN = "every extremal breaks a condition"
 
 
-def best_misses(breaches: list[Breach]) -> InfeasibleError:
-    """Every extremal that was found breaks something, and no other method found a flight either."""
-    best = min(breaches, key=lambda breach: breach.canonical)
+def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
+    """Why every extremal that was found is no answer; None where none was found, and nothing else says why."""
+    if isinstance(coarse.refusal, InfeasibleError):
+        return best_misses(breaches, coarse.refusal, coarse.tried)
+    flight = coarse.flight
+    if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
+        return kept_flight(coarse.problem, flight, breaches, coarse.tried)
+    return undecided(breaches, coarse.refusal, coarse.tried) if breaches else None
+
+
+def best_misses(breaches: list[Breach], direct: InfeasibleError, tried: list[str]) -> InfeasibleError:
+    """No flight was found: the best extremal misses a bound, or the direct method's nearest misses a condition."""
+    missed = [breach for breach in breaches if not breach.path]
+    if direct.reason == "cannot be flown" or not missed:
+        direct.partial["tried"] = list(tried)
+        return direct
+    best = min(missed, key=lambda breach: breach.canonical)
     return InfeasibleError(
         f"the best of {len(breaches)} found misses {best.name} by {best.miss:.6g} {best.unit}",
-        got=f"{best.text} on the way; the direct method found no flight that keeps every condition",
+        got=f"{best.text} on the way; the direct method found no flight either: {direct.what}",
         expected=f"{best.name} within its bounds all along",
         advice="more thrust or a higher start, or a wider bound",
-        reason="the best of n found misses it",
+        reason=direct.reason,
+        partial={**direct.partial, "tried": list(tried)},
     )
 
 
-def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach]) -> NotConvergedError:
-    """A flight that keeps every condition exists, but no extremal does."""
-    best = f"J = {flight.objective:.6g} {problem.objective_unit}"
+def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], tried: list[str]) -> NotConvergedError:
+    """A flight that keeps every condition was found, but no extremal does."""
+    error = flight.statistics.residual
+    best = f"direct method: J = {flight.objective:.6g} {problem.objective_unit}, mesh error {error:.1g}"
     ridden = ridden_condition(problem, flight)
     parts = [f"{breaches[0].text} on the way"] if breaches else []
     if ridden is not None:
-        parts.append(f"the best path that keeps {ridden} rides along it (direct method: {best})")
+        parts.append(f"the best path that keeps {ridden} rides along it ({best})")
     else:
-        parts.append(f"a flight that keeps every condition is known (direct method: {best})")
+        parts.append(f"a flight that keeps every condition is known ({best})")
     return NotConvergedError(
-        "every extremal breaks a condition of the path" if breaches else "no extremal was found",
+        f"{_BROKEN} of the path" if breaches else "no extremal was found",
         got="; ".join(parts),
         expected="not negative, and not zero along the way" if breaches else "all residuals zero",
         advice="the direct method (--method direct, Pseudospectral()) may ride it; more thrust or a higher start",
+        partial={"tried": list(tried)},
         flight=flight,
+    )
+
+
+def undecided(breaches: list[Breach], direct: PeriluneError | None, tried: list[str]) -> NotConvergedError:
+    """Every extremal breaks something, and the direct method did not settle whether any flight keeps everything."""
+    known = "its flight is too rough to tell" if direct is None else "; ".join(filter(None, (direct.what, direct.got)))
+    return NotConvergedError(
+        f"{_BROKEN}, and whether any flight keeps them all is not settled",
+        got=f"{breaches[0].text} on the way; direct method: {known}",
+        expected="not negative" if breaches[0].path else "within its bounds all along",
+        advice="the direct method on a finer mesh (Pseudospectral(nodes=8, segments=10)); a wider bound",
+        partial={**getattr(direct, "partial", {}), "tried": list(tried)},
     )
 
 
@@ -56,15 +92,9 @@ def ridden_condition(problem: Problem, flight: Solution) -> str | None:
     return None
 
 
-def not_converged(
-    problem: Problem,
-    conditions: Conditions,
-    tried: list[str],
-    iterations: int,
-    nearest: Root | None,
-    flight: Solution | None,
-) -> NotConvergedError:
+def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, nearest: Root | None) -> NotConvergedError:
     """Every rung failed: the nearest approach, in physical units, and what to try."""
+    problem, tried, flight = coarse.problem, coarse.tried, coarse.flight
     partial: dict[str, Any] = {"tried": list(tried), "iterations": iterations}
     got = "no start could even be flown to its end"
     if nearest is not None:

@@ -16,9 +16,10 @@ import numpy as np
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import Conditions, derive
 from perilune.methods.assemble import free_values, joints_from, multipliers, trajectories, unknowns_from
+from perilune.methods.coarse import Coarse
 from perilune.methods.judge import Judge
 from perilune.methods.ladder import Ladder
-from perilune.methods.refusals import best_misses, kept_flight, not_converged, ridden_condition
+from perilune.methods.refusals import not_converged, refusal
 from perilune.problem.guess import fitting_guess
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
@@ -27,12 +28,11 @@ from perilune.shooting.active import Limits, settle
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import Found, HeldFamily, scan
 from perilune.shooting.function import Root, Roots, Shooting
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
 _SPHERE = "costates on the unit sphere"
-_ROUGHEST = 0.05  # relative mesh error beyond which a direct solution is not worth quoting
 _PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 _STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
 _AT_BOUND = 1e-8  # canonical distance at which a guess counts as lying on a bound
@@ -61,8 +61,7 @@ class Search:
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
         self.rung, self.met = "", 0
-        self.refusal: PeriluneError | None = None
-        self.rough: Solution | None = None
+        self.coarse = Coarse(self.settings, self.problem, self.tried)
 
     @cached_property
     def others(self) -> Limits:
@@ -227,15 +226,9 @@ class Search:
 
     def _transcription(self) -> Iterator[tuple[Member, str]]:
         """An extremal from a coarse direct solution, in one piece or, where that fails, by multiple shooting."""
-        from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
-
-        try:
-            rough = (self.settings.transcription or Pseudospectral(nodes=40, refine=0)).run(self.problem)
-        except PeriluneError as error:
-            self.tried.append(f"direct transcription: {error.what}")
-            self.refusal = error
+        rough = self.coarse.solve()
+        if rough is None:
             return
-        self.rough = rough
         y = unknowns_from(self.problem, rough)
         choice, value = self._held_in(rough, y), 0.0
         if self.scanned is not None:
@@ -362,21 +355,11 @@ class Search:
         return Nature.BEST if best else Nature.LOCAL_OPTIMUM
 
     def _refusal(self, found: list[Found]) -> PeriluneError:
-        """Physics' reason where there is one; not converged where a flight that keeps every condition is known."""
-        if isinstance(self.refusal, InfeasibleError):
-            return self.refusal
         breaches = [breach for f in found if (breach := self.judge.breach(f.root)) is not None]
-        if self.rough is None:
-            return best_misses(breaches) if breaches else self._failure()
-        if self.rough.statistics.residual < _ROUGHEST and (breaches or ridden_condition(self.problem, self.rough)):
-            return kept_flight(self.problem, self.rough, breaches)
-        return self._failure()
+        return refusal(self.coarse, breaches) or self._failure()
 
     def _failure(self) -> NotConvergedError:
-        known = self.rough if self.rough is not None and self.rough.statistics.residual < _ROUGHEST else None
-        return not_converged(
-            self.problem, self.conditions, self.tried, self.shooting.iterations, self.best_failure, known
-        )
+        return not_converged(self.conditions, self.coarse, self.shooting.iterations, self.best_failure)
 
 
 def _same(one: Vector, other: Vector, tolerance: float) -> bool:

@@ -73,16 +73,25 @@ def _as_it_was(kind: type[PeriluneError], arguments: tuple[Any, ...], parts: dic
 class InfeasibleError(PeriluneError):
     """What was asked is refused; the message says which limit is missed and by how much.
 
-    `reason` is "cannot be flown", from a bound that holds for every flight, or "the best of n found misses it".
+    `reason` is "cannot be flown", from a bound that holds for every flight, or "the best of n found misses it"; then
+    `partial` says what was searched.
     """
 
     exit_code = 3
 
     def __init__(
-        self, what: str, *, got: str = "", expected: str = "", advice: str = "", reason: str = "cannot be flown"
+        self,
+        what: str,
+        *,
+        got: str = "",
+        expected: str = "",
+        advice: str = "",
+        reason: str = "cannot be flown",
+        partial: dict | None = None,
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)
         self.reason = reason
+        self.partial = partial or {}
 
     def __str__(self) -> str:
         what, *parts = super().__str__().split("\n")

@@ -1,0 +1,159 @@
+"""Landings, descents and precision landings whose limits are drawn so tight that about half of them have no answer.
+
+How each ends, and the CPU time that saying so takes. Each problem is solved without a guess and not proved:
+
+    python benchmarks/refusals.py [--count 60] [--seed 8] [--jobs 2] [--out refusals.json]
+
+``--count`` is of each kind. The counts depend on the seed alone, the times on the machine; compare two versions with
+``PYTHONPATH`` in one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from perilune.models.bodies import CERES, EUROPA, MERCURY, MOON, Body
+from perilune.models.descent import Ignition, Site, powered_descent
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.precision import Approach, Corridor, precision_landing
+from perilune.problem.problem import Problem
+from perilune.solve import solve
+from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
+
+BODIES = (MOON, MERCURY, EUROPA, CERES)
+STANDARD_GRAVITY = 9.80665
+
+
+def surface_gravity(body: Body) -> float:
+    """Of the body, m/s^2."""
+    return body.gravitational_parameter / body.radius**2
+
+
+def landing(rng: np.random.Generator) -> Problem:
+    """From perilune: thrust near the weight, a dry mass near what the rocket equation leaves, perilunes from 1 km."""
+    body = BODIES[rng.integers(len(BODIES))]
+    isp = rng.uniform(250.0, 450.0)
+    perilune = math.exp(rng.uniform(math.log(1e3), math.log(30e3)))
+    r = body.radius + perilune
+    speed = math.sqrt(body.gravitational_parameter / r)
+    least = math.exp(-speed * rng.uniform(1.0, 1.25) / (isp * STANDARD_GRAVITY))
+    thrust = 300.0 * surface_gravity(body) * math.exp(rng.uniform(math.log(0.4), math.log(3.0)))
+    vehicle = Vehicle(mass=300.0, thrust=thrust, specific_impulse=isp, dry_mass=300.0 * least)
+    retro = Retro(specific_impulse=isp * rng.uniform(0.85, 1.0)) if rng.random() < 0.7 else None
+    return hybrid_landing(vehicle, retro, Orbit(parking_altitude=100e3, perilune_altitude=perilune), body)
+
+
+def descent(rng: np.random.Generator) -> Problem:
+    """From low flight to a site at a distance near that of braking, over a drawn height, with a dry mass."""
+    body = BODIES[rng.integers(len(BODIES))]
+    isp, altitude = rng.uniform(250.0, 450.0), rng.uniform(5e3, 30e3)
+    speed = math.sqrt(body.gravitational_parameter / body.radius) * rng.uniform(0.5, 1.0)
+    acceleration = surface_gravity(body) * rng.uniform(1.0, 3.5)
+    way = rng.uniform(0.7, 1.6) * speed**2 / (2 * acceleration) / body.radius
+    least = math.exp(-speed * rng.uniform(1.0, 1.4) / (isp * STANDARD_GRAVITY))
+    throttle = (rng.uniform(0.1, 0.6), 1.0) if rng.random() < 0.5 else None
+    return powered_descent(
+        Vehicle(mass=2000.0, thrust=2000.0 * acceleration, specific_impulse=isp, dry_mass=2000.0 * least),
+        Ignition(altitude=altitude, longitude=0.0, latitude=0.3, heading=math.pi, forward_speed=speed,
+                 vertical_speed=rng.uniform(-0.1, 0.02) * speed),
+        Site(altitude=rng.uniform(-0.5, 0.5) * altitude, longitude=rng.uniform(-0.1, 0.1) * way, latitude=0.3 - way),
+        body,
+        target=rng.choice(["site", "downrange", "anywhere"]),
+        throttle=throttle,
+    )  # fmt: skip
+
+
+def precision(rng: np.random.Generator) -> Problem:
+    """The last kilometres, with a throttle range, a tilt, a slope and a dry mass near their limits."""
+    body = BODIES[rng.integers(len(BODIES))]
+    g, up = surface_gravity(body), rng.uniform(300.0, 3000.0)
+    fall = math.sqrt(2 * g * up)
+    away, bearing = up * rng.uniform(0.0, 2.0), rng.uniform(0.0, 2 * math.pi)
+    acceleration = g * rng.uniform(1.3, 4.0)
+    return precision_landing(
+        Vehicle(mass=2000.0, thrust=2000.0 * acceleration, specific_impulse=rng.uniform(250.0, 450.0),
+                dry_mass=2000.0 * rng.uniform(0.7, 0.97)),
+        Approach(east=away * math.cos(bearing), north=away * math.sin(bearing), up=up,
+                 east_speed=fall * rng.uniform(-0.7, 0.7), north_speed=fall * rng.uniform(-0.7, 0.7),
+                 up_speed=-fall * rng.uniform(0.0, 1.0)),
+        Site(altitude=0.0, longitude=0.0, latitude=rng.uniform(-1.4, 1.4)),
+        Corridor(tilt=math.radians(rng.uniform(15.0, 80.0)), slope=math.radians(rng.uniform(3.0, 30.0))),
+        (rng.uniform(0.05, 0.6), rng.uniform(0.7, 1.0)),
+        body,
+    )  # fmt: skip
+
+
+KINDS: dict[str, Callable[[np.random.Generator], Problem]] = {
+    "landing": landing,
+    "descent": descent,
+    "precision": precision,
+}
+
+
+def draw(kind: str, seed: int, number: int) -> Problem:
+    """Problem `number` of a kind."""
+    return KINDS[kind](np.random.default_rng([seed, list(KINDS).index(kind), number]))
+
+
+def judge(kind: str, seed: int, number: int) -> dict[str, Any]:
+    """Solve one problem; what became of it, and the CPU time [s]."""
+    problem = draw(kind, seed, number)
+    row: dict[str, Any] = {"kind": kind, "number": number}
+    began = time.process_time()
+    try:
+        solution = solve(problem, level=0)
+        row |= {"outcome": "answered", "why": f"{solution.objective:.9g} by {solution.statistics.rung}"}
+    except InfeasibleError as error:
+        row |= {"outcome": error.reason, "why": f"{error.what}: {error.got}"}
+    except NotConvergedError as error:
+        kept = "a flight kept" if error.flight is not None else "nothing found"
+        row |= {"outcome": f"not converged, {kept}", "why": f"{error.what}: {error.got}"}
+    except PeriluneError as error:
+        row |= {"outcome": "scenario refused", "why": f"{error.what}: {error.got}"}
+    return row | {"seconds": time.process_time() - began}
+
+
+def told(name: str, rows: Sequence[dict[str, Any]]) -> str:
+    """Median and 99th percentile of the CPU times of some rows."""
+    if not rows:
+        return f"{name}: none"
+    seconds = np.array([row["seconds"] for row in rows])
+    median, most = np.median(seconds), np.percentile(seconds, 99)
+    return f"{name}: {len(rows)}, median {median:.2f} s, 99 % within {most:.2f} s, longest {seconds.max():.2f} s"
+
+
+def main() -> None:
+    """Draw, solve, print the counts of each kind and the times."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=8)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", default="")
+    arguments = parser.parse_args()
+    with ProcessPoolExecutor(max_workers=arguments.jobs) as pool:
+        jobs = [pool.submit(judge, kind, arguments.seed, n) for kind in KINDS for n in range(arguments.count)]
+        rows = [job.result() for job in jobs]
+    for kind in KINDS:
+        here = [row for row in rows if row["kind"] == kind]
+        print(f"{kind}: {dict(Counter(row['outcome'] for row in here))}")
+        print("  " + told("all", here))
+    refused = [row for row in rows if row["outcome"] != "answered"]
+    print(told("answered", [row for row in rows if row["outcome"] == "answered"]))
+    print(told("without an answer", refused))
+    print(told("all", rows))
+    if arguments.out:
+        with open(arguments.out, "w", encoding="utf-8") as file:
+            json.dump(rows, file, indent=1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""The coarse direct solution behind the indirect method: a start for it, a flight to keep, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from perilune.methods.ladder import Ladder
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.words.outcome import PeriluneError
+
+_ROUGHEST = 0.05  # relative mesh error beyond which a flight is not said to keep anything
+
+
+@dataclass
+class Coarse:
+    """What the direct method knows of one problem.
+
+    Parameters
+    ----------
+    settings, problem
+        What it runs with, and on what.
+    tried
+        Receives a line of all attempts of a run.
+
+    Attributes
+    ----------
+    solution
+        Its answer, however rough.
+    refusal
+        What it said where it had none.
+    """
+
+    settings: Ladder
+    problem: Problem
+    tried: list[str]
+    solution: Solution | None = field(default=None, init=False)
+    refusal: PeriluneError | None = field(default=None, init=False)
+
+    def solve(self) -> Solution | None:
+        """Its answer from nothing."""
+        try:
+            self.solution = self._run(segments=8)
+        except PeriluneError as error:
+            self.refusal = error
+        return self.solution
+
+    @cached_property
+    def flight(self) -> Solution | None:
+        """Its answer if that is good enough to keep; what is too rough is solved again on a finer mesh."""
+        known = self.solution
+        try:
+            if known is not None and known.statistics.residual >= _ROUGHEST:
+                known = self._run(segments=16, guess=known)
+        except PeriluneError:
+            return None
+        return known if known is not None and known.statistics.residual < _ROUGHEST else None
+
+    def _run(self, segments: int, guess: Solution | None = None) -> Solution:
+        from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
+
+        method = self.settings.transcription or Pseudospectral(nodes=5, segments=segments, refine=0)
+        try:
+            solution = method.run(self.problem, guess)
+        except PeriluneError as error:
+            self._say(getattr(error, "partial", {}).get("tried", (error.what,)))
+            raise
+        self._say(solution.statistics.tried)
+        return solution
+
+    def _say(self, lines: tuple[str, ...]) -> None:
+        """One line; what a mesh missed, condition by condition, stays with the direct method."""
+        self.tried.append("direct transcription: " + "; ".join(line.partition(" (")[0] for line in lines))
