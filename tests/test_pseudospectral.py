@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -289,6 +290,37 @@ def test_a_miss_within_the_error_of_the_mesh_is_no_refusal():
 def test_too_few_refinements_are_reported_with_the_error_of_each_state():
     with pytest.raises(NotConvergedError, match=r"requested accuracy[\s\S]*descent: h [\d.e-]+ m, v "):
         Pseudospectral(refine=1).run(meditch())
+
+
+def test_a_jump_is_named_where_the_mesh_cannot_follow_it():
+    problem = meditch()
+    phase = problem.phases[0]
+
+    def heavier_below(x, u, p, m):
+        rates = list(phase.dynamics(x, u, p, m))
+        rates[1] = rates[1] - m.where(x.h < 0.5 * p.h, 0.2 * p.g, 0.0 * p.g)
+        return rates
+
+    with pytest.raises(NotConvergedError, match=r"requested accuracy[\s\S]*descent choose \(m.where\)") as e:
+        Pseudospectral(refine=1).run(replace(problem, phases=(replace(phase, dynamics=heavier_below),)))
+    assert "H_u" not in str(e.value)
+    with pytest.raises(NotConvergedError, match="H_u"):
+        Pseudospectral(refine=1).run(problem)
+
+
+def test_what_is_undefined_on_the_way_is_not_printed(capfd):
+    problem = meditch()
+    phase = problem.phases[0]
+
+    def rooted(x, u, p, m):
+        rates = list(phase.dynamics(x, u, p, m))
+        rates[1] = rates[1] + p.g - p.g * m.sqrt(x.h / p.h)  # NaN below the ground, where the search comes by
+        return rates
+
+    with suppress(NotConvergedError):
+        Pseudospectral(refine=0, iterations=20).run(replace(problem, phases=(replace(phase, dynamics=rooted),)))
+    told = capfd.readouterr()
+    assert told.out == told.err == ""
 
 
 def test_a_guess_with_other_phases_or_states_is_refused():

@@ -162,3 +162,18 @@ def test_the_key_depends_on_the_processor(folder: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(native, "processor", lambda: (triple, name, ""))
     fly()
     assert cache.report().files == 2
+
+
+def test_what_is_not_used_for_longest_goes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "MOST_BYTES", 3500)
+    for k, name in enumerate(("old", "used", "newer")):
+        assert cache.save(name, b"x" * 1000)
+        os.utime(folder / f"{name}.code", (k, k))
+    (folder / "killed.part").write_bytes(b"half")
+    os.utime(folder / "killed.part", (0, 0))
+    (folder / "writing.part").write_bytes(b"half")
+    assert cache.load("used") == b"x" * 1000
+    assert cache.save("newest", b"x" * 1000)
+    assert sorted(path.name for path in folder.iterdir()) == ["newer.code", "newest.code", "used.code", "writing.part"]
+    assert cache.save("largest", b"x" * 9000)  # kept or not, nothing fails
+    assert cache.report().size <= 3500

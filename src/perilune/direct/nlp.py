@@ -347,6 +347,7 @@ def _solver(
     options = {
         "print_time": False,
         "error_on_fail": False,
+        "show_eval_warnings": False,  # a NaN on the way is the search's to deal with, not C++'s to print
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.max_iter": iterations,

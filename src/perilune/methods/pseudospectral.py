@@ -261,11 +261,18 @@ class _Run:
         from perilune.direct.mesh import error_text
         from perilune.words.outcome import NotConvergedError
 
+        jumps = [phase.name for k, phase in enumerate(self.problem.phases) if self.problem.form.chooses(k)]
+        cause = "an arc whose control H_u leaves open may need its own phase"
+        if jumps:
+            cause = (
+                f"the dynamics of {', '.join(jumps)} choose (m.where), and no polynomial follows a jump: give each "
+                "side a phase of its own, or let the indirect method find where it changes"
+            )
         raise NotConvergedError(
             "the mesh did not reach the requested accuracy",
             got=f"relative error {worst:.2g} after {after}; " + error_text(self.problem, errors),
             expected=f"<= {self.settings.tolerance:g}",
-            advice="raise refine or tolerance; an arc whose control H_u leaves open may need its own phase",
+            advice=f"raise refine or tolerance; {cause}",
             partial={"tried": tuple(self.tried)},
         )
 

@@ -131,10 +131,10 @@ class Search:
 
     def _known(self, guess: Solution) -> Vector:
         """Unknowns of a guess: its own where it is of this method and form, else read off its curves."""
-        own = guess.unknowns is not None and guess.method == self.settings.name
+        own = guess.unknowns if guess.method == self.settings.name else None
         same = (guess.problem.scales, guess.problem.structure) == (self.problem.scales, self.problem.structure)
-        if own and same and len(guess.unknowns) == len(self.conditions.unknowns):
-            return np.array(guess.unknowns)
+        if own is not None and same and len(own) == len(self.conditions.unknowns):
+            return np.array(own)
         return unknowns_from(self.problem, guess)
 
     def _held_in(self, guess: Solution, y: Vector) -> Vector:

@@ -338,7 +338,7 @@ def precision_landing(
         results=landing,
         result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
         maximised=LANDED_MASS.name,
-        declared=stated,
+        declared=tuple(stated),
         ranges=_ranges,
         preflight=partial(_preflight, body=body),
         views=_VIEWS if corridor is None else replace(_VIEWS, floor="glide slope"),

@@ -244,6 +244,10 @@ class Form:
         text = json.dumps([self.structure, tapes], separators=(",", ":"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
+    def chooses(self, k: int) -> bool:
+        """Whether the dynamics of phase k have a choice (``m.where``) in them, and so perhaps a jump."""
+        return any(op[0] == "where" for op in self.expressions[k, "dynamics"].tape.instructions)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Form) and self.digest == other.digest
 

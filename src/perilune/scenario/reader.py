@@ -12,7 +12,6 @@ from perilune.words.declared import Key, Quantity, Words, keys_of, made_of, name
 from perilune.words.outcome import PeriluneError, unknown_name
 
 KIND = Words(example=HYBRID.name, choices=tuple(KINDS), about="which kind of problem the file states")
-_COMPARE = "compare with `perilune new`"
 
 
 def problem_of(document: Mapping[str, Any]) -> Problem:
@@ -26,7 +25,7 @@ def problem_of(document: Mapping[str, Any]) -> Problem:
     kind = _kind_of(document)
     for name, table in document.items():
         _check_names(kind, name, table)
-    records = {name: _record(name, section, document.get(name)) for name, section in kind.sections.items()}
+    records = {name: _record(kind, name, section, document.get(name)) for name, section in kind.sections.items()}
     if "body" in records:
         records["body"] = recognised(records["body"])
     refuse_slips(records)
@@ -85,15 +84,16 @@ def _check_names(kind: Kind, name: str, table: Any) -> None:
             raise PeriluneError(what, got=error.got, expected=error.expected, advice=error.advice)
 
 
-def _record(name: str, section: Section, table: Any) -> Any:
+def _record(kind: Kind, name: str, section: Section, table: Any) -> Any:
     """The record that a section states."""
+    compare = f"compare with `perilune new {kind.name}`"
     if table is None:
         if not section.required:
             return section.otherwise
-        raise PeriluneError(f"{name} is missing", expected=f"a section [{name}]", advice=_COMPARE)
+        raise PeriluneError(f"{name} is missing", expected=f"a section [{name}]", advice=compare)
     if not isinstance(table, Mapping):
         expected = f"a section [{name}]"
-        raise PeriluneError(f"{name} has the wrong type", got=str(table)[:60], expected=expected, advice=_COMPARE)
+        raise PeriluneError(f"{name} has the wrong type", got=str(table)[:60], expected=expected, advice=compare)
     values = {key: _value(f"{name}.{key}", found, table[key]) for key, found in names_of(name, section).items()
               if key in table}  # fmt: skip
     values.pop("kind", None)
@@ -101,7 +101,7 @@ def _record(name: str, section: Section, table: Any) -> Any:
         values = _known(name, section, values)
     for key, found in keys_of(section.record).items():
         if key not in values and found.required:
-            raise PeriluneError(f"{name}.{key} is missing", expected=_line(key, found), advice=_COMPARE)
+            raise PeriluneError(f"{name}.{key} is missing", expected=_line(key, found), advice=compare)
     return made_of(section.record, values)
 
 
@@ -133,10 +133,7 @@ def _value(key: str, found: Key, stated: Any) -> Any:
     try:
         return found.declared.read(stated)
     except PeriluneError as error:
-        said = named(key, error)
-        raise said if said.advice else PeriluneError(
-            said.what, got=said.got, expected=said.expected, advice=_COMPARE
-        ) from None  # fmt: skip
+        raise named(key, error) from None
 
 
 def _line(key: str, found: Key) -> str:

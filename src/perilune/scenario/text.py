@@ -8,11 +8,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from perilune.models.kinds import KINDS
 from perilune.words.bounded import bounded_text, refuse_nested
 from perilune.words.outcome import PeriluneError
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
 LONGEST_LINE = 1000  # characters; keeps the time of the TOML parser linear in practice
+_COMPARE = "compare with `perilune new KIND`, " + " or ".join(KINDS)
 DEEPEST_NESTING = 4  # brackets; a scenario needs one
 
 
@@ -30,11 +32,11 @@ def parse(text: str) -> dict[str, Any]:
             "the scenario is too long",
             got=f"{len(text)} characters, {longest} in a line",
             expected=f"at most {LARGEST_FILE}, and {LONGEST_LINE} in a line",
-            advice="compare with `perilune new`",
+            advice=_COMPARE,
         )
     refuse_nested(
         text, "scenario", DEEPEST_NESTING, expected="sections with keys, nothing deeper",
-        advice="compare with `perilune new`",
+        advice=_COMPARE,
     )  # fmt: skip
     try:
         document = tomllib.loads(text)
@@ -43,7 +45,7 @@ def parse(text: str) -> dict[str, Any]:
             "the scenario is not valid TOML",
             got=str(error)[:200],
             expected='lines such as mass = "300 kg"',
-            advice="compare with `perilune new`",
+            advice=_COMPARE,
         ) from None
     if not document:
         raise PeriluneError(

@@ -156,7 +156,12 @@ class Words:
     def read(self, value: object) -> str:
         """The text."""
         if not isinstance(value, str):
-            raise PeriluneError("has the wrong type", got=str(value)[:60], expected=f'a text such as "{self.example}"')
+            raise PeriluneError(
+                "has the wrong type",
+                got=str(value)[:60],
+                expected=f'a text such as "{self.example}"',
+                advice="quote it",
+            )
         return value
 
 

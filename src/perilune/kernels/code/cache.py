@@ -3,7 +3,8 @@
 A file is one object: a line that says what it is, the SHA-256 digest of the content, and the content. Its
 name is the digest of all that the code depends on: expressions, this package's own source, processor and
 versions. Writing goes to a file of its own that is then renamed, so that a second process or a killed writer
-never shows half a file; a file whose digest does not fit is removed and made anew. Nothing is ever unpickled.
+never shows half a file; a file whose digest does not fit is removed and made anew. Nothing is ever unpickled. Where
+the files grow beyond `MOST_BYTES`, those that were not used for longest go, those of older versions first of all.
 
 The directory is that of the operating system for caches, or the environment variable ``PERILUNE_CACHE``, which
 may also be ``off``. It must be writable by its owner alone, since code from it is run.
@@ -15,6 +16,7 @@ import hashlib
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,7 +24,9 @@ from functools import lru_cache
 from pathlib import Path
 
 _HEADER = b"perilune machine code 1\n"
-_SUFFIX = ".code"
+_SUFFIX, _PART = ".code", ".part"
+MOST_BYTES = 64 * 2**20  # the landings of all pages and tests take about 20 MB
+_LEFT_OVER = 3600.0  # seconds after which the file of a writer is that of a killed one
 VARIABLE, OFF = "PERILUNE_CACHE", "off"
 
 
@@ -84,6 +88,8 @@ def load(name: str) -> bytes | None:
     body = content[len(_HEADER) + 32 :]
     # The name is in the digest: a file copied to another's name is foreign, whole though it is.
     if content.startswith(_HEADER) and content[len(_HEADER) : len(_HEADER) + 32] == _digest(name, body):
+        with suppress(OSError):
+            os.utime(path)  # it is in use
         return body
     with suppress(OSError):
         path.unlink()
@@ -103,7 +109,7 @@ def save(name: str, body: bytes) -> bool:
         return False
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
+        handle, temporary = tempfile.mkstemp(dir=folder, suffix=_PART)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(_HEADER + _digest(name, body) + body)
@@ -112,9 +118,31 @@ def save(name: str, body: bytes) -> bool:
             with suppress(OSError):
                 os.unlink(temporary)
             raise
+        _prune(folder)
     except OSError:
         return False
     return True
+
+
+def _prune(folder: Path) -> None:
+    """Remove what was not used for longest while there is too much, and what killed writers left."""
+    files, parts = [], []
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):  # another process may be pruning
+                if entry.name.endswith(_SUFFIX):
+                    files.append((entry.stat().st_mtime, entry.stat().st_size, entry.path))
+                elif entry.name.endswith(_PART) and time.time() - entry.stat().st_mtime > _LEFT_OVER:
+                    parts.append(entry.path)
+    excess = sum(size for _, size, _ in files) - MOST_BYTES
+    for _, size, path in sorted(files):
+        if excess <= 0:
+            break
+        excess -= size
+        parts.append(path)
+    for path in parts:
+        with suppress(OSError):
+            os.unlink(path)
 
 
 def fetch(name: str, build: Callable[[], bytes], *, enabled: bool) -> bytes:
@@ -148,7 +176,7 @@ def clear() -> int:
     folder, removed = directory(), 0
     if folder is None:
         return 0
-    for path in [*folder.glob(f"*{_SUFFIX}"), *folder.glob("*.part")]:
+    for path in [*folder.glob(f"*{_SUFFIX}"), *folder.glob(f"*{_PART}")]:
         with suppress(OSError):
             path.unlink()
             removed += 1
