@@ -69,10 +69,20 @@ def test_a_models_problem_is_made_again(hybrid: Solution, tmp_path: Path) -> Non
     assert problem.with_given(vehicle_thrust=500.0).free != problem.free  # its ranges follow
 
 
-@pytest.mark.parametrize("example", ["hybrid_lander", "ordinary_lander", "polar_descent", "precision_landing"])
-def test_every_kind_is_made_again(example: str) -> None:
+@pytest.mark.parametrize(
+    ("example", "change"),
+    [
+        ("hybrid_lander", ()),
+        ("ordinary_lander", ()),
+        ("polar_descent", ()),
+        ("polar_descent", ("problem.coordinates=spherical",)),
+        ("polar_descent", ("start.longest_coast=200 s",)),
+        ("precision_landing", ()),
+    ],
+)
+def test_every_kind_is_made_again(example: str, change: tuple[str, ...]) -> None:
     """With other given values and fewer free parameters too, through JSON."""
-    problem = load_file(EXAMPLES / f"{example}.toml").problem
+    problem = load_file(EXAMPLES / f"{example}.toml", change).problem
     heavier = problem.with_given(vehicle_mass=1.01 * problem.given["vehicle_mass"].value)
     for one in (problem, heavier, problem.with_given(**{problem.free_names[0]: problem.free[0].typical})):
         made = made_document(one)
