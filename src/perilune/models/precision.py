@@ -350,5 +350,9 @@ def _typical_time(p: Any) -> float:
     """Time in which the mean of start and end speed covers the way, or a fall from rest does."""
     way = math.hypot(p.approach_east, p.approach_north, p.approach_up)
     speed = math.hypot(p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
-    fall = math.sqrt(2 * (abs(p.approach_up) or way or 1.0) * p.body_radius**2 / p.body_gravitational_parameter)
+    height = abs(p.approach_up) or way or 1.0  # on its site, which the pre-flight refuses
+    gravity = p.body_gravitational_parameter / p.body_radius**2
+    fall = math.sqrt(2 * height / gravity)
+    if hasattr(p, "approach_longest_coast"):
+        speed = math.hypot(speed, gravity * fall)  # which it gains before ignition
     return min(2 * way / speed, 3 * fall) if speed * way > 0 else 2 * fall
