@@ -49,6 +49,7 @@ from perilune.problem.declared import given_of
 from perilune.problem.preflight import Finding
 from perilune.problem.problem import Free, Phase, Problem, Variable
 from perilune.problem.views import History, Views
+from perilune.words.asked import demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.units import Scales
@@ -316,6 +317,7 @@ def precision_landing(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
+    demand_records((vehicle, Vehicle), (approach, Approach), (site, Site), (body, Body))
     lander, shares = with_dry_mass(vehicle, dry_mass), Throttle(lower=throttle[0], upper=throttle[1])
     stated = [oblate(body, j2), lander, site, approach, shares]
     if corridor is not None:
