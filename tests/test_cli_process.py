@@ -47,7 +47,7 @@ def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("rung"):
+        if line.startswith("start"):
             break
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
@@ -57,7 +57,7 @@ def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     assert set(snapshot(out)) == {"failure.json"}
     kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
-    assert any(line.startswith("rung") for line in kept["log"])
+    assert any(line.startswith("start") for line in kept["log"])
 
 
 def test_help_loads_nothing_heavy() -> None:

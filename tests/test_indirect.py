@@ -208,6 +208,7 @@ def test_the_best_of_those_that_miss_is_named() -> None:
     assert isinstance(error, InfeasibleError) and error.exit_code == 3
     assert error.what == "the best of 2 found misses height by 3 m" and NEAREST in error.got
     assert error.reason == "the best of n found misses it" and error.reason in str(error)
+    assert "thrust" not in error.advice  # of which the problem knows nothing
     assert error.partial == {"missed": ["rest"], "tried": ["costates on the unit sphere: 2 extremals"]}
     assert InfeasibleError("too heavy").reason == "cannot be flown"
 
@@ -220,7 +221,7 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
         assert refusal(known(direct), breaks) is direct
     error = refusal(known(NotConvergedError("the optimum was not reached")), breaks)
     assert isinstance(error, NotConvergedError) and error.exit_code == 4 and "not settled" in error.what
-    assert "angle falls to -0.5 rad on the way; direct method: the optimum was not reached" in error.got
+    assert "angle falls to -0.5 rad; direct method: the optimum was not reached" in error.got
     assert refusal(known(NotConvergedError("the optimum was not reached")), []) is None
 
 
@@ -231,6 +232,8 @@ def test_where_a_flight_keeps_everything_it_is_kept() -> None:
         NotConvergedError, match=r"every extremal breaks[\s\S]*direct method: J = -\d+.*, mesh error"
     ) as e:
         solve(tight)
+    assert "pointing_margin (cosine of the thrust's tilt less that of corridor.tilt) falls to -0.18" in e.value.got
+    assert " 1 " not in e.value.got and "more thrust" in e.value.advice
     flight = e.value.flight
     t = np.linspace(0.0, flight.trajectories[0].duration, 301)
     state, control = flight.flown(0, t)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import Scales, dimension_text, parse_quantity, unit
+from perilune.words.units import Scales, dimension_text, parse_quantity, told, unit
 
 
 @pytest.mark.parametrize(
@@ -98,3 +98,9 @@ def test_scales_divide_what_has_their_dimension() -> None:
     assert scales.of("N") == pytest.approx(5.0 * 2.0 / 9.0)
     assert scales.of("km/s") == scales.of("m/s") == pytest.approx(2.0 / 3.0)
     assert scales.of("rad") == 1.0
+
+
+def test_a_value_is_told_as_people_say_it() -> None:
+    assert told(math.radians(30.0), "rad") == "30 deg"
+    assert told(-0.6, "1") == "-0.6"
+    assert told(1234.5678, "m", 4) == "1235 m"

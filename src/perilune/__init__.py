@@ -22,6 +22,8 @@ _EXPORTS = {
     "Table": "perilune.words.maths",
     "Finding": "perilune.problem.preflight",
     "Solution": "perilune.problem.solution",
+    "Trajectory": "perilune.problem.solution",
+    "Curve": "perilune.problem.solution",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
     "Outcome": "perilune.words.outcome",
@@ -47,6 +49,7 @@ __all__ = [
     "MOON",
     "Bounded",
     "Check",
+    "Curve",
     "Direction",
     "Finding",
     "Free",
@@ -64,6 +67,7 @@ __all__ = [
     "Scales",
     "Solution",
     "Table",
+    "Trajectory",
     "Variable",
     "Verification",
     "load",
@@ -90,7 +94,7 @@ if TYPE_CHECKING:
     from perilune.problem.phase import Phase
     from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Problem
-    from perilune.problem.solution import Solution
+    from perilune.problem.solution import Curve, Solution, Trajectory
     from perilune.problem.variables import Free, Given, Variable
     from perilune.problem.verification import Check, Verification
     from perilune.solve import prove, solve, verify
@@ -112,8 +116,13 @@ sys.modules[__name__].__class__ = _Package
 
 def __getattr__(name: str) -> Any:
     if name not in _EXPORTS:
-        raise AttributeError(f"module 'perilune' has no attribute {name!r}")
+        raise AttributeError(f"module 'perilune' has no attribute {name!r}", name=name, obj=sys.modules[__name__])
     module = importlib.import_module(_EXPORTS[name])
     value = getattr(module, name, module)
     globals()[name] = value
     return value
+
+
+def __dir__() -> list[str]:
+    """What is loaded on first use is there as well, to be completed and to be offered for a misspelt name."""
+    return sorted({*globals(), *_EXPORTS})

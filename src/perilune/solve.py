@@ -10,6 +10,8 @@ from perilune.methods.method import Method
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.verification import LEVELS
+from perilune.words.asked import demand, demand_level, refused
 from perilune.words.outcome import Outcome
 from perilune.words.watch import Watch
 
@@ -53,8 +55,27 @@ def solve(
     NotConvergedError
         As the method says.
     """
+    demand(
+        problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
+    )
+    demand_level(level, (0, *LEVELS))
     refuse_impossible(preflight(problem))
-    return prove((method or Indirect()).run(problem, guess, watch), level)
+    return prove(usable(method).run(problem, guess, watch), level)
+
+
+def usable(method: Method | None) -> Method:
+    """The method that was asked for, ``Indirect()`` for none.
+
+    Raises
+    ------
+    PeriluneError
+        If it is no method, as a name or a class is none.
+    """
+    if method is None:
+        return Indirect()
+    if isinstance(method, type) or not callable(getattr(method, "run", None)):
+        raise refused(method, "Indirect(), Pseudospectral(), Hybrid(...) or None", "a method")
+    return method
 
 
 def prove(solution: Solution, level: int) -> Solution:
@@ -73,6 +94,8 @@ def prove(solution: Solution, level: int) -> Solution:
         The same with its verification, and the outcome that follows. Of a solution that was loaded, the extremals that
         its file lists are found again by Newton's method, or left out (`perilune.proof.listed`).
     """
+    demand(solution, Solution, "a solution to prove")
+    demand_level(level, (0, *LEVELS))
     if level == 0:
         return solution
     solution, notes = _found_again(solution)
@@ -112,6 +135,7 @@ def verify(
     """
     from perilune.proof.levels import examine
 
+    demand(solution, Solution, "a solution to verify")
     return examine(solution, level, resolve or _solve_again, other)
 
 

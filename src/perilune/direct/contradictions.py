@@ -24,6 +24,7 @@ from perilune.problem.symbolic import (
 )
 from perilune.words.outcome import InfeasibleError
 from perilune.words.types import Vector
+from perilune.words.units import told
 
 # A bound is broken when it is exceeded by more than this part of the canonical unit; rounding stays far
 # below.
@@ -115,7 +116,7 @@ def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tu
         worst = residual.reshape(-1, len(names)).max(axis=0)
         for (name, unit), scale, violation in zip(names, scales, worst, strict=True):
             if not violation <= slack:
-                found.append((float(violation), (name, f"{violation * scale:.4g} {unit}")))
+                found.append((float(violation), (name, told(violation * scale, unit, 4))))
     return [pair for _, pair in sorted(found, key=lambda pair: -pair[0])]
 
 
@@ -125,7 +126,7 @@ def _row_names(problem: Problem, phase: Phase, kind: str) -> tuple[list[tuple[st
         word = "the start of" if kind == "start" else "the dynamics of"
         return [(f"{word} {s.name} in {phase.name}", s.unit) for s in phase.states], state_scales(problem, phase)
     if kind == "direction":
-        return [(f"unit length of a direction in {phase.name}", "")], np.ones(1)
+        return [(f"unit length of a direction in {phase.name}", "1")], np.ones(1)
     conditions = phase.path_conditions if kind == "path" else phase.end_conditions
     names = [(f"the {kind} condition {phase.name}.{c.name}", c.unit) for c in conditions]
     return names, np.array([problem.size_of(c) for c in conditions])

@@ -104,7 +104,7 @@ def error_text(problem: Problem, errors: Sequence[Matrix]) -> str:
     """The largest error of each state and path condition of each phase, in SI, as one line."""
     return "; ".join(
         f"{phase.name}: " + ", ".join(
-            f"{named.name} {value:.1e} {named.unit}"
+            f"{named.name} {value:.1e} {named.unit}".removesuffix(" 1")
             for named, value in zip((*phase.states, *phase.path_conditions), error.max(axis=0), strict=True)
         )
         for phase, error in zip(problem.phases, errors, strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.words.asked import refused
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
 
@@ -108,7 +109,12 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
     """
     if isinstance(over, Mapping):
         names = [_parameter(problem, name) for name in over]
+        for name, values in over.items():
+            if isinstance(values, str) or not isinstance(values, Iterable):
+                raise refused(values, "a list of numbers in SI", f"what {name} can be swept over")
         rows = list(product(*(list(values) for values in over.values())))
+    elif isinstance(over, str) or not isinstance(over, Iterable):
+        raise refused(over, "{name: values} of each, or a list of {name: value, ...}", "what can be swept over")
     else:
         points = [{_parameter(problem, name): v for name, v in point.items()} for point in over]
         names = list(points[0]) if points else []

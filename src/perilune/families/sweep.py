@@ -7,9 +7,11 @@ from pathlib import Path
 from perilune.families.family import Family, FamilyPoint, Over, asked
 from perilune.families.members import Members, Submits
 from perilune.families.store import Store
-from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
 from perilune.problem.problem import Problem
+from perilune.problem.verification import LEVELS
+from perilune.solve import usable
+from perilune.words.asked import demand, demand_level
 from perilune.words.watch import Watch, silent
 
 
@@ -59,10 +61,12 @@ def sweep(
     PeriluneError
         If `over` names what is no parameter, the store is of another sweep, or a worker was lost.
     """
+    demand(problem, Problem, "a problem to sweep")
+    demand_level(level, (0, *LEVELS))
     names, values = asked(problem, over)
     say = watch or silent
     members = Members(
-        problem=problem, names=names, values=values, method=method or Indirect(), level=level, watch=say
+        problem=problem, names=names, values=values, method=usable(method), level=level, watch=say
     )  # fmt: skip
     notes: list[str] = []
 

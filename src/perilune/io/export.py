@@ -27,6 +27,7 @@ from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.problem import Phase, Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.words.asked import demand
 from perilune.words.maths import NUMERIC
 
 INTERPOLATION = {
@@ -148,6 +149,7 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
     PeriluneError
         If the directory cannot be written, or is not empty and `force` is false.
     """
+    demand(solution, Solution, "a solution to save")
     with fresh_directory(directory, force) as work:
         write_solution_files(solution, work, scenario_text)
 

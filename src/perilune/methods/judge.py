@@ -16,6 +16,7 @@ from perilune.problem.symbolic import state_scales
 from perilune.problem.variables import Free, Variable
 from perilune.shooting.function import Root
 from perilune.words.types import Vector
+from perilune.words.units import told
 
 _POINTS = 201  # of a phase, at which its conditions are looked at
 _SLACK = 1e-9  # canonical
@@ -91,7 +92,7 @@ class Judge:
         for condition, along in zip(phase.path_conditions, conditions, strict=True):
             least, scale = float(np.min(along)), self.problem.size_of(condition)
             if not least >= -_SLACK * scale:
-                text = f"{condition.name} falls to {least:.6g} {condition.unit}"
+                text = f"{_called(condition)} falls to {told(least, condition.unit)} on the way"
                 miss, unit = -least, condition.unit
                 yield Breach(name=condition.name, text=text, miss=miss, unit=unit, canonical=miss / scale, path=True)
 
@@ -103,5 +104,12 @@ class Judge:
         )
         for side, limit, reached, miss in sides:
             if np.isfinite(limit) and not miss <= _SLACK * scale:
-                text = f"{name} reaches {reached:.6g} {unit}, {side} its bound {limit:g}"
+                way = "falls" if side == "below" else "rises"
+                text = f"{_called(named)} {way} to {told(reached, unit)}, {side} its bound of {told(limit, unit)}"
                 yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale)
+
+
+def _called(named: Variable | Free) -> str:
+    """The name of a quantity, with what it is where that is said."""
+    about = getattr(named, "description", "")
+    return f"{named.name} ({about})" if about else named.name

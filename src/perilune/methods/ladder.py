@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from perilune.words.asked import demand_whole
+
 if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
 
@@ -20,3 +22,6 @@ class Ladder:
     transcription: Pseudospectral | None = None
 
     name = "indirect"
+
+    def __post_init__(self) -> None:
+        demand_whole(self, starts=1, seed=0, scan_points=3, segments=1)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from perilune.direct.collocation import Mesh, Scheme, rule
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
+from perilune.words.asked import demand_whole
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch, silent
@@ -62,10 +63,8 @@ class Pseudospectral:
     nlp_tolerance: float = 1e-10
 
     def __post_init__(self) -> None:
+        demand_whole(self, nodes=1, segments=1, refine=0, iterations=1)
         rule(self.scheme, self.nodes)
-        for name, least in (("segments", 1), ("refine", 0), ("iterations", 1)):
-            if getattr(self, name) < least:
-                raise PeriluneError(f"{name} is too small", got=str(getattr(self, name)), expected=f">= {least}")
         for name in ("tolerance", "nlp_tolerance"):
             if not 0 < getattr(self, name) < 1:
                 raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))

@@ -18,6 +18,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.function import Root
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.units import told
 
 _BROKEN = "every extremal breaks a condition"
 
@@ -25,14 +26,14 @@ _BROKEN = "every extremal breaks a condition"
 def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
     """Why every extremal that was found is no answer; None where none was found, and nothing else says why."""
     if isinstance(coarse.refusal, InfeasibleError):
-        return best_misses(breaches, coarse.refusal, coarse.tried)
+        return best_misses(coarse.problem, breaches, coarse.refusal, coarse.tried)
     flight = coarse.flight
     if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
         return kept_flight(coarse.problem, flight, breaches, coarse.tried)
     return undecided(breaches, coarse.refusal, coarse.tried) if breaches else None
 
 
-def best_misses(breaches: list[Breach], direct: InfeasibleError, tried: list[str]) -> InfeasibleError:
+def best_misses(problem: Problem, breaches: list[Breach], direct: InfeasibleError, tried: list[str]) -> InfeasibleError:
     """No flight was found: the best extremal misses a bound, or the direct method's nearest misses a condition."""
     missed = [breach for breach in breaches if not breach.path]
     if direct.reason == "cannot be flown" or not missed:
@@ -40,10 +41,10 @@ def best_misses(breaches: list[Breach], direct: InfeasibleError, tried: list[str
         return direct
     best = min(missed, key=lambda breach: breach.canonical)
     return InfeasibleError(
-        f"the best of {len(breaches)} found misses {best.name} by {best.miss:.6g} {best.unit}",
-        got=f"{best.text} on the way; the direct method found no flight either: {direct.what}",
+        f"the best of {len(breaches)} found misses {best.name} by {told(best.miss, best.unit)}",
+        got=f"{best.text}; the direct method found no flight either: {direct.what}",
         expected=f"{best.name} within its bounds all along",
-        advice="more thrust or a higher start, or a wider bound",
+        advice=f"a wider bound; {_easier(problem)}",
         reason=direct.reason,
         partial={**direct.partial, "tried": list(tried)},
     )
@@ -54,7 +55,7 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
     error = flight.statistics.residual
     best = f"direct method: J = {flight.objective:.6g} {problem.objective_unit}, mesh error {error:.1g}"
     ridden = ridden_condition(problem, flight)
-    parts = [f"{breaches[0].text} on the way"] if breaches else []
+    parts = [breaches[0].text] if breaches else []
     if ridden is not None:
         parts.append(f"the best path that keeps {ridden} rides along it ({best})")
     else:
@@ -63,10 +64,17 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
         f"{_BROKEN} of the path" if breaches else "no extremal was found",
         got="; ".join(parts),
         expected="not negative, and not zero along the way" if breaches else "all residuals zero",
-        advice="the direct method (--method direct, Pseudospectral()) may ride it; more thrust or a higher start",
+        advice="the direct method (--method direct, Pseudospectral()) may ride it; " + _easier(problem),
         partial={"tried": list(tried)},
         flight=flight,
     )
+
+
+def _easier(problem: Problem) -> str:
+    """What makes a problem easier, in its own terms."""
+    if "vehicle_thrust" in problem.given:
+        return "more thrust or a higher start"
+    return "given values that leave more room"
 
 
 def undecided(breaches: list[Breach], direct: PeriluneError | None, tried: list[str]) -> NotConvergedError:
@@ -74,7 +82,7 @@ def undecided(breaches: list[Breach], direct: PeriluneError | None, tried: list[
     known = "its flight is too rough to tell" if direct is None else "; ".join(filter(None, (direct.what, direct.got)))
     return NotConvergedError(
         f"{_BROKEN}, and whether any flight keeps them all is not settled",
-        got=f"{breaches[0].text} on the way; direct method: {known}",
+        got=f"{breaches[0].text}; direct method: {known}",
         expected="not negative" if breaches[0].path else "within its bounds all along",
         advice="the direct method on a finer mesh (Pseudospectral(nodes=8, segments=10)); a wider bound",
         partial={**getattr(direct, "partial", {}), "tried": list(tried)},
@@ -107,8 +115,10 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
         partial["free"] = free_values(problem, conditions, nearest.y)
         k = int(np.argmax(np.abs(scaled)))
         name, unit = conditions.residuals[k]
-        got = f"nearest approach leaves {name} = {values[k]:.4g} {unit}"
-    advice = "perilune check for what physics says; then more starts (Indirect(starts=100)) or a nearby guess"
+        got = f"nearest approach leaves {name} = {told(values[k], unit, 4)}"
+    advice = (
+        "what physics says (perilune check, perilune.preflight); more starts (Indirect(starts=100)), a nearby guess"
+    )
     if flight is not None and (beyond := beyond_shooting(flight, conditions)) is not None:
         got, advice = beyond
     return NotConvergedError(

@@ -32,7 +32,7 @@ from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
-_SPHERE = "costates on the unit sphere"
+_RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 _STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
 _AT_BOUND = 1e-8  # canonical distance at which a guess counts as lying on a bound
@@ -167,7 +167,7 @@ class Search:
         where = (
             "" if self.scanned is None else f" with {self.problem.free[self.scanned].name} held at {len(holds)} values"
         )
-        self.watch(f"rung: {_SPHERE}{where}")
+        self.watch(f"start: {_RANDOM}{where}")
         Y = np.vstack([self._sphere_starts(count) for count in starts])
         held = np.repeat(holds, starts)
         choices = np.tile(self.shooting.holding({}), (len(Y), 1))
@@ -184,12 +184,12 @@ class Search:
                 if self._walked_through(member):
                     continue
                 if self.judge.breach(root) is None:
-                    yield member, _SPHERE
+                    yield member, _RANDOM
                 else:
                     breaking.append(member)
-        self.tried.append(f"{_SPHERE}: {self.met} extremals, {len(breaking)} of them break a path condition")
+        self.tried.append(f"{_RANDOM}: {self.met} extremals, {len(breaking)} of them break a path condition")
         if self.base is None:
-            yield from ((member, _SPHERE) for member in breaking)
+            yield from ((member, _RANDOM) for member in breaking)
 
     def _hold_ranges(self, choices: Matrix) -> None:
         """Hold in one start none of the ranges, in the next the first at a bound, and so on."""

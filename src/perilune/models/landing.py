@@ -30,6 +30,7 @@ from perilune.problem.problem import Free, Phase, Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.problem.views import Beside, History, Views
+from perilune.words.asked import demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -196,7 +197,9 @@ def hybrid_landing(
         States r [m], phi [rad], u, v [m/s], m [kg]; free `retro_delta_v` [m/s] and `flight_time` [s]; J = -m(t_f) [kg],
         Cho et al. (6). Parameters are named like the scenario's keys with ``_`` for the dot.
     """
-    burn = retro or Retro(specific_impulse=vehicle.specific_impulse, delta_v=0.0)
+    demand_records((vehicle, Vehicle), (orbit, Orbit), (body, Body))
+    burn = Retro(specific_impulse=vehicle.specific_impulse, delta_v=0.0) if retro is None else retro
+    demand_records((burn, Retro))
     stated = (body, vehicle, replace(burn, delta_v=None), orbit, LandingSite(altitude=landing_altitude))
     given = given_of(*stated)
     descent = Phase(

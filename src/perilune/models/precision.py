@@ -49,6 +49,7 @@ from perilune.problem.declared import given_of
 from perilune.problem.preflight import Finding
 from perilune.problem.problem import Free, Phase, Problem, Variable
 from perilune.problem.views import History, Views
+from perilune.words.asked import demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.units import Scales
@@ -316,6 +317,7 @@ def precision_landing(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
+    demand_records((vehicle, Vehicle), (approach, Approach), (site, Site), (body, Body))
     lander, shares = with_dry_mass(vehicle, dry_mass), Throttle(lower=throttle[0], upper=throttle[1])
     stated = [oblate(body, j2), lander, site, approach, shares]
     if corridor is not None:
@@ -350,5 +352,9 @@ def _typical_time(p: Any) -> float:
     """Time in which the mean of start and end speed covers the way, or a fall from rest does."""
     way = math.hypot(p.approach_east, p.approach_north, p.approach_up)
     speed = math.hypot(p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
-    fall = math.sqrt(2 * (abs(p.approach_up) or way or 1.0) * p.body_radius**2 / p.body_gravitational_parameter)
+    height = abs(p.approach_up) or way or 1.0  # on its site, which the pre-flight refuses
+    gravity = p.body_gravitational_parameter / p.body_radius**2
+    fall = math.sqrt(2 * height / gravity)
+    if hasattr(p, "approach_longest_coast"):
+        speed = math.hypot(speed, gravity * fall)  # which it gains before ignition
     return min(2 * way / speed, 3 * fall) if speed * way > 0 else 2 * fall

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.problem import Problem
+from perilune.words.asked import demand
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError
+from perilune.words.outcome import InfeasibleError, unknown_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +63,10 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     tuple of Finding
         All comparisons, in the order in which they make sense; with arrays inside where `over` has arrays.
     """
+    demand(problem, Problem, "a problem to compare with what physics allows")
+    for name in over or ():
+        if name not in problem.given and name not in problem.free_names:
+            raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
     if problem.preflight is None:
         return ()
     # NumPy's numbers, for which a division by zero is a limit that is none and not an error.

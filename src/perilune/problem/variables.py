@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Limit, limit_value
+from perilune.words.asked import refused
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -108,7 +109,12 @@ class Given:
         _in_si("a given value", self.unit)
         if not self.stated:
             object.__setattr__(self, "stated", stated_text(self.value))
-        object.__setattr__(self, "value", float(self.value))
+        try:
+            object.__setattr__(self, "value", float(self.value))
+        except (TypeError, ValueError):
+            raise refused(
+                self.value, "a number in SI", "a given value", "units.parse_quantity('440 N', 'N') reads a text"
+            ) from None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked")
+LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # that may be asked for
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,13 +14,14 @@ from perilune.methods.method import Method
 from perilune.problem.form import OWN_TEXT
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.problem.verification import Check, Verification
+from perilune.problem.verification import LEVELS, Check, Verification
 from perilune.proof.crossed import agreement
 from perilune.proof.extremal import extremality
 from perilune.proof.feasible import feasibility, tables
 from perilune.proof.flight import flights
 from perilune.proof.resolved import Resolve, neighbours
 from perilune.proof.second_order import local_optimality
+from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
 
 
@@ -50,8 +51,7 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
     PeriluneError
         If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase.
     """
-    if level not in (1, 2, 3, 4):
-        raise PeriluneError("there is no such level of verification", got=repr(level)[:60], expected="1, 2, 3 or 4")
+    demand_level(level, LEVELS)
     if len(solution.trajectories) != len(solution.problem.phases):
         raise PeriluneError(
             "the solution lacks trajectories",

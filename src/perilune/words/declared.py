@@ -16,11 +16,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
-from functools import cache
+from functools import cache, wraps
 from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
 
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity, unit
 
 LONGEST_VALUE = 200  # characters
@@ -105,8 +105,15 @@ class Quantity:
         return Stated(number, value.strip())
 
     def check(self, value: float, got: str = "") -> None:
-        """PeriluneError, without the key, for a value in SI that is not finite or out of range."""
-        if not math.isfinite(value):
+        """PeriluneError, without the key, for a value in SI that is no number, not finite or out of range."""
+        try:
+            finite = math.isfinite(value)
+        except TypeError:
+            text = "a text with its unit belongs into a scenario file" if isinstance(value, str) else self._advice
+            raise PeriluneError(
+                "must be a number in SI", got=repr(value)[:60], expected=f"a number in {self.unit}", advice=text
+            ) from None
+        if not finite:
             raise PeriluneError("is not finite", got=str(value), expected="a finite number")
         if abs(value) > ORDINARY or (self.low == 0 and self.open_low and 0 < value < 1 / ORDINARY):
             size = f"between {1 / ORDINARY:g} and {ORDINARY:g} in SI"
@@ -267,9 +274,30 @@ def record(section: str) -> Callable[[type[T]], type[T]]:
 
         cls.__post_init__ = check  # type: ignore[attr-defined]
         cls.__section__ = section  # type: ignore[attr-defined]
-        return dataclass(frozen=True, kw_only=True)(cls)
+        made = dataclass(frozen=True, kw_only=True)(cls)
+        made.__init__ = _asked_for(made)  # type: ignore[misc]
+        return made
 
     return make
+
+
+def _asked_for(kind: type) -> Callable[..., None]:
+    """The constructor of a record, which refuses names that it has not and names what is left out."""
+    constructor, known = kind.__init__, {f.name: f for f in fields(kind)}  # type: ignore[misc]
+
+    @wraps(constructor)
+    def init(self: Any, **values: Any) -> None:
+        for name in values:
+            if name not in known:
+                also = {other: key for key, k in keys_of(kind).items() for other in getattr(k.declared, "also", ())}
+                raise unknown_name(f"field of {kind.__name__}", name, list(known), also)
+        for name, f in known.items():
+            if name not in values and f.default is MISSING:
+                examples = [f"{k.declared.example}" for k in keys_of(kind).values() if k.field == name]
+                raise PeriluneError(f"{kind.__name__}.{name} is missing", expected=f"for example {', '.join(examples)}")
+        constructor(self, **values)
+
+    return init
 
 
 def section_of(kind: type) -> str:

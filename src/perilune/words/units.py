@@ -111,6 +111,13 @@ def dimension_text(dimension: Dimension) -> str:
     return "*".join(over or ["1"]) + "".join("/" + u for u in under)
 
 
+def told(value: float, unit_text: str, digits: int = 6) -> str:
+    """A value in SI for people: angles in degrees, and no unit where there is none."""
+    if unit_text == "rad":
+        value, unit_text = math.degrees(value), "deg"
+    return f"{value:.{digits}g} {unit_text}".removesuffix(" 1")
+
+
 def quotient(numerator: str, denominator: str) -> str:
     """SI unit of a quotient of two units, such as that of a costate."""
     above, below = unit(numerator)[1], unit(denominator)[1]

@@ -1,0 +1,80 @@
+"""Whether a verb of the library is given what it asks for: if not, a refusal in the user's words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.words.outcome import PeriluneError
+
+
+def demand(value: Any, kind: type, what: str, advice: str = "") -> None:
+    """Refuse a value that is not of a kind.
+
+    Parameters
+    ----------
+    value, kind
+        What was given, and its class.
+    what, advice
+        What it is needed for, as "a problem to solve"; what to try.
+
+    Raises
+    ------
+    PeriluneError
+        If it is anything else.
+    """
+    if not isinstance(value, kind):
+        raise refused(value, kind.__name__, what, advice)
+
+
+def demand_records(*pairs: tuple[Any, type]) -> None:
+    """Refuse what are not the records, each beside its class, that a model is made of."""
+    for value, kind in pairs:
+        demand(
+            value, kind, f"{_article(kind.__name__)} {kind.__name__}", f"{kind.__name__}(...) with its numbers in SI"
+        )
+
+
+def refused(value: Any, expected: str, what: str, advice: str = "") -> PeriluneError:
+    """The refusal of a value of another kind."""
+    got = f"the class {value.__name__}, and not {value.__name__}()" if isinstance(value, type) else _shown(value)
+    return PeriluneError(f"this is not {what}", got=got, expected=expected, advice=advice)
+
+
+def demand_level(level: Any, known: Sequence[int]) -> None:
+    """Refuse a verification level that there is not.
+
+    Raises
+    ------
+    PeriluneError
+        If it is none of those known.
+    """
+    if isinstance(level, bool) or level not in known:
+        *most, last = map(str, known)
+        raise PeriluneError(
+            "there is no such level of verification", got=repr(level)[:60], expected=f"{', '.join(most)} or {last}"
+        )
+
+
+def demand_whole(settings: Any, **least: int) -> None:
+    """Refuse settings that are not whole numbers of at least so much.
+
+    Raises
+    ------
+    PeriluneError
+        For the first.
+    """
+    for name, smallest in least.items():
+        value = getattr(settings, name)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise PeriluneError(f"{name} must be a whole number", got=repr(value)[:60], expected=f">= {smallest}")
+        if value < smallest:
+            raise PeriluneError(f"{name} is too small", got=str(value), expected=f">= {smallest}")
+
+
+def _article(name: str) -> str:
+    return "an" if name[:1] in "AEIO" else "a"
+
+
+def _shown(value: Any) -> str:
+    return repr(value)[:60] if value is None or isinstance(value, (str, int, float)) else type(value).__name__

@@ -1,0 +1,118 @@
+"""What a newcomer to the Python side mistypes: refused in words, never by an error of Python or CasADi."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import perilune as pl
+from cho import cho_landing
+from command_line import ENVIRONMENT
+from perilune.models.bodies import MARS, MOON, Body
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.precision import precision_landing
+from perilune.problem.solution import Solution
+from perilune.words.outcome import PeriluneError
+
+LANDING = cho_landing()
+VEHICLE = Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0)
+ORBIT = Orbit(parking_altitude=100e3, perilune_altitude=15e3)
+# As who types it without a type checker.
+Loose: Any = pl
+Lander: Any = Vehicle
+hybrid_of: Any = hybrid_landing
+precision_of: Any = precision_landing
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda: Loose.solve(None), ("not a problem to solve", "None", "load_file")),
+        (lambda: Loose.solve("lander.toml"), ("not a problem to solve", "'lander.toml'", "load_file")),
+        (lambda: Loose.solve(LANDING, "direct"), ("not a method", "'direct'", "Pseudospectral()")),
+        (lambda: Loose.solve(LANDING, pl.Indirect), ("not a method", "the class Indirect, and not Indirect()")),
+        (lambda: Loose.solve(LANDING, level=9), ("no such level", "9", "0, 1, 2, 3 or 4")),
+        (lambda: Loose.solve(LANDING, level="3"), ("no such level", "'3'")),
+        (lambda: Loose.prove(LANDING, 3), ("not a solution to prove", "Problem", "Solution")),
+        (lambda: Loose.verify(None), ("not a solution to verify", "None")),
+        (lambda: Loose.save(LANDING, "nowhere"), ("not a solution to save", "Problem")),
+        (lambda: Loose.preflight(None), ("not a problem to compare",)),
+        (lambda: Loose.preflight(LANDING, {"thrust": [1.0]}), ("no parameter of this name", "vehicle_thrust")),
+        (lambda: Loose.sweep(None, {}), ("not a problem to sweep",)),
+        (lambda: Loose.sweep(LANDING, None), ("can be swept over", "None", "{name: values}")),
+        (lambda: Loose.sweep(LANDING, "vehicle.thrust"), ("can be swept over", "'vehicle.thrust'")),
+        (lambda: Loose.sweep(LANDING, {"vehicle.thrust": 440.0}), ("vehicle.thrust can be swept", "440", "a list")),
+        (lambda: Loose.sweep(LANDING, {"vehicle.thrst": [1.0]}), ("no parameter", "did you mean 'vehicle_thrust'")),
+        (lambda: Loose.sweep(LANDING, {"vehicle.thrust": [440.0]}, "direct"), ("not a method",)),
+        (lambda: hybrid_of(VEHICLE, None, ORBIT).with_given(vehicle_thrust="440 N"),
+         ("not a given value", "'440 N'", "parse_quantity")),
+        (lambda: Loose.Given(value="3 km", unit="m"), ("not a given value", "'3 km'")),
+        (lambda: Lander(mass="300 kg", thrust=440.0, specific_impulse=310.0),
+         ("vehicle.mass must be a number in SI", "'300 kg'", "scenario")),
+        (lambda: Lander(mass=None, thrust=440.0, specific_impulse=310.0), ("vehicle.mass must be a number", "None")),
+        (lambda: Lander(mas=300.0, thrust=440.0, specific_impulse=310.0), ("no field of Vehicle", "'mass'")),
+        (lambda: Lander(mass=300.0, thrust=440.0, isp=310.0), ("no field", "did you mean 'specific_impulse'")),
+        (lambda: Lander(mass=300.0, thrust=440.0), ("Vehicle.specific_impulse is missing", "310 s")),
+        (lambda: Lander(mass=1e308, thrust=440.0, specific_impulse=310.0), ("vehicle.mass is of no ordinary size",)),
+        (lambda: hybrid_of(None, None, None), ("not a Vehicle", "None")),
+        (lambda: hybrid_of(VEHICLE, None, ORBIT, "moon"), ("not a Body", "'moon'")),
+        (lambda: hybrid_of(VEHICLE, 1200.0, ORBIT), ("not a Retro", "1200")),
+        (lambda: precision_of(VEHICLE, ORBIT, None, None, (0.3, 0.9)), ("not an Approach", "Orbit")),
+        (lambda: pl.Indirect(starts=0), ("starts is too small", "0", ">= 1")),
+        (lambda: pl.Indirect(scan_points=1), ("scan_points is too small",)),
+        (lambda: Loose.Indirect(starts="many"), ("starts must be a whole number", "'many'")),
+        (lambda: Loose.Pseudospectral(nodes="few"), ("nodes must be a whole number",)),
+    ],
+)  # fmt: skip
+def test_a_slip_is_refused_in_words(ask: Callable[[], Any], words: tuple[str, ...]) -> None:
+    with pytest.raises(PeriluneError) as caught:
+        ask()
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_records_keep_their_signature() -> None:
+    assert list(inspect.signature(Vehicle).parameters) == [
+        "mass", "thrust", "specific_impulse", "standard_gravity", "dry_mass",
+    ]  # fmt: skip
+
+
+def test_a_misspelt_verb_is_offered_the_right_one() -> None:
+    program = "import perilune\nperilune.solv"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT)
+    assert "Did you mean: 'solve'?" in done.stderr
+    assert {"solve", "Curve", "Trajectory", "Pseudospectral"} <= set(dir(pl))
+
+
+def test_bodies_are_called_by_their_names() -> None:
+    def title(body: Body) -> str:
+        return hybrid_landing(VEHICLE, None, ORBIT, body).title
+
+    assert title(MOON).endswith("to the Moon")
+    own = Body(name="body", gravitational_parameter=4.9e12, radius=1.7e6, rotation_rate=0.0)
+    assert title(own).endswith("to the body")
+    assert title(MARS).endswith("to Mars, its air left out")
+
+
+def test_air_is_told_beside_every_answer_and_before() -> None:
+    at_mars = hybrid_landing(Vehicle(mass=300.0, thrust=1500.0, specific_impulse=310.0), None, ORBIT, MARS)
+    (air,) = [f for f in pl.preflight(at_mars) if "air" in f.name]
+    assert air.verdict == "warning" and "Mars has air" in air.meaning
+    assert not [f for f in pl.preflight(LANDING) if "air" in f.name]
+
+
+def test_a_retro_burn_that_is_no_record_is_not_taken_for_none() -> None:
+    with pytest.raises(PeriluneError, match="not a Retro"):
+        hybrid_of(VEHICLE, 0, ORBIT)
+    assert "retro_delta_v" in hybrid_landing(VEHICLE, Retro(specific_impulse=310.0), ORBIT).free_names
+
+
+def test_a_file_that_is_no_directory_is_named(hybrid: Solution, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(PeriluneError, match="is a file"):
+        pl.save(hybrid, tmp_path / "out")
