@@ -69,7 +69,7 @@ def tree(content: str, what: str) -> Any:
         raise PeriluneError(f"the {what} holds a number that is not finite", got=name, expected=expected, advice=_AGAIN)
 
     try:
-        return json.loads(content, object_pairs_hook=once, parse_constant=no_constant)
+        return json.loads(content, object_pairs_hook=once, parse_constant=no_constant, parse_int=_whole)
     except (ValueError, RecursionError) as error:
         if isinstance(error, PeriluneError):
             raise
@@ -77,6 +77,11 @@ def tree(content: str, what: str) -> Any:
             f"the {what} is not readable JSON", got=str(error)[:120], expected="JSON as this program writes it, whole",
             advice=_AGAIN,
         ) from None  # fmt: skip
+
+
+def _whole(digits: str) -> int | float:
+    """An integer; beyond all that are meant, a number like others, so that nothing overflows later."""
+    return int(digits) if len(digits) < 18 else float(digits)
 
 
 def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
