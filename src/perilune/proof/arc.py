@@ -13,8 +13,9 @@ from perilune.problem.controls import control_scales, normalised
 from perilune.problem.problem import Phase, Problem, borne_out
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Variable
+from perilune.proof.crossings import Crossing, Guarded
 from perilune.proof.numerics import COMPLEX, STEP, stacked
-from perilune.proof.pieces import BLOCK, POINTS, WEIGHTS, Pieces
+from perilune.proof.pieces import BLOCK, POINTS, WEIGHTS, Pieces, just_before
 from perilune.words.types import Matrix, Vector
 
 ON_BOUND = 1e-7  # a control this close to its bound, in canonical units, lies on it
@@ -22,11 +23,6 @@ ON_BOUND = 1e-7  # a control this close to its bound, in canonical units, lies o
 # still do is no error that is forgotten, but part of every difference that is reported.
 _SETTLED = 1e-13
 _HALVINGS, _MOST_OPEN = 60, 4000
-
-
-def just_before(t: Vector) -> Vector:
-    """Times at which a table still has the values from before a break at t."""
-    return np.nextafter(t, -np.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,16 +156,49 @@ class Arc:
         return time[1:][(np.diff(time) == 0) & (time[1:] < self.duration)]
 
     @cached_property
+    def cut(self) -> Pieces:
+        """The pieces on which all tables are cubics."""
+        return Pieces.between([curve.time for curve in self.curves], self.duration)
+
+    @cached_property
+    def crossings(self) -> tuple[Crossing, ...]:
+        """Where the flight crosses a kink or a jump of the physics."""
+        return self._guarded.crossings(self.cut)
+
+    @cached_property
+    def _guarded(self) -> Guarded:
+        return Guarded(
+            phase=self.phase, p=self.p, flown=self.trajectory, duration=self.duration, scale=self.state_scale
+        )
+
+    def answers(self, t: float) -> Vector:
+        """On which side of each of its guards the physics is at a time."""
+        return self._guarded.answers(t)
+
+    @cached_property
+    def ends(self) -> Vector:
+        """0 and the duration [s], but for one that lies on a kink of the physics, where rates have no side."""
+        return self._guarded.off(np.array([0.0, self.duration]))
+
+    @cached_property
+    def crossed(self) -> Vector:
+        """Times of the crossings [s]."""
+        return np.array([crossing.time for crossing in self.crossings])
+
+    @cached_property
     def edges(self) -> Vector:
-        """0, the breaks and the duration [s]."""
-        return np.array([0.0, *self.breaks, self.duration])
+        """0, the breaks and crossings, and the duration [s]."""
+        return np.array([0.0, *np.union1d(self.breaks, self.crossed), self.duration])
 
     @cached_property
     def jumps(self) -> Matrix:
-        """Change of each control component over each break, canonical; what is less than `ON_BOUND` is none."""
+        """Change of each control component over each break, canonical; what is less than `ON_BOUND` is none.
+
+        Nor is what jumps where the physics does: it is no switch, whose time is chosen.
+        """
         change = self.control(self.breaks) - self.control(just_before(self.breaks))
         change = change / self.control_scale[:, None]
-        return np.where(np.abs(change) > ON_BOUND, change, 0.0)
+        return np.where((np.abs(change) > ON_BOUND) & ~np.isin(self.breaks, self.crossed), change, 0.0)
 
     @property
     def curves(self) -> list[Curve]:
@@ -226,12 +255,12 @@ class Arc:
 
     @cached_property
     def looked_at(self) -> tuple[Pieces, Slopes, Vector]:
-        """The pieces on which all tables are cubics, halved until the integrals of all rates settle.
+        """The pieces, cut where the physics has a kink too, and halved until the integrals of all rates settle.
 
         With the rates there, and what is still open in their integrals: the differences between the pieces and their
         halves, added up, scaled, (rows,).
         """
-        pieces = Pieces.between([curve.time for curve in self.curves], self.duration)
+        pieces = Pieces.between([self.cut.left, self.crossed], self.duration)
         parts = [self._settled(pieces[k : k + BLOCK]) for k in range(0, len(pieces), BLOCK)]
         found = Pieces.joined([piece for part in parts for piece in part[0]])
         slopes = joined([rates for part in parts for rates in part[1]])

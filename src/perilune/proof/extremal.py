@@ -3,7 +3,8 @@
 With H = lam.f (running costs are states) and Phi = phi + nu.psi at each phase's end:
 
     lam' = -dH/dx,  H constant,  lam(t_f) = dPhi/dx  (or through the link to the next phase's lam(0)),
-    dJ/dp = dPhi/dp + lam(0).dx0/dp + sum over links + int lam.df/dp dt  = 0 for each free p,
+    dJ/dp = dPhi/dp + lam(0).dx0/dp + sum over links + nu.ds/dp over crossings of kinks (`crossings`)
+            + int lam.df/dp dt = 0 for each free p,
     u minimises H at each time.
 
 These are the conditions of arcs on which no path condition and no bound of a state is active. Where one is, it
@@ -29,7 +30,9 @@ from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.flight import Flight, costate_deviation
+from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
+from perilune.proof.pieces import just_before
 from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality
 from perilune.words.types import Matrix, Vector
 
@@ -161,7 +164,7 @@ def _multipliers(solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector
 
 
 def _hamiltonian_constant(arc: Arc) -> Check:
-    ends, inside = np.array([0.0, arc.duration]), arc.sampled
+    ends, inside = arc.ends, arc.sampled
     values = np.append(
         arc.hamiltonian(arc.state(ends), arc.control(ends), arc.costate(ends)),
         arc.hamiltonian(inside.x, inside.u, inside.lam),
@@ -191,12 +194,22 @@ def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> 
             total += slope(ahead, problem.links[arc.index](arc.phase.state_record(*end), stepped, COMPLEX))
         else:
             total += slope([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
+        total += sum(nu * slope([1.0], [s]) for nu, s in _guards(arc, stepped))
         inside = arc.sampled
         f = arc.rates(inside.x, inside.u, stepped)
         total += float((inside.lam * f.imag).sum(axis=0) @ inside.weights) / (STEP * unit)
         if arc.phase.duration == name:
             total += float((inside.lam * f.real).sum(axis=0) @ inside.weights) / arc.duration
     return total
+
+
+def _guards(arc: Arc, p: Any) -> Iterator[tuple[float, Any]]:
+    """At each crossing nu [J per unit of its guard], and the guard, complex-safe in the parameters p."""
+    for crossing in arc.crossings:
+        before = np.array([just_before(crossing.time)])
+        x, u, lam = arc.state(before), arc.control(before), arc.costate(before)[:, 0]
+        nu = crossing.multiplier(lam / arc.costate_scale) * arc.objective_scale / crossing.size
+        yield nu, watched_rates(arc.phase, x, u, p, crossing.before)[1][crossing.guard][0]
 
 
 def at_bound(solution: Solution, free: Free) -> tuple[bool, bool]:

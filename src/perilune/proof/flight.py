@@ -26,8 +26,9 @@ import numpy as np
 from perilune.problem.controls import directions
 from perilune.problem.problem import Phase
 from perilune.problem.solution import Curve, Solution
-from perilune.proof.arc import Arc, just_before
-from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics
+from perilune.proof.arc import Arc
+from perilune.proof.guards import watched_rates
+from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, just_before
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
@@ -125,8 +126,11 @@ def state_deviation(arc: Arc, start: Vector) -> Deviation:
     pieces, slopes, still = arc.looked_at
     n, unit = len(arc.state_scale), arc.state_scale[:, None, None]
     at, ends = (pieces.read(arc.trajectory.state, *shares) / unit for shares in ((), (ENDS,)))
-    first = start / arc.state_scale - ends[:, 0, 0]
-    return carried(pieces, at, ends, slopes.state, slopes.matrix, first, still[:n])
+    first, over = start / arc.state_scale - ends[:, 0, 0], {}
+    jumps = ends[:, :-1, 1] - ends[:, 1:, 0]
+    for crossing in arc.crossings:
+        over[np.searchsorted(pieces.left, crossing.time) - 1] = crossing.saltation
+    return carried(pieces, at, ends, slopes.state, slopes.matrix, Joints(first, jumps, over), still[:n])
 
 
 def costate_deviation(arc: Arc) -> Deviation:
@@ -136,11 +140,36 @@ def costate_deviation(arc: Arc) -> Deviation:
     curve = arc.trajectory.costate
     assert curve is not None, "asked for where there is one"
     at, ends = (pieces.read(curve, *shares) / unit for shares in ((), (ENDS,)))
-    return carried(pieces, at, ends, slopes.costate, -slopes.matrix.swapaxes(2, 3), np.zeros(n), still[n:])
+    jumps, over = ends[:, :-1, 1] - ends[:, 1:, 0], {}
+    for crossing in arc.crossings:
+        joint = np.searchsorted(pieces.left, crossing.time) - 1
+        over[joint] = crossing.adjoint
+        jumps[:, joint] = crossing.adjoint @ ends[:, joint, 1] - ends[:, joint + 1, 0]
+    joints = Joints(np.zeros(n), jumps, over)
+    return carried(pieces, at, ends, slopes.costate, -slopes.matrix.swapaxes(2, 3), joints, still[n:])
+
+
+@dataclass(frozen=True)
+class Joints:
+    """What happens between pieces.
+
+    Attributes
+    ----------
+    first
+        Deviation at the start, (n,).
+    jumps
+        What should follow less what the table says, at each joint, (n, N - 1).
+    over
+        By joint, the matrix by which a deviation passes where it is not the identity.
+    """
+
+    first: Vector
+    jumps: Matrix
+    over: dict[int, Matrix]
 
 
 def carried(
-    pieces: Pieces, at: Matrix, ends: Matrix, slopes: Matrix, matrix: Any, first: Vector, still: Vector
+    pieces: Pieces, at: Matrix, ends: Matrix, slopes: Matrix, matrix: Any, joints: Joints, still: Vector
 ) -> Deviation:
     """Newton's step of the collocation, from piece to piece.
 
@@ -152,8 +181,8 @@ def carried(
         The table at their points (n, N, 4), and at both ends (n, N, 2).
     slopes, matrix
         f (n, N, 4) and its derivatives (N, 4, n, n) on the table.
-    first
-        Deviation at the start (n,).
+    joints
+        What happens between the pieces.
     still
         What quadrature leaves open, (n,).
     """
@@ -168,13 +197,12 @@ def carried(
     bent = pieces.width[:, None, None, None] * WEIGHTS[:, None, None] * matrix
     over = over.T + np.einsum("nkij,njk->ni", bent, own)
     past = np.eye(n) + np.einsum("nkij,njkl->nil", bent, through)
-    jumped = ends[:, :-1, 1] - ends[:, 1:, 0]
-    starts, finals, d = np.empty((count, n)), np.empty((count, n)), first
+    starts, finals, d = np.empty((count, n)), np.empty((count, n)), joints.first
     for i in range(count):
         starts[i] = d
         finals[i] = d = past[i] @ d + over[i]
         if i + 1 < count:
-            d = d + jumped[:, i]
+            d = (joints.over[i] @ d if i in joints.over else d) + joints.jumps[:, i]
     inside = own + np.einsum("nikl,nl->nik", through, starts)
     return Deviation(
         inside=inside.transpose(1, 0, 2), ends=np.stack([starts.T, finals.T], axis=2), still_open=still,
@@ -199,17 +227,23 @@ def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]
 def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
     """The end of SciPy's flight [SI], and the largest difference to the table at its steps, scaled; both (n,).
 
-    The integrator starts anew at each break of the control; NaN where it gives up.
+    The integrator starts anew at each break of the control and each kink of the physics; NaN where it gives up.
     """
     from scipy.integrate import solve_ivp
 
     phase, p, x, scale = arc.phase, arc.p, x0, arc.state_scale
     apart = np.zeros(len(x0))
-    for (left, right), piece in zip(pairwise(arc.edges), smooth_pieces(arc.trajectory.control), strict=False):
-        control = exported_control(phase, piece)
+    controls = smooth_pieces(arc.trajectory.control)
+    for left, right in pairwise(arc.edges):
+        control = exported_control(phase, controls[int(np.searchsorted(arc.breaks, left, side="right"))])
 
-        def rates(t: float, x: Vector, control: Any = control) -> Any:
-            return phase.rates(x.tolist(), control(t), p)
+        held = arc.answers(0.5 * (left + right))
+
+        def rates(t: float, x: Vector, control: Any = control, held: Vector = held) -> Any:
+            if not len(held):
+                return phase.rates(x.tolist(), control(t), p)
+            # From kink to kink on its own side, which goes on smoothly where a step looks beyond.
+            return watched_rates(phase, x, np.array(control(t)), p, held)[0].real
 
         with np.errstate(all="ignore"):
             flown = solve_ivp(rates, (left, right), x, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,11 @@ def _gauss(count: int) -> tuple[Vector, Vector, Matrix]:
 POINTS, WEIGHTS, UP_TO = _gauss(4)
 ENDS = np.array([0.0, 1.0])
 BLOCK = 400  # pieces worked on at a time: their numbers stay in the processor's cache
+
+
+def just_before(t: Any) -> Any:
+    """Times at which a table still has the values from before a break at t."""
+    return np.nextafter(t, -np.inf)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ d2J is the Hessian of the Lagrangian of the finite-dimensional problem in switch
 positivity on the critical cone is sufficient together with the strict conditions of `switching`. Where the end
 conditions leave no variation at all, these suffice alone, and kappa is 0.
 
+Where the flight crosses a jump of the physics, s(x) = 0, the time of that joins p as well, without a curvature of its
+own: s = 0 there is one more condition to be kept, and nu s of `crossings` one more term of the Lagrangian.
+
 On which side of 1 kappa lies does not depend on how time is normalised; how far from it does, where u varies.
 
 The form is discretised on equal steps with a constant control each (implicit midpoint rule); a direction moves in
@@ -40,7 +43,9 @@ from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import INSIDE, at_bound, end_multipliers, end_sides
+from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
+from perilune.proof.pieces import just_before
 from perilune.proof.switching import control_rates, crossings, on_bounds, strictness, tangents
 from perilune.words.types import Matrix, Vector
 
@@ -105,20 +110,21 @@ def _tangled(arc: Arc) -> bool:
 
 
 def _pieces(arcs: Sequence[Arc], names: Sequence[str]) -> list[_Piece]:
-    """All arcs from break to break, with `names` and the switching times as parameters."""
+    """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters."""
     switches = {
-        (arc.index, k): f"{arc.phase.name} switch {k + 1}"
+        (arc.index, float(arc.breaks[k])): float(crossings(arc)[k])
         for arc in arcs
-        for k in np.nonzero(arc.jumps.any(axis=0))[0].tolist()
+        for k in np.nonzero(arc.jumps.any(axis=0))[0]
     }
-    times = {name: float(arcs[i].breaks[k]) for (i, k), name in switches.items()}
-    curvature = [float(crossings(arcs[i])[k]) for i, k in switches]
-    p = SimpleNamespace(**vars(arcs[0].p), **times)
+    met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
+    times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
+    p = SimpleNamespace(**vars(arcs[0].p), **{name: time for (_, time), name in times.items()})
     found = []
     for arc in arcs:
-        inside = [switches.get((arc.index, k), float(time)) for k, time in enumerate(arc.breaks)]
-        edges = [0.0, *inside, arc.phase.duration]
-        found += [_Piece(arc, p, (*names, *times), curvature, k, edges[k : k + 2]) for k in range(len(edges) - 1)]
+        edges = [0.0, *(times.get((arc.index, t), t) for t in arc.edges[1:-1].tolist()), arc.phase.duration]
+        for k in range(len(edges) - 1):
+            varied = (*names, *times.values())
+            found.append(_Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2]))
     return found
 
 
@@ -128,7 +134,7 @@ class _Piece:
     Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
     the length times H; d counts states, the parameters `names` and the tangent directions of the control that may
     vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
-    numbers, or names of parameters.
+    numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do.
     """
 
     def __init__(
@@ -141,8 +147,9 @@ class _Piece:
         edges: Sequence[str | float],
     ) -> None:
         self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
-        self.first, self.last = index == 0, index == len(arc.breaks)
+        self.first, self.last = index == 0, index == len(arc.edges) - 2
         left, right = arc.edges[index : index + 2]
+        self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
         self.steps = max(FEWEST, round(STEPS * (right - left) / arc.duration))
         t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
         x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
@@ -284,8 +291,8 @@ def _form(pieces: Sequence[_Piece]) -> tuple[Matrix, Matrix, int]:
         at += k * piece.steps
         weighted = step * piece.W.transpose(2, 0, 1) @ path
         form += path.reshape(-1, columns).T @ weighted.reshape(-1, columns)
-        if piece.last:
-            rows, curved = _finish(piece, dx, parameters)
+        for close in ([_cross] if piece.crossing else []) + ([_finish] if piece.last else []):
+            rows, curved = close(piece, dx, parameters)
             form += curved
             constraints.append(rows)
     return 0.5 * (form + form.T), np.vstack(constraints), m - len(curvature)
@@ -330,6 +337,22 @@ def _begin(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matri
 
     first, second = _curved(piece, weighted, x, scale, moves)
     return first[1:] / arc.state_scale[:, None], second
+
+
+def _cross(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+    """The linearised condition s = 0 at the end of a piece (scaled), and the second derivative of nu s."""
+    arc, met = piece.arc, piece.crossing
+    assert met is not None, "asked for where there is one"
+    before = np.array([just_before(met.time)])
+    x, u, lam = arc.state(before)[:, 0], arc.control(before), arc.costate(before)[:, 0]
+    nu = met.multiplier(lam / arc.costate_scale)
+
+    def values(z: Any, p: Any) -> list[Any]:
+        s = watched_rates(arc.phase, z, u.reshape(-1, *(1,) * (z.ndim - 1)), p, met.before)[1][met.guard] / met.size
+        return [nu * s, s]
+
+    first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
+    return first[1:], second
 
 
 def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:

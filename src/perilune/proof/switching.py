@@ -24,8 +24,9 @@ import numpy as np
 
 from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars
 from perilune.problem.verification import Check
-from perilune.proof.arc import ON_BOUND, Arc, just_before
+from perilune.proof.arc import ON_BOUND, Arc
 from perilune.proof.numerics import STEP, jacobian
+from perilune.proof.pieces import just_before
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.
@@ -199,8 +200,9 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
 
 
 def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix]:
-    """Times inside all pieces, at both ends of the phase and on both sides of breaks; control and gradient there."""
-    t = np.concatenate([[0.0], just_before(arc.breaks), arc.breaks, [arc.duration]])
+    """Times inside all pieces, at its ends and on both sides of breaks; control and gradient there."""
+    breaks = np.setdiff1d(arc.breaks, arc.crossed)
+    t = np.concatenate([just_before(breaks), breaks, arc.ends])
     inside = arc.sampled
     x, u, lam = (
         np.hstack([inside_, at(t)])

@@ -116,7 +116,10 @@ class Table:
 
     def __call__(self, value: Any) -> Any:
         """Values at numbers or arrays, real or complex."""
-        i = np.searchsorted(self.x, np.real(value), side="right")
+        return self.piece(np.searchsorted(self.x, np.real(value), side="right"), value)
+
+    def piece(self, i: Any, value: Any) -> Any:
+        """Values of its pieces i, wherever the numbers lie; piece 0 lies before the first knot."""
         return _horner(self.pieces[:, i], value - self.knots[i])
 
     @property

@@ -1,0 +1,237 @@
+"""Where a flight crosses a kink or a jump of the physics, and what crosses with it.
+
+At a zero of a guard s(x) the rates change from f- to f+. A neighbouring flight crosses at another time, so that a
+deviation d of the state, and the costate, pass by
+
+    d+ = S d-,   lam- = S' lam+,   S = I + (f+ - f-) s_x' / (s_x f-),
+
+which is to say lam- - lam+ = nu s_x with nu = (f+ - f-).lam- / (s_x f+), and H is the same on both sides. That holds
+where the crossing is transversal: s_x f- and s_x f+ of one sign. For a flight that slides along s = 0, that leaves a
+corner of two guards, or whose guard a control moves, S is not a number here, and every check that needs it fails.
+Source: Bryson and Ho (1975), section 3.7; Leine and Nijmeijer (2004), section 7.1 (saltation matrix).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.controls import normalised
+from perilune.problem.problem import Phase
+from perilune.problem.solution import Trajectory
+from perilune.proof.guards import watched_rates
+from perilune.proof.numerics import jacobian
+from perilune.proof.pieces import Pieces, just_before, polynomial, through, turns
+from perilune.words.types import Matrix, Vector
+
+# A guard this close to zero, in canonical units of the state, vanishes: by so much a table may differ from the flight.
+_SMALL = 3e-10
+_SAME = 1e-11  # of the duration: crossings that lie closer are one
+_CONTINUOUS = 1e-12  # rates that change less, against their size, do not
+_SECTIONS, _ROUNDS = 16, 14  # 16^14 is beyond the digits of a number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crossing:
+    """One crossing. Vectors are scaled: states by their canonical units, rates per second.
+
+    Attributes
+    ----------
+    time
+        In the phase [s].
+    guard
+        Number of a guard that vanishes there.
+    before, after
+        Answers of all guards on either side.
+    size
+        Of ds/dx: its largest component [unit of s per canonical unit of a state].
+    normal
+        ds/dx over `size`, (n,).
+    jump
+        f+ - f-, (n,); exactly 0 where the rates are continuous.
+    speeds
+        How fast s changes before and after, over `size`; NaN where the crossing is none that is understood.
+    """
+
+    time: float
+    guard: int
+    before: Vector
+    after: Vector
+    size: float
+    normal: Vector
+    jump: Vector
+    speeds: tuple[float, float]
+
+    @cached_property
+    def saltation(self) -> Matrix:
+        """S: how a deviation of the state passes, (n, n)."""
+        return np.eye(len(self.jump)) + np.outer(self.jump, self.normal) / self.speeds[0]
+
+    @cached_property
+    def adjoint(self) -> Matrix:
+        """How a costate passes, (n, n)."""
+        return np.eye(len(self.jump)) - np.outer(self.normal, self.jump) / self.speeds[1]
+
+    def multiplier(self, lam: Vector) -> float:
+        """nu over `size` for the costate before, (n,)."""
+        return float(self.jump @ lam / self.speeds[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guarded:
+    """Guards along the tables of one phase.
+
+    Attributes
+    ----------
+    phase, p, flown, duration
+        The phase, its parameters, tables and length [s].
+    scale
+        Canonical units of the states [SI], (n,).
+    """
+
+    phase: Phase
+    p: Any
+    flown: Trajectory
+    duration: float
+    scale: Vector
+
+    def state(self, t: Vector) -> Matrix:
+        """States (n, times)."""
+        return self.flown.state.extended(t).T
+
+    def control(self, t: Vector) -> Matrix:
+        """Controls (components, times)."""
+        return normalised(self.phase.controls, self.flown.control.extended(t).T)
+
+    def guards(self, x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
+        """Values and answers of all guards, (guards, ...)."""
+        _, differences, answers = watched_rates(self.phase, x, u, self.p)
+        return differences.real, answers
+
+    def answers(self, t: float) -> Vector:
+        """Answers of all guards at a time, (guards,)."""
+        if not self.count:
+            return np.zeros(0, dtype=bool)
+        at = np.array([t])
+        return self.guards(self.state(at), self.control(at))[1][:, 0]
+
+    def along(self, t: Vector, guard: int) -> Vector:
+        """One guard at times."""
+        return self.guards(self.state(t), self.control(t))[0][guard]
+
+    @cached_property
+    def count(self) -> int:
+        """How many guards there are."""
+        start = np.zeros(1)
+        return len(self.guards(self.state(start), self.control(start))[0])
+
+    def off(self, t: Vector) -> Vector:
+        """Those of some times at which no guard is zero."""
+        values = self.guards(self.state(t), self.control(t))[0] if self.count else np.zeros((0, len(t)))
+        small = [[self._small(time, guard) for time in t.tolist()] for guard in range(self.count)]
+        return t[(np.abs(values) > np.array(small).reshape(values.shape)).all(axis=0)]
+
+    def crossings(self, pieces: Pieces) -> tuple[Crossing, ...]:
+        """All crossings in order, found inside every piece of the tables."""
+        if not self.count:
+            return ()
+        u = normalised(self.phase.controls, pieces.read(self.flown.control))
+        inside, _ = self.guards(pieces.read(self.flown.state), u)
+        found = sorted(
+            (time, guard, low, high)
+            for guard, values in enumerate(inside)
+            for low, high in self._brackets(pieces, values, guard)
+            for time in self._located(low, high, guard)
+        )
+        groups: list[list[tuple[float, int, float, float]]] = []
+        for entry in found:
+            if groups and entry[0] - groups[-1][0][0] <= _SAME * self.duration:
+                groups[-1].append(entry)
+            else:
+                groups.append([entry])
+        return tuple(self._crossing(group) for group in groups)
+
+    def _brackets(self, pieces: Pieces, values: Matrix, guard: int) -> Iterator[tuple[float, float]]:
+        """Neighbouring times between which a guard changes its sign; where the cubic through it turns is one too."""
+        times, fit = pieces.times(), through(values)
+        shares = turns(fit)
+        at, which = np.nonzero((polynomial(fit[:, None], shares) > 0) != (values[:, :1] > 0))
+        if len(at):
+            dips = pieces.left[at] + pieces.width[at] * shares[at, which]
+            times, values = np.append(times, dips), np.append(values, self.along(dips, guard))
+        order = np.argsort(times, axis=None, kind="stable")
+        times, values = times.ravel()[order], values.ravel()[order]
+        changed = np.nonzero((values[1:] > 0) != (values[:-1] > 0))[0]
+        if len(changed):
+            # What is zero but for rounding is on no side.
+            clear = np.abs(values) > self._small(float(times[changed[0]]), guard)
+            times, above = times[clear], values[clear] > 0
+            for k in np.nonzero(above[1:] != above[:-1])[0]:
+                yield float(times[k]), float(times[k + 1])
+
+    def _located(self, low: float, high: float, guard: int) -> Iterator[float]:
+        """The time of a change of sign: a break of the tables that it belongs to, or the zero itself."""
+        for curve in (self.flown.state, self.flown.control):
+            breaks = curve.time[1:][np.diff(curve.time) == 0]
+            for time in breaks[(breaks > low) & (breaks < high)]:
+                before, after = self.along(np.array([just_before(time), time]), guard)
+                if min(abs(before), abs(after)) <= self._small(float(time), guard):
+                    yield float(time)
+                    return
+                if (before > 0) != (after > 0):
+                    return  # the control jumps, and the guard with it: it chooses at a time of its own
+        for _ in range(_ROUNDS):
+            t = np.linspace(low, high, _SECTIONS + 1)
+            above = self.along(t, guard) > 0
+            k = max(int(np.argmax(above != above[0])), 1)
+            low, high = t[k - 1], t[k]
+        yield float(high)
+
+    def _gradient(self, time: float, guard: int) -> tuple[Vector, Vector]:
+        """ds/dx by canonical units of the states, and ds/du."""
+        x, u = (at(np.array([time])) for at in (self.state, self.control))
+
+        def along(z: Any) -> Any:
+            return watched_rates(self.phase, z[: len(x)], z[len(x) :], self.p)[1][guard][None]
+
+        slopes = jacobian(along, np.concatenate([x, u]), np.append(self.scale, np.ones(len(u))))[0, :, 0]
+        return slopes[: len(x)], slopes[len(x) :]
+
+    def _small(self, time: float, guard: int) -> float:
+        """Values of a guard that are none."""
+        return float(_SMALL * np.abs(self._gradient(time, guard)[0]).max())
+
+    def _crossing(self, group: list[tuple[float, int, float, float]]) -> Crossing:
+        """What crosses at the zero of one guard, or of several at the same time."""
+        time, guard, *_ = group[0]
+        sides = np.array([just_before(time), time])
+        x, u = self.state(sides), self.control(sides)
+        before, after = (self.guards(x, u)[1][:, k].copy() for k in (0, 1))
+        for _, other, *ends in group:
+            t = np.array(ends)
+            before[other], after[other] = self.guards(self.state(t), self.control(t))[1][other]
+        rates = [
+            watched_rates(self.phase, x[:, k : k + 1], u[:, k : k + 1], self.p, held)[0].real[:, 0] / self.scale
+            for k, held in ((0, before), (1, after))
+        ]
+        jump = rates[1] - rates[0]
+        if np.abs(jump).max() <= _CONTINUOUS * np.abs(rates).max():
+            jump[:] = 0.0
+        gradients = [self._gradient(time, other) for _, other, *_ in group]
+        normals = [slope / np.abs(slope).max() for slope, _ in gradients]
+        speeds = float(normals[0] @ rates[0]), float(normals[0] @ rates[1])
+        # Parallel vectors have no cross products.
+        corner = any(np.abs(np.outer(n, normals[0]) - np.outer(normals[0], n)).max() > 1e-9 for n in normals[1:])
+        by_control = any(by_u.any() for _, by_u in gradients)
+        if not jump.any():
+            speeds = 1.0, 1.0
+        elif corner or by_control or not speeds[0] * speeds[1] > 0:
+            speeds = np.nan, np.nan
+        return Crossing(
+            time=time, guard=guard, before=before, after=after, size=float(np.abs(gradients[0][0]).max()),
+            normal=normals[0], jump=jump, speeds=speeds,
+        )  # fmt: skip

@@ -1,0 +1,292 @@
+"""Kinks and jumps of the physics: the proof finds them by itself, crosses them, and knows when it cannot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import perilune as pl
+from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.proof.arc import Arc
+from perilune.proof.extremal import end_multipliers, parameter_gradient
+from perilune.proof.guards import watched_rates
+from perilune.words.maths import NUMERIC
+from test_control_law import given, variables
+from test_language import layered, refraction
+
+STEP = pl.Table((0.0, 0.3, 1.0), (0.0, 0.0, 0.7), "linear")
+# The same kink at x = 30 m of a slope that rises from there, in four ways of writing it, and a jump.
+SLOPES: dict[str, Any] = {
+    "jump": lambda x, p, m: m.where(x.x > p.xs, p.k, 0 * p.k),
+    "where": lambda x, p, m: m.where(x.x > p.xs, p.k * (x.x - p.xs) / p.L, 0 * p.k),
+    "fmax": lambda x, p, m: m.fmax(p.k * (x.x - p.xs) / p.L, 0 * p.k),
+    "fabs": lambda x, p, m: 0.5 * p.k * (x.x - p.xs + m.fabs(x.x - p.xs)) / p.L,
+    "linear": lambda x, p, m: p.k * m.table(STEP, x.x / p.L),
+}
+
+
+def push(slope: Any) -> pl.Problem:
+    """From rest to rest over 100 m in 20 s with the least int a^2/2, up a slope that begins at 30 m."""
+    phase = pl.Phase(
+        name="push",
+        states=variables(x="m", v="m/s", e="m^2/s^3"),
+        controls=(pl.Bounded(name="a", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.a - slope(x, p, m), u.a**2 / 2),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.L, x.v),
+        end_conditions=variables(place="m", stop="m/s"),
+        typical_end=lambda p, m: (p.L, 0.0, 1.0),
+    )
+    return pl.Problem(
+        name="push", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0),
+        given=given(T=(20.0, "s"), L=(100.0, "m"), xs=(30.0, "m"), k=(0.3, "m/s^2")),
+        objective=lambda x, p, m: x.e, objective_unit="m^2/s^3", scales=pl.Scales(length=100.0, time=10.0, mass=1.0),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def jump() -> Solution:
+    return pl.solve(push(SLOPES["jump"]))
+
+
+def arc_of(solution: Solution) -> Arc:
+    return Arc(solution=solution, index=0)
+
+
+# --- right answers
+
+
+@pytest.mark.parametrize("kind", list(SLOPES))
+def test_an_answer_across_a_kink_is_proved(kind: str) -> None:
+    solution = pl.solve(push(SLOPES[kind]))
+    assert solution.outcome is pl.Outcome.PROVED, str(solution.verification)
+    assert solution.verification.level == 3
+    assert len(arc_of(solution).crossings) == 1
+    if kind == "jump":
+        assert solution.objective == pytest.approx(by_hand(), rel=1e-9)
+    else:
+        assert solution.objective == pytest.approx(6.28570121266, abs=1e-10)
+
+
+def by_hand() -> float:
+    """Two arcs of cubic splines, the speed and time at the jump chosen by Nelder and Mead's method."""
+    from scipy.optimize import minimize
+
+    def energy(d: float, a: float, b: float, T: float) -> float:
+        return 6 * d * d / T**3 - 6 * d * (a + b) / T**2 + 2 * (a * a + a * b + b * b) / T
+
+    k = 0.3
+
+    def total(z: Any) -> float:
+        # Uphill (a - k)^2 / 2 is what counts: a^2/2 = b^2/2 + k b + k^2/2 with b = v'.
+        w, t = z
+        return energy(30.0, 0.0, w, t) + energy(70.0, w, 0.0, 20.0 - t) - k * w + k * k * (20.0 - t) / 2
+
+    starts = [(w, t) for w in (3.0, 6.0, 9.0) for t in (5.0, 8.0, 11.0)]
+    options = {"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000}
+    return float(min(minimize(total, s, method="Nelder-Mead", options=options).fun for s in starts))
+
+
+@pytest.mark.parametrize("slow", [0.5, 0.9, 1.5])
+def test_refracted_light_is_proved(slow: float) -> None:
+    assert pl.solve(refraction(slow)).verification.level == 3
+
+
+@pytest.mark.parametrize("kind", ["where", "table"])
+def test_a_fall_through_layers_is_proved(kind: str) -> None:
+    assert pl.solve(layered(kind)).verification.level == 3
+
+
+def test_a_loaded_problem_is_proved_the_same(jump: Solution, tmp_path: Any) -> None:
+    """Its physics are expressions, whose comparisons are found likewise."""
+    pl.save(jump, tmp_path / "push")
+    loaded = pl.load(tmp_path / "push")
+    again = pl.verify(loaded, level=3)
+    assert again.level == 3
+    assert "expressions" in again.text
+    assert arc_of(loaded).crossings[0].time == arc_of(jump).crossings[0].time
+
+
+# --- what crosses
+
+
+def test_a_deviation_crosses_by_the_saltation_matrix(jump: Solution) -> None:
+    """Against two neighbouring flights by SciPy with an event at the jump, the control as in the tables."""
+    arc = arc_of(jump)
+    (crossing,) = arc.crossings
+    t0, t1 = crossing.time - 0.5, crossing.time + 0.5
+    k = jump.problem.given["k"].value
+
+    def flown(d: np.ndarray) -> np.ndarray:
+        x, t = arc.state(np.array([t0]))[:, 0] + d, t0
+
+        def event(t: float, x: np.ndarray) -> float:
+            return x[0] - 30.0
+
+        event.terminal = True  # type: ignore[attr-defined]
+        for up in (0.0, k):
+
+            def rates(t: float, x: np.ndarray, up: float = up) -> list[float]:
+                a = float(arc.control(np.array([t]))[0, 0])
+                return [x[1], a - up, 0.5 * a * a]
+
+            out = solve_ivp(
+                rates, (t, t1), x, method="DOP853", rtol=1e-11, atol=1e-12, events=event if up == 0 else None
+            )
+            x, t = out.y[:, -1], out.t[-1]
+        return x
+
+    h = 1e-3
+    numeric = np.column_stack([(flown(h * e) - flown(-h * e)) / (2 * h) for e in np.eye(3)])
+    smooth = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    scale = np.diag(arc.state_scale)
+    S = scale @ crossing.saltation @ np.linalg.inv(scale)
+    assert numeric == pytest.approx(smooth @ S @ smooth, abs=1e-5)
+    assert abs(S[1, 0]) > 0.01
+    assert crossing.adjoint == pytest.approx(np.linalg.inv(crossing.saltation).T, abs=1e-13)
+
+
+def test_the_optimum_changes_with_the_place_of_the_jump_as_the_multiplier_says(jump: Solution) -> None:
+    """dJ/dxs through the guard alone, against problems solved with the slope a little further on."""
+    arc = arc_of(jump)
+    slope = parameter_gradient([arc], [end_multipliers(arc)[0]], "xs")
+    ahead, behind = (pl.solve(push(SLOPES["jump"]).with_given(xs=30.0 + h), level=0).objective for h in (0.01, -0.01))
+    assert slope == pytest.approx((ahead - behind) / 0.02, rel=1e-5)
+    assert abs(slope) > 1e-2
+
+
+def test_a_guard_is_held_on_either_side() -> None:
+    phase = push(SLOPES["fmax"]).phases[0]
+    p = push(SLOPES["fmax"]).parameters({})
+    x, u = np.array([[20.0, 40.0], [1.0, 1.0], [0.0, 0.0]]), np.zeros((1, 2))
+    f, s, answers = watched_rates(phase, x, u, p)
+    assert s.real[0] == pytest.approx([-0.03, 0.03])
+    assert answers.tolist() == [[False, True]]
+    assert f.real[1] == pytest.approx([0.0, -0.03])
+    assert watched_rates(phase, x, u, p, held=[True])[0].real[1] == pytest.approx([0.03, -0.03])
+    assert watched_rates(phase, x, u, p, held=[False])[0].real[1] == pytest.approx([0.0, 0.0])
+
+
+@pytest.mark.parametrize("kind", ["smooth", "monotone", "linear"])
+def test_watched_tables_and_functions_are_what_they_are_unwatched(kind: Any) -> None:
+    table = pl.Table((0.0, 1.0, 2.0, 4.0), (1.0, 3.0, 3.5, 3.6), kind)
+    phase = pl.Phase(
+        name="a", states=variables(x="1", y="1"), duration="T",
+        dynamics=lambda x, u, p, m: (
+            m.table(table, x.x) + m.atan2(x.y, 2.0 + x.x) * m.fmin(x.x, x.y) - abs(x.y) ** 2 / m.fabs(x.y - 3.0),
+            2.0 * m.where(p.c <= x.x, m.sin(x.x), -x.y) - m.fmax(1.0, x.x),
+        ),
+    )  # fmt: skip
+    p = type("P", (), {"c": 1.5})
+    rng = np.random.default_rng(0)
+    x, u = rng.uniform(-1, 5, (2, 50)), np.zeros((0, 50))
+    found, differences, _ = watched_rates(phase, x, u, p)
+    assert found.real == pytest.approx(np.array(phase.rates(x, u, p, NUMERIC)), abs=1e-14)
+    assert len(differences) == {"smooth": 2, "monotone": 4, "linear": 4}[kind] + 5
+
+
+# --- wrong ones
+
+
+def test_costates_that_do_not_jump_fail(jump: Solution) -> None:
+    flown = jump.trajectories[0]
+    assert flown.costate is not None
+    (k,) = np.nonzero(np.diff(flown.costate.time) == 0)[0]
+    change = flown.costate.values[k] - flown.costate.values[k + 1]
+    assert abs(change[0]) > 1e-3
+    values = flown.costate.values.copy()
+    values[k + 1 :] += change
+    same = replace(flown, costate=replace(flown.costate, values=values))
+    names = {c.name for c in pl.verify(replace(jump, trajectories=(same,)), level=2).failed}
+    assert {"costate_x", "hamiltonian_constant"} <= names
+
+
+@pytest.mark.parametrize("late", [1e-5, -1e-5])
+def test_a_break_of_the_tables_away_from_the_jump_fails(jump: Solution, late: float) -> None:
+    def moved(curve: Curve) -> Curve:
+        time = curve.time.copy()
+        (k,) = np.nonzero(np.diff(time) == 0)[0]
+        time[k : k + 2] += late
+        return replace(curve, time=time)
+
+    flown = jump.trajectories[0]
+    assert flown.costate is not None
+    wrong = replace(flown, state=moved(flown.state), costate=moved(flown.costate), control=moved(flown.control))
+    names = {c.name for c in pl.verify(replace(jump, trajectories=(wrong,)), level=2).failed}
+    assert {"state_x", "costate_x"} <= names
+
+
+def lens(radius: float) -> Solution:
+    """Light along the axis of a lens: from (-1, 0) to (1, 0), the glass (speed 1/2) behind x = y^2/(2 R).
+
+    Fermat's time over the height at which it crosses is 3 + (3 - 1/R) y^2/2: the least for R > 1/3, and for less a
+    better ray lies beside it.
+    """
+    phase = pl.Phase(
+        name="ray",
+        states=variables(x="m", y="m"),
+        controls=(pl.Direction(names=("cx", "cy")),),
+        dynamics=lambda x, u, p, m: tuple(
+            m.where(x.x > 0.5 * x.y * x.y / p.R, p.slow, p.fast) * c for c in (u.cx, u.cy)
+        ),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far, x.y),
+        end_conditions=variables(across="m", height="m"),
+    )
+    problem = pl.Problem(
+        name="lens", phases=(phase,), start=lambda p, m: (-p.far, 0.0),
+        given=given(fast=(1.0, "m/s"), slow=(0.5, "m/s"), far=(1.0, "m"), R=(radius, "m")),
+        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
+        objective=lambda x, p, m: p.T, objective_unit="s",
+    )  # fmt: skip
+    t = np.array([0.0, 0.5, 1.0, 1.0, 2.0, 3.0])
+    after = np.arange(6) > 2
+    speed, zero = np.where(after, 0.5, 1.0), np.zeros(6)
+    state = Curve(
+        time=t, values=np.column_stack([np.where(after, 0.5 * (t - 1), t - 1), zero]),
+        rates=np.column_stack([speed, zero]),
+    )  # fmt: skip
+    costate = Curve(time=t, values=np.column_stack([-1 / speed, zero]), rates=np.zeros((6, 2)))
+    control = Curve(time=t, values=np.column_stack([zero + 1, zero]), rates=np.zeros((6, 2)))
+    return Solution(
+        problem=problem, method="closed form", outcome=pl.Outcome.SOLVED, objective=3.0, free={"T": 3.0},
+        trajectories=(Trajectory(phase="ray", state=state, control=control, costate=costate),),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("radius", [0.2, 0.32, 0.33, 0.336, 0.35, 1.0, 1e3, -1.0])
+def test_a_ray_through_a_lens_is_the_fastest_until_its_focus(radius: float) -> None:
+    checks = {c.name: c for c in pl.verify(lens(radius), level=3, resolve=lambda problem, guess: guess).checks}
+    assert all(c.passed for c in checks.values() if c.level <= 2), [c for c in checks.values() if not c.passed]
+    assert checks["conjugate_point"].passed == (radius < 0 or radius > 1 / 3)
+
+
+def slide(start: float) -> Solution:
+    """x' = -sign(x): from `start` to 0, and then along it, claimed to stay there with x = 0."""
+    phase = pl.Phase(
+        name="slide", states=variables(x="m"), duration="T",
+        dynamics=lambda x, u, p, m: (m.where(x.x > 0 * p.one, -p.rate, p.rate),),
+    )  # fmt: skip
+    problem = pl.Problem(
+        name="slide", phases=(phase,), start=lambda p, m: (p.x0,), objective=lambda x, p, m: x.x, objective_unit="m",
+        given=given(T=(2.0, "s"), one=(1.0, "m"), rate=(1.0, "m/s"), x0=(start, "m")),
+    )  # fmt: skip
+    t, x = np.array([0.0, 1.0, 1.0, 2.0]), np.array([start, start - 1.0, start - 1.0, start - 2.0])
+    state = Curve(time=t, values=x[:, None], rates=np.full((4, 1), -1.0))
+    empty = Curve(time=t, values=np.zeros((4, 0)), rates=np.zeros((4, 0)))
+    return Solution(
+        problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=float(x[-1]), free={},
+        trajectories=(Trajectory(phase="slide", state=state, control=empty),),
+    )  # fmt: skip
+
+
+def test_a_flight_that_would_have_to_slide_is_not_proved() -> None:
+    assert pl.verify(slide(3.0), level=1).passed
+    verification = pl.verify(slide(1.0), level=1)
+    assert "state_x" in {c.name for c in verification.failed}
+    assert math.isnan(next(c.value for c in verification.checks if c.name == "state_x"))
