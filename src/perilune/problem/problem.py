@@ -271,12 +271,12 @@ class Problem:
     def reached_sizes(self, phase: Phase, reached: Vector) -> Vector:
         """By what errors of the states of a flight are judged [SI], from the largest absolute values that they reach.
 
-        That is their canonical units, but where a state has a scale of its own, what it reaches: so an answer is judged
-        alike whatever scale it was computed with. One that stays near zero is not smaller than a thousandth of it.
+        That is what they reach, and at least their canonical units; or, where a state has a scale of its own, a
+        thousandth of that: so an answer is judged alike whatever scale it was computed with.
         """
         units = (self.scales.of(v.unit) for v in phase.states)
         return np.array([
-            unit if v.scale is None else max(most, borne_out(v.scale, unit, most) / _BEYOND)
+            max(most, unit if v.scale is None else borne_out(v.scale, unit, most) / _BEYOND)
             for v, unit, most in zip(phase.states, units, reached.tolist(), strict=True)
         ])  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from perilune.problem.problem import Phase, Problem, borne_out
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Variable
 from perilune.proof.crossings import Crossing, Guarded
-from perilune.proof.numerics import COMPLEX, STEP, stacked
+from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
 from perilune.proof.pieces import BLOCK, POINTS, WEIGHTS, Pieces, just_before
 from perilune.words.types import Matrix, Vector
 
@@ -291,8 +291,25 @@ class Arc:
 
 
 def objective_scale(solution: Solution) -> float:
-    """Size of J [SI]: its canonical unit; with a scale of its own at least what it is."""
+    """Size of J [SI]: what it is, and at least its canonical unit or the scale of its own."""
     problem, reached = solution.problem, abs(solution.objective)
     if problem.objective_scale is None:
-        return problem.objective_size
+        return max(reached, problem.objective_size)
     return max(reached, borne_out(problem.objective_scale, problem.scales.of(problem.objective_unit), reached))
+
+
+def slopes_at_end(arc: Arc, function: Callable[[Any], Any]) -> Matrix:
+    """Derivatives (values, n) of a function of the states at the end of the phase, a change by their sizes."""
+    x = arc.state(np.array([arc.duration]))
+    return jacobian(lambda z: stacked(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
+
+
+def end_slopes(arc: Arc) -> Matrix:
+    """`slopes_at_end` of the end conditions."""
+    return slopes_at_end(arc, lambda z: arc.phase.evaluate("end", z, (), arc.p, COMPLEX))
+
+
+def objective_slope(arc: Arc) -> Vector:
+    """`slopes_at_end` of J, in the last phase, (n,)."""
+    record = arc.phase.state_record
+    return slopes_at_end(arc, lambda z: [arc.problem.objective(record(*z), arc.p, COMPLEX)])[0]

@@ -14,14 +14,15 @@ import numpy as np
 from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
-from perilune.proof.flight import Flight, smooth_pieces
+from perilune.proof.arc import Arc, end_slopes, objective_slope
+from perilune.proof.flight import MOST_GROWTH, Flight, smooth_pieces
 from perilune.proof.pieces import ENDS, extremes, polynomial, through, turns
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
-# In canonical units. Measured on good answers: end conditions 2e-11, states along the arc 4e-11.
+# Of the size of each quantity, times the growth of errors along the flight. Measured on good answers: end conditions
+# 2e-11, states along the arc 4e-11.
 END_LIMIT = 1e-10
 STATE_LIMIT = 3e-10
 
@@ -75,7 +76,8 @@ def _times(arc: Arc) -> Iterator[Check]:
 
 def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
     residuals = [arc.phase.evaluate("end", end.tolist(), (), arc.p) for end in flight.ends]
-    of_conditions = zip(arc.phase.end_conditions, arc.end_scale, zip(*residuals, strict=True), strict=True)
+    sizes = np.clip(np.abs(end_slopes(arc)) @ flight.growth, arc.end_scale, MOST_GROWTH * arc.end_scale)
+    of_conditions = zip(arc.phase.end_conditions, sizes, zip(*residuals, strict=True), strict=True)
     for condition, size, values in of_conditions:
         what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
         yield Check(
@@ -91,7 +93,7 @@ def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
     for row, (state, scale, difference) in enumerate(of_states):
         yield Check(
             name=f"{arc.prefix}state_{state.name}", level=1, value=float(difference * scale), unit=state.unit,
-            limit=STATE_LIMIT * scale,
+            limit=STATE_LIMIT * scale * float(flight.growth[row]),
             meaning=f"largest difference between {state.name} of the table and as flown again, inside every piece of "
             "the tables",
         )  # fmt: skip
@@ -100,7 +102,7 @@ def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
             name = f"{arc.prefix}bounds_{state.name}"
             own = through(flight.inside[row])
             values = np.concatenate([polynomial(own[:, None], turns(own)).ravel(), flight.at_ends[row].ravel()])
-            yield _bound(name, state.name, values, lower, upper, state.unit, scale)
+            yield _bound(name, state.name, values, lower, upper, state.unit, scale * float(flight.growth[row]))
 
 
 def _bound(name: str, what: str, values: Vector, lower: float, upper: float, unit: str, scale: float) -> Check:
@@ -158,7 +160,8 @@ def _objective(solution: Solution, arc: Arc, flight: Flight) -> Check:
     flown = [float(solution.problem.objective(arc.phase.state_record(*x), arc.p, NUMERIC)) for x in flight.ends]
     return Check(
         name="objective", level=1, value=float(np.max(np.abs(np.array(flown) - solution.objective))),
-        unit=solution.problem.objective_unit, limit=END_LIMIT * arc.objective_scale,
+        unit=solution.problem.objective_unit,
+        limit=END_LIMIT * max(arc.objective_scale, float(np.abs(objective_slope(arc)) @ flight.growth)),
         meaning="difference between the objective of the new flight and the one claimed",
     )  # fmt: skip
 

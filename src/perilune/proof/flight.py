@@ -33,18 +33,23 @@ from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
 _TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
+# Of no more use is a flight that multiplies its errors: what ends where it should is no longer known.
+MOST_GROWTH = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """What is flown less what a table says, scaled: at the points of its pieces (n, N, 4), and at their ends (n, N, 2).
+    """What is flown less what a table says, scaled.
 
-    `largest` is of each component the largest of all, with what quadrature leaves open.
+    `inside` is that at the points of the pieces (n, N, 4), `ends` at their ends (n, N, 2); `largest` of each component
+    the largest of all, with what quadrature leaves `still_open`. `growth` is the most that errors of one size in all
+    components at one time become in it, from the start to anywhere or from anywhere to the end.
     """
 
     inside: Matrix
     ends: Matrix
     still_open: Vector
+    growth: Vector
 
     @property
     def largest(self) -> Vector:
@@ -67,12 +72,16 @@ class Flight:
         The same at both ends of all pieces, (n, N, 2).
     difference
         Largest difference of each state to its table, scaled, of both flights, (n,).
+    growth
+        By how much the flight multiplies errors of its states, (n,), each at least 1: the conditioning of the problem,
+        which the limits follow.
     """
 
     ends: tuple[Vector, Vector]
     inside: Matrix
     at_ends: Matrix
     difference: Vector
+    growth: Vector
 
 
 def initial_state(solution: Solution, index: int, before: Vector | None) -> Vector:
@@ -89,15 +98,16 @@ def flights(solution: Solution) -> list[tuple[Arc, Flight]]:
     """Every phase flown again, each from the end of the flight before."""
     flown: list[tuple[Arc, Flight]] = []
     ends: tuple[Vector | None, Vector | None] = None, None
+    before = 1.0
     for k in range(len(solution.problem.phases)):
         arc = Arc(solution=solution, index=k)
-        flight = fly(arc, *(initial_state(solution, k, end) for end in ends))
+        flight = fly(arc, *(initial_state(solution, k, end) for end in ends), before)
         flown.append((arc, flight))
-        ends = flight.ends
+        ends, before = flight.ends, float(flight.growth.max())
     return flown
 
 
-def fly(arc: Arc, by_steps: Vector, by_pieces: Vector) -> Flight:
+def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: float = 1.0) -> Flight:
     """Fly a phase by the exported control.
 
     Parameters
@@ -106,6 +116,8 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector) -> Flight:
         The phase.
     by_steps, by_pieces
         Initial states in SI, shape (n,), of the one flight and of the other.
+    before
+        By how much the phases before multiply errors.
     """
     scale = arc.state_scale
     end, apart = steps(arc, by_steps)
@@ -118,6 +130,7 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector) -> Flight:
     return Flight(
         ends=(end, at_ends[:, -1, 1]), inside=inside, at_ends=at_ends,
         difference=np.maximum(apart, deviation.largest),
+        growth=np.minimum(before * deviation.growth, MOST_GROWTH),
     )  # fmt: skip
 
 
@@ -206,7 +219,19 @@ def carried(
     inside = own + np.einsum("nikl,nl->nik", through, starts)
     return Deviation(
         inside=inside.transpose(1, 0, 2), ends=np.stack([starts.T, finals.T], axis=2), still_open=still,
+        growth=_growth(past, joints.over),
     )  # fmt: skip
+
+
+def _growth(past: Any, over: dict[int, Matrix]) -> Vector:
+    """Of `Deviation`, from the matrices by which a deviation passes each piece (N, n, n)."""
+    passed = [over[i] @ each if i in over else each for i, each in enumerate(past)]
+    most = np.ones(past.shape[1])
+    ahead = behind = np.eye(past.shape[1])
+    for first, last in zip(passed, reversed(passed), strict=True):
+        ahead, behind = first @ ahead, behind @ last
+        most = np.maximum(most, np.maximum(np.abs(ahead).sum(axis=1), np.abs(behind).sum(axis=1)))
+    return np.minimum(most, MOST_GROWTH)  # NaN, of tables that cannot pass, stays
 
 
 def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]:

@@ -46,7 +46,7 @@ from perilune.proof.extremal import INSIDE, at_bound, end_multipliers, end_sides
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
-from perilune.proof.switching import control_rates, crossings, on_bounds, strictness, tangents
+from perilune.proof.switching import HAMILTONIAN_LIMIT, control_rates, crossings, on_bounds, strictness, tangents
 from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
@@ -106,7 +106,7 @@ def _tangled(arc: Arc) -> bool:
     places = [at for at, _ in scalars(arc.phase.controls)]
     jumps = arc.jumps != 0
     alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, places, axis=0).any()
-    return not alone or bool((crossings(arc)[jumps.any(axis=0)] <= 0).any())
+    return not alone or bool((crossings(arc)[jumps.any(axis=0)] <= HAMILTONIAN_LIMIT).any())
 
 
 def _pieces(arcs: Sequence[Arc], names: Sequence[str]) -> list[_Piece]:

@@ -1,0 +1,76 @@
+"""Limits follow the size and the conditioning of a problem: right answers of every size pass, wrong ones do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.models.bodies import Body
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.proof.flight import flights
+
+PHOBOS = Body(name="phobos", gravitational_parameter=7.087e5, radius=11.1e3, rotation_rate=2.28e-4)
+
+
+@pytest.mark.parametrize("height", [5.0, 50.0, 1000.0])
+def test_a_lander_that_begins_low_is_proved(landing: pl.Problem, height: float) -> None:
+    """The flight stays within a millionth of the Moon's radius of the ground, and bends within metres."""
+    solution = pl.solve(landing.with_given(orbit_perilune_altitude=height))
+    assert solution.verification.level == 3, str(solution.verification)
+    assert solution.free["retro_delta_v"] > 1500
+
+
+@pytest.mark.parametrize("acceleration", [0.02, 0.1])
+def test_a_lander_on_a_small_moon_is_proved(acceleration: float) -> None:
+    lander = Vehicle(mass=500.0, thrust=500.0 * acceleration, specific_impulse=300.0)
+    orbit = Orbit(parking_altitude=8e3, perilune_altitude=1.5e3)
+    solution = pl.solve(hybrid_landing(lander, Retro(specific_impulse=280.0), orbit, PHOBOS))
+    assert solution.verification.level == 3, str(solution.verification)
+
+
+def runaway(rate: float) -> pl.Problem:
+    """x' = rate x + u for 1 s from 1 m to 0 with least integral of u^2/2: errors grow by e^rate."""
+    phase = pl.Phase(
+        name="hold",
+        states=(pl.Variable(name="x", unit="m"), pl.Variable(name="e", unit="m^2/s")),
+        controls=(pl.Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (p.rate * x.x + u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x,),
+        end_conditions=(pl.Variable(name="rest", unit="m"),),
+    )
+    return pl.Problem(
+        name="runaway",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, 0.0),
+        given={
+            "rate": pl.Given(value=rate, unit="1/s"),
+            "x0": pl.Given(value=1.0, unit="m"),
+            "T": pl.Given(value=1.0, unit="s"),
+        },
+        free=(),
+        objective=lambda x, p, m: x.e,
+        objective_unit="m^2/s",
+    )
+
+
+def test_growth_is_that_of_the_closed_form() -> None:
+    """An error of x grows by e^rate; in e it shows through nothing, as u is read from the table."""
+    solution = pl.solve(runaway(3.0), level=0)
+    assert solution.objective == pytest.approx(3.0 / (1 - np.exp(-6.0)), rel=1e-9)  # rate x0^2 / (1 - e^(-2 rate T))
+    (_, flight) = flights(solution)[0]
+    assert flight.growth == pytest.approx([np.exp(3.0), 1.0], rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [0.1, 3.0, 6.0])
+def test_an_error_is_found_however_a_flight_multiplies_it(rate: float) -> None:
+    """A right answer is proved; the same with 1e-7 of its control added is not."""
+    solution = pl.solve(runaway(rate))
+    assert solution.verification.level == 3, str(solution.verification)
+    flown = solution.trajectories[0]
+    control = replace(flown.control, values=flown.control.values * (1 + 1e-7))
+    wrong = replace(solution, trajectories=(replace(flown, control=control),))
+    assert pl.verify(wrong).level == 0
