@@ -12,9 +12,10 @@ from cho import CHO_MOON, cho_landing
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
 from perilune.problem.problem import Given, Problem
 from perilune.problem.solution import Nature, Solution
+from perilune.report.summary import solution_summary
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 
 def test_perilune_speed(landing: Problem) -> None:
@@ -60,6 +61,38 @@ def test_every_extremal_is_found(hybrid: Solution) -> None:
     assert found[Nature.LOCAL_OPTIMUM_AT_BOUND].free["retro_delta_v"] == 0.0
     assert found[Nature.WORST].free["retro_delta_v"] == pytest.approx(130.0, abs=5.0)
     assert found[Nature.WORST].objective > found[Nature.LOCAL_OPTIMUM_AT_BOUND].objective
+
+
+def test_the_best_from_low_over_the_site_is_found(landing: Problem) -> None:
+    """From 1 m over it nearly all speed is best lost by the burn; the costates of that flight are in the hundreds.
+
+    Against fixed burns beside the one that is found, and against what no flight can land: the rocket equation's.
+    """
+    low = landing.with_given(orbit_perilune_altitude=1.0)
+    found = solve(low, level=0)
+    burn, landed = found.free["retro_delta_v"], -found.objective
+    assert [round(e.free["retro_delta_v"]) for e in found.extremals] == [1694, 0, 212]
+    assert found.extremals[0].nature is Nature.BEST and landed == pytest.approx(171.5345, abs=1e-4)
+    beside = [-solve(low.with_given(retro_delta_v=burn + change), level=0).objective for change in (-1.0, 1.0)]
+    assert landed > max(beside) > landed - 0.02
+    p = low.parameters(found.free)
+    least = perilune_speed(p, NUMERIC) - p.body_rotation_rate * p.body_radius
+    assert landed < 300.0 * math.exp(-least / (310.0 * 9.81)) < landed + 0.12
+    assert found.statistics.tried[0] == "a family along retro_delta_v from 0 to 1702.81 m/s: 3 extremals"
+
+
+def test_a_fixed_burn_that_leaves_a_short_flight_is_no_refusal(landing: Problem) -> None:
+    """2.8 s where the same lander without a burn takes 1000: direct starts that shrink to nothing say nothing of it."""
+    short = landing.with_given(orbit_perilune_altitude=1.0, retro_delta_v=1692.81)
+    assert -solve(short, level=0).objective == pytest.approx(171.5296, abs=1e-4)
+
+
+def test_a_guess_at_a_bound_was_compared_with_nothing(landing: Problem, ordinary: Solution) -> None:
+    """154.54 kg is proved a local optimum; 160.62 kg is best, which a search says and a guess does not."""
+    near = solve(landing, guess=ordinary)
+    assert near.outcome is Outcome.PROVED and -near.objective == pytest.approx(154.5413, abs=1e-4)
+    assert [e.nature.value for e in near.extremals] == ["an extremal near the guess, at a bound"]
+    assert "best" not in solution_summary(near)
 
 
 @pytest.mark.parametrize(("isp", "retro_burn"), [(277.95, True), (277.85, False)])

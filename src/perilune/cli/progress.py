@@ -104,7 +104,7 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
 
         interrupted = isinstance(error, KeyboardInterrupt)
         if out is not None and not (interrupted and in_use(out)):
-            from perilune.io.export import versions
+            from perilune.io.export import versions, whole_document
             from perilune.io.reload import hash_of
 
             known = error if isinstance(error, PeriluneError) else stopped()
@@ -112,5 +112,7 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
             origin = {"sha256": hash_of(scenario.text), "text": scenario.text}
             with fresh_directory(out, force) as work:
                 document = {**said.document, "log": list(log), "scenario": origin, "versions": versions()}
+                if (flight := getattr(error, "flight", None)) is not None:
+                    document["flight"] = whole_document(flight)
                 (work / FAILURE_FILE).write_text(json_text(document), encoding="utf-8")
         raise

@@ -52,7 +52,7 @@ class FamilyPoint:
 
 
 def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
-    """The member that an error stands in for: physics forbids it, or the search for it failed."""
+    """The member that an error stands in for: it cannot be flown, or the search for it failed."""
     failure = Outcome.NOT_CONVERGED if isinstance(error, NotConvergedError) else Outcome.INFEASIBLE
     return FamilyPoint(values=values, solution=None, message=str(error), failure=failure)
 

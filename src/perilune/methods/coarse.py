@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
+
 from perilune.methods.ladder import Ladder
-from perilune.problem.problem import Problem
+from perilune.problem.problem import Problem, Variable
 from perilune.problem.solution import Solution
 from perilune.words.outcome import PeriluneError
+from perilune.words.types import Vector
 
 _ROUGHEST = 0.05  # relative mesh error beyond which a flight is not said to keep anything
+_BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
+_LOOKS = 400  # times of a phase at which its conditions are looked at
+
+
+def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterator[tuple[Variable, Vector]]:
+    """Each path condition with its values [SI] along a flight, less a share of the phase at both ends."""
+    for k, (phase, flown) in enumerate(zip(problem.phases, flight.trajectories, strict=True)):
+        x, u = flight.flown(k, np.linspace(ends, 1.0 - ends, _LOOKS) * flown.duration)
+        values = phase.evaluate("path", list(x), list(u), flight.parameters)
+        yield from zip(phase.path_conditions, map(np.asarray, values), strict=True)
 
 
 @dataclass
@@ -51,11 +65,14 @@ class Coarse:
         """Its answer if that is good enough to keep; what is too rough is solved again on a finer mesh."""
         known = self.solution
         try:
-            if known is not None and known.statistics.residual >= _ROUGHEST:
+            if known is not None and (known.statistics.residual >= _ROUGHEST or self._broken(known)):
                 known = self._run(segments=16, guess=known)
         except PeriluneError:
             return None
         return known if known is not None and known.statistics.residual < _ROUGHEST else None
+
+    def _broken(self, flight: Solution) -> bool:
+        return any(-values.min() > _BROKEN * np.ptp(values) for _, values in along_path(self.problem, flight))
 
     def _run(self, segments: int, guess: Solution | None = None) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 BRIEF, PATIENT = 60, 150
 # Starts that all end at a least miss that is not zero, before the problem is said to have no flight.
 CONVINCED = 2
+# Of its typical duration: what a phase has left that has shrunk to nothing.
+VANISHED = 1e-3
 # A condition violated by less, in canonical units, is met.
 MISSED = 1e-7
 
@@ -112,6 +114,7 @@ class _Run:
     tried: list[str] = field(default_factory=list)
     history: list[Iteration] = field(default_factory=list)
     iterations: int = 0
+    all_missed: bool = False
 
     def say(self, line: str) -> None:
         """One line for the watcher and for the history."""
@@ -180,14 +183,16 @@ class _Run:
             return program, first
         tries: list[Answer] = [first]
         misses: list[Answer] = []
+        vanished: list[Answer] = []
         for free, values, name in starts:
             nearest = self.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
             if nearest.converged and nearest.violation > MISSED:
-                misses.append(nearest)
+                (vanished if self.vanished(nearest) else misses).append(nearest)
             elif nearest.violation <= MISSED:
                 tries.append(self.attempt(program, nearest.free, nearest.phases, "from there"))
                 if tries[-1].converged:
                     return program, tries[-1]
+        self.all_missed = len(misses) + len(vanished) == len(starts) and guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
             self.refuse(program, min(misses, key=_violation), len(misses))
         if not misses:
@@ -195,7 +200,7 @@ class _Run:
                 tries.append(self.attempt(program, *start))
                 if tries[-1].converged:
                     return program, tries[-1]
-        return self.fail(program, min(misses or tries, key=_violation))
+        return self.fail(program, min(misses or vanished or tries, key=_violation))
 
     def attempt(
         self,
@@ -215,10 +220,16 @@ class _Run:
         self.say(f"{name}: {outcome} in {answer.iterations} iterations")
         return answer
 
+    def vanished(self, answer: Answer) -> bool:
+        """Whether a phase has shrunk to nothing: the miss of no flight says nothing of those that have a length."""
+        values = answer.free_si(self.problem)
+        durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
+        return any(values[f.name] < VANISHED * f.typical for f in durations)
+
     def refuse(self, program: Program, best: Answer, count: int) -> None:
         """InfeasibleError with what the best of so many misses, if that is more than the error of the mesh."""
         from perilune.direct.contradictions import missed_conditions
-        from perilune.words.outcome import InfeasibleError
+        from perilune.words.outcome import BEST_MISSES, InfeasibleError
 
         errors = zip(self.problem.phases, self.looked_at(program, best)[2], strict=True)
         error = max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
@@ -231,13 +242,14 @@ class _Run:
                 got="; ".join(told[:4]),
                 expected="every condition met",
                 advice="relax the condition named first",
-                reason="the best of n found misses it",
+                reason=BEST_MISSES,
                 partial=self.partial(best, told),
             )
 
     def partial(self, answer: Answer, missed: list[str]) -> dict[str, Any]:
-        """What a failure keeps."""
-        return {"missed": missed, "tried": tuple(self.tried), "free": answer.free_si(self.problem)}
+        """What a failure keeps; `all_missed` says that every start led to a least miss, if only that of no flight."""
+        told = {"missed": missed, "all_missed": self.all_missed, "tried": tuple(self.tried)}
+        return told | {"free": answer.free_si(self.problem)}
 
     def fail(self, program: Program, answer: Answer) -> tuple[Program, Answer]:
         """Not converged, with the conditions that the best trajectory misses."""

@@ -12,12 +12,12 @@ import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import beyond_shooting, free_values, residual_scales
-from perilune.methods.coarse import Coarse
+from perilune.methods.coarse import Coarse, along_path
 from perilune.methods.judge import Breach
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.function import Root
-from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.outcome import BEST_MISSES, CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.units import told
 
 _BROKEN = "every extremal breaks a condition"
@@ -25,35 +25,39 @@ _BROKEN = "every extremal breaks a condition"
 
 def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
     """Why every extremal that was found is no answer; None where none was found, and nothing else says why."""
-    if isinstance(coarse.refusal, InfeasibleError):
-        return best_misses(coarse.problem, breaches, coarse.refusal, coarse.tried)
+    direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
+    if isinstance(direct, InfeasibleError) and (direct.reason == CANNOT_BE_FLOWN or not bounds):
+        direct.partial["tried"] = list(coarse.tried)
+        return direct
+    if bounds and getattr(direct, "partial", {}).get("all_missed"):
+        return best_misses(coarse.problem, bounds, len(breaches), direct, coarse.tried)
     flight = coarse.flight
     if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
         return kept_flight(coarse.problem, flight, breaches, coarse.tried)
     return undecided(breaches, coarse.refusal, coarse.tried) if breaches else None
 
 
-def best_misses(problem: Problem, breaches: list[Breach], direct: InfeasibleError, tried: list[str]) -> InfeasibleError:
-    """No flight was found: the best extremal misses a bound, or the direct method's nearest misses a condition."""
-    missed = [breach for breach in breaches if not breach.path]
-    if direct.reason == "cannot be flown" or not missed:
-        direct.partial["tried"] = list(tried)
-        return direct
-    best = min(missed, key=lambda breach: breach.canonical)
+def best_misses(problem: Problem, bounds: list[Breach], count: int, direct: Any, tried: list[str]) -> InfeasibleError:
+    """No flight was found: the best of so many extremals misses a bound, and the direct method misses something too."""
+    best = min(bounds, key=lambda breach: breach.canonical)
     return InfeasibleError(
-        f"the best of {len(breaches)} found misses {best.name} by {told(best.miss, best.unit)}",
-        got=f"{best.text}; the direct method found no flight either: {direct.what}",
+        f"the best of {count} found misses {best.name} by {told(best.miss, best.unit)}",
+        got=f"{best.text}; the direct method found no flight either: {direct.partial['missed'][0]}",
         expected=f"{best.name} within its bounds all along",
         advice=f"a wider bound; {_easier(problem)}",
-        reason=direct.reason,
+        reason=BEST_MISSES,
         partial={**direct.partial, "tried": list(tried)},
     )
 
 
 def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], tried: list[str]) -> NotConvergedError:
     """A flight that keeps every condition was found, but no extremal does."""
-    error = flight.statistics.residual
-    best = f"direct method: J = {flight.objective:.6g} {problem.objective_unit}, mesh error {error:.1g}"
+    words = [f"J = {flight.objective:.6g} {problem.objective_unit}", f"mesh error {flight.statistics.residual:.1g}"]
+    for condition, values in along_path(problem, flight):
+        broken = -float(values.min())
+        if broken > 1e-6 * np.ptp(values):
+            words.append(f"{condition.name} broken by {broken:.2g} {condition.unit} between the points of the mesh")
+    best = "direct method: " + ", ".join(words)
     ridden = ridden_condition(problem, flight)
     parts = [breaches[0].text] if breaches else []
     if ridden is not None:
@@ -91,12 +95,9 @@ def undecided(breaches: list[Breach], direct: PeriluneError | None, tried: list[
 
 def ridden_condition(problem: Problem, flight: Solution) -> str | None:
     """Path condition along which a flight runs, away from its ends."""
-    for phase, flown in zip(problem.phases, flight.trajectories, strict=True):
-        t = np.linspace(0.05, 0.95, 400) * flown.duration
-        values = phase.evaluate("path", flown.state(t).T, flown.control(t).T, flight.parameters)
-        for condition, value in zip(phase.path_conditions, values, strict=True):
-            if np.min(value) <= 1e-4 * problem.size_of(condition):
-                return condition.name
+    for condition, values in along_path(problem, flight, ends=0.05):
+        if np.min(values) <= 1e-4 * problem.scales.of(condition.unit):
+            return condition.name
     return None
 
 

@@ -99,8 +99,14 @@ class Search:
     def _all_extremals(self, first: Member) -> tuple[list[Found], list[Member]]:
         if self.scanned is None:
             return [Found(root=first.root, minimum=True)], [first]
-        self.watch(f"following the family of extremals along {self.problem.free[self.scanned].name}")
-        return scan(self._family(), first, self._bounds(self.scanned), self.settings.scan_points)
+        free = self.problem.free[self.scanned]
+        self.watch(f"following the family of extremals along {free.name}")
+        found, members = scan(self._family(), first, self._bounds(self.scanned), self.settings.scan_points)
+        scale = free_scales(self.problem.free, self.problem)[self.scanned]
+        low, high = (members[end].value * scale for end in (0, -1))
+        count = f"{len(found)} extremal{'' if len(found) == 1 else 's'}"
+        self.tried.append(f"a family along {free.name} from {low:.6g} to {high:.6g} {free.unit}: {count}")
+        return found, members
 
     def _family(self) -> HeldFamily:
         assert self.scanned is not None
@@ -187,7 +193,8 @@ class Search:
                     yield member, _RANDOM
                 else:
                     breaking.append(member)
-        self.tried.append(f"{_RANDOM}: {self.met} extremals, {len(breaking)} of them break a path condition")
+        met = f"{self.met} extremals, {len(breaking)} of them break a condition"
+        self.tried.append(f"{_RANDOM}{where}: {len(Y)} starts, {met}")
         if self.base is None:
             yield from ((member, _RANDOM) for member in breaking)
 

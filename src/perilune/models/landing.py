@@ -170,7 +170,7 @@ def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     speed = perilune_speed(p, m)
     exhausted = p.vehicle_mass * exhaust_speed(p) / p.vehicle_thrust  # all mass gone: the longest burn there can be
     # To stop the whole speed (rocket equation), and to drop the height by a burn down and a burn up.
-    _, stop = braking(speed, p, m)
+    _, stop = braking(m.fmax(speed - getattr(p, "retro_delta_v", 0.0), 0.0), p, m)
     height = m.fmax(p.orbit_perilune_altitude - p.landing_altitude, 0.0)
     drop = 2 * m.sqrt(height * p.vehicle_mass / p.vehicle_thrust)
     return {

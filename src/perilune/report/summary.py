@@ -37,7 +37,8 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         lines.append(f"  {name.replace('_', ' '):16}{quantity(result.value, result.unit):>16} {result.unit}")
     rows = _extremal_rows(solution)
     if len(rows) > 1:
-        lines += ["", "extremals, best first" + (f" ({_AGAIN})" if solution.statistics.claimed else "")]
+        head = "extremals, best first" if len(rows) > 2 else "extremal"
+        lines += ["", head + (f" ({_AGAIN})" if solution.statistics.claimed else "")]
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
     verification = solution.verification
     lines += ["", f"verification: level {verification.level} ({LEVEL_NAMES[verification.level]})"]
@@ -189,5 +190,5 @@ def _how(solution: Solution) -> str:
     text += f"; {s.iterations} iteration{'' if s.iterations == 1 else 's'}"
     text += f"; {s.wall_time:.2f} s" if math.isfinite(s.wall_time) else ""
     # A list in Markdown as well; what a mesh missed, by condition, is in solution.json.
-    steps = [f"- {step.partition(' (')[0]}" for step in s.tried] if len(s.tried) > 1 else []
+    steps = [f"- {step.partition(' (')[0]}" for step in s.tried]
     return text + ("\n\n" + "\n".join(steps) if steps else "")

@@ -19,6 +19,8 @@ from perilune.shooting.function import Root, Roots, Shooting
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
+_HALVINGS = 12  # of a step along a family: where a flight becomes short its costates grow a hundredfold in a step
+
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
@@ -79,7 +81,7 @@ class HeldFamily:
         def tangent(root: Root, value: float) -> Vector:
             return self.shooting.tangent(root, self.index)
 
-        return next(iter(follow(here, [target], correct, tangent)))
+        return next(iter(follow(here, [target], correct, tangent, halvings=_HALVINGS)))
 
 
 def scan(
@@ -149,6 +151,16 @@ class _Bracket:
         y = self.a.root.y + share * (self.b.root.y - self.a.root.y)
         return y, self.a.value + share * (self.b.value - self.a.value)
 
+    def middle(self, family: HeldFamily, root: Root, value: float) -> Member | None:
+        """The member at a value between: the root where there is one, else reached step by step from either end.
+
+        From a straight line between two members Newton does not find it where the costates grow a hundredfold from one
+        to the other, as they do where a flight from low over the site becomes a short one.
+        """
+        if root.converged:
+            return Member(value=value, root=root)
+        return family.reach(self.a, value) or family.reach(self.b, value)
+
     def narrow(self, middle: Member, slope: float) -> None:
         """Put a member between into the place of the one whose sign it has."""
         if slope * self.slope_a > 0:
@@ -177,11 +189,11 @@ def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
                 continue
             if held is None:
                 held = family.held(Y, np.array([value for _, value in guesses]), bracket.a.root)
-            middle = held[lane]
-            if not middle.converged:
+            middle = bracket.middle(family, held[lane], guesses[lane][1])
+            if middle is None:
                 del left[number]
                 continue
-            bracket.narrow(Member(value=guesses[lane][1], root=middle), family.slope(middle))
+            bracket.narrow(middle, family.slope(middle.root))
     return [found[number] for number in sorted(found)]
 
 

@@ -18,7 +18,7 @@ class Outcome(Enum):
     SOLVED = "the method converged; nothing is verified yet: run verify"
     NOT_PROVED = "solved, but at least one check failed: read the failed checks before using it"
     NOT_CONVERGED = "no solution found: the residual report names the condition and what to try"
-    INFEASIBLE = "physics forbids it: the message names the limit and by how much it is exceeded"
+    INFEASIBLE = "it cannot be flown, or no flight was found: the message says what is missed and by how much"
     INTERRUPTED = "stopped by the user: what was computed so far is kept"
 
     @property
@@ -28,6 +28,10 @@ class Outcome(Enum):
 
 
 _SHORT_LIST = 6  # names, which a reader takes in at a glance, in their own order
+# The two reasons of a refusal: a bound that holds for every flight, and a search that found none.
+CANNOT_BE_FLOWN = "cannot be flown"
+BEST_MISSES = "the best of n found misses it"
+
 _EXIT_CODES = {
     "PROVED": 0,
     "SOLVED": 5,
@@ -73,8 +77,7 @@ def _as_it_was(kind: type[PeriluneError], arguments: tuple[Any, ...], parts: dic
 class InfeasibleError(PeriluneError):
     """What was asked is refused; the message says which limit is missed and by how much.
 
-    `reason` is "cannot be flown", from a bound that holds for every flight, or "the best of n found misses it"; then
-    `partial` says what was searched.
+    `reason` is `CANNOT_BE_FLOWN` or `BEST_MISSES`; of the latter `partial` says what was searched.
     """
 
     exit_code = 3
@@ -86,7 +89,7 @@ class InfeasibleError(PeriluneError):
         got: str = "",
         expected: str = "",
         advice: str = "",
-        reason: str = "cannot be flown",
+        reason: str = CANNOT_BE_FLOWN,
         partial: dict | None = None,
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)

@@ -1,0 +1,107 @@
+"""Why there is no answer: what refuses, what only has not converged, and what is kept."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cho import CHO_MOON
+from command_line import HYBRID, read_json, snapshot
+from perilune.cli import run
+from perilune.methods.coarse import Coarse
+from perilune.methods.indirect import Indirect
+from perilune.methods.judge import Breach
+from perilune.methods.refusals import refusal
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.scenario import load_file
+from perilune.solve import solve
+from perilune.words.outcome import BEST_MISSES, CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
+from problems.ascents import tangent_steering
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+LOW = Breach(name="height", text="height falls to -3 m", miss=3.0, unit="m", canonical=3e-6)
+WIDE = Breach(name="angle", text="angle falls to -0.5 rad", miss=0.5, unit="rad", canonical=0.5)
+NEAREST = "the best of 4 found misses the end condition landing.rest by 2 m/s"
+
+
+def known(direct: PeriluneError) -> Coarse:
+    """What a direct method knows that has ended so."""
+    coarse = Coarse(Indirect(), tangent_steering(), ["costates on the unit sphere: 2 extremals"])
+    coarse.refusal = direct
+    return coarse
+
+
+def test_the_best_of_those_that_miss_is_named() -> None:
+    """Compared in canonical units: 3 m of 1000 km are less than half a radian."""
+    partial = {"missed": ["the rest is missed by 2 m/s"], "all_missed": True}
+    for direct in (
+        InfeasibleError(NEAREST, reason=BEST_MISSES, partial=partial),
+        NotConvergedError("", partial=partial),
+    ):
+        error = refusal(known(direct), [WIDE, LOW])
+        assert isinstance(error, InfeasibleError) and error.exit_code == 3
+        assert error.what == "the best of 2 found misses height by 3 m" and partial["missed"][0] in error.got
+        assert error.reason == "the best of n found misses it" and error.reason in str(error)
+        assert error.partial == {**partial, "tried": ["costates on the unit sphere: 2 extremals"]}
+    undecided = refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
+    assert isinstance(undecided, NotConvergedError) and "not settled" in undecided.what
+    assert InfeasibleError("too heavy").reason == "cannot be flown"
+
+
+def test_extremals_that_break_the_path_refuse_nothing() -> None:
+    """They know nothing of it: it is the direct method's nearest miss that is quoted, and its reason."""
+    breaks = [replace(WIDE, path=True), replace(LOW, path=True)]
+    for reason in (BEST_MISSES, CANNOT_BE_FLOWN):
+        direct = InfeasibleError(NEAREST, reason=reason)
+        assert refusal(known(direct), breaks) is direct
+    error = refusal(known(NotConvergedError("the optimum was not reached")), breaks)
+    assert isinstance(error, NotConvergedError) and error.exit_code == 4 and "not settled" in error.what
+    assert "angle falls to -0.5 rad; direct method: the optimum was not reached" in error.got
+    assert refusal(known(NotConvergedError("the optimum was not reached")), []) is None
+
+
+def test_where_a_flight_keeps_everything_it_is_kept() -> None:
+    """Every extremal at the example's corridor of 30 degrees breaks it; the direct method's flight does not."""
+    tight = load_file(EXAMPLES / "precision_landing.toml", ("corridor.tilt=30 deg",)).problem
+    with pytest.raises(
+        NotConvergedError, match=r"every extremal breaks[\s\S]*direct method: J = -\d+.*, mesh error"
+    ) as e:
+        solve(tight)
+    flight = e.value.flight
+    t = np.linspace(0.0, flight.trajectories[0].duration, 301)
+    state, control = flight.flown(0, t)
+    margins = tight.phases[0].evaluate("path", list(state), list(control), flight.parameters)
+    assert min(margins[0]) > -5.0 and min(margins[1]) > -0.05  # m, and of a cosine: the error of a coarse mesh
+    assert any("direct transcription" in line for line in e.value.partial["tried"])
+
+
+@pytest.mark.parametrize(("dry", "missed"), [(161.0, 0.381416), (165.0, 4.381416)])
+def test_what_must_land_is_more_than_the_best_that_lands(dry: float, missed: float) -> None:
+    """The paper's 160.618584 kg are the most; every extremal is listed as too light, and no direct start finds more."""
+    heavy = hybrid_landing(
+        Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0, standard_gravity=9.81, dry_mass=dry),
+        Retro(specific_impulse=310.0),
+        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
+        CHO_MOON,
+    )
+    with pytest.raises(InfeasibleError, match=rf"the best of 3 found misses m by {missed:g} kg") as caught:
+        solve(heavy)
+    assert caught.value.reason == "the best of n found misses it" and caught.value.exit_code == 3
+
+
+def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Every extremal would go through the ground; the direct method's flight is kept beside the refusal, unproved."""
+    out, weak = tmp_path / "out", ["--set", "vehicle.thrust=200 N", "--set", "retro.delta_v=0 m/s"]
+    assert run(["solve", HYBRID, *weak, "--out", str(out)]) == 4
+    assert "every extremal breaks a condition" in capsys.readouterr().err
+    kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
+    assert snapshot(out).keys() == {"failure.json"} and "PROVED" not in json.dumps(kept["flight"])
+    height = [state[0] - 1738140.0 for state in kept["flight"]["phases"][0]["state"]["values"]]
+    assert height[0] == pytest.approx(15e3) and abs(height[-1]) < 1.0
+    assert -25.0 < min(height) < -15.0 and "height_above_site broken by 19 m between" in kept["error"]["got"]
+    assert kept["partial"]["tried"]
