@@ -146,6 +146,36 @@ def test_new_takes_its_words_in_any_order(capsys: pytest.CaptureFixture[str], tm
         assert path.read_text(encoding="utf-8") == template("powered_descent")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["slove", HYBRID], ("no command of this name", "did you mean 'solve'")),
+        (["solve", HYBRID, "--leve", "2"], ("no option of this name", "did you mean '--level'")),
+        (["solve", HYBRID, "--quiet"], ("no option of this name", "--verbose")),
+        (["solve", HYBRID, "more"], ("one too many", "'more'", "perilune solve --help")),
+        (["solve"], ("FILE", "perilune solve --help")),
+        (["sweep", HYBRID], ("--vary", "perilune sweep --help")),
+        (["--Version"], ("no option", "did you mean '--version'")),
+        (["solve", HYBRID, "--level", "x"], ("--level", "'x'", "perilune solve --help")),
+    ],
+)
+def test_a_misspelt_word_is_offered_the_nearest(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], said: tuple[str, ...]
+) -> None:
+    assert run(arguments) == 2
+    told = capsys.readouterr().err
+    assert all(word in told for word in said), told
+
+
+@pytest.mark.parametrize("arguments", [["help"], ["-h"], ["--help"]])
+def test_help_may_be_asked_for_in_any_way(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    assert run(arguments) == 0
+    assert "Commands:" in capsys.readouterr().out
+    for command in (["solve", "-h"], ["help", "solve"], ["solve", "--help"]):
+        assert run(command) == 0
+        assert capsys.readouterr().out.startswith("usage: perilune solve ")
+
+
 # --- directories
 
 
@@ -255,3 +285,17 @@ def test_a_directory_that_may_not_be_written_is_refused_before_the_work(
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)  # root may write everywhere
     with pytest.raises(PeriluneError, match="cannot be written"), fresh_directory(tmp_path):
         pytest.fail("the work was begun")
+
+
+def test_a_full_disk_names_the_place(tmp_path: Path) -> None:
+    with pytest.raises(OSError) as caught, fresh_directory(tmp_path / "out"):
+        raise OSError(28, "No space left on device")
+    assert caught.value.filename == str(tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_line_that_is_no_toml_is_shown(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "unquoted.toml"
+    path.write_text(template().replace('"300 kg"', "300 kg"), encoding="utf-8")
+    assert run(["check", str(path)]) == 2
+    assert "mass = 300 kg" in capsys.readouterr().err

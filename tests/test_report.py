@@ -99,6 +99,7 @@ def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
     document = json.loads(json_text(solution_document(hybrid)))
     assert list(document) == [
         "problem",
+        "title",
         "method",
         "outcome",
         "results",

@@ -290,6 +290,38 @@ def test_a_file_with_one_line_damaged_is_a_problem_or_a_refusal(data: st.DataObj
         assert error.what
 
 
+@pytest.mark.parametrize(
+    ("change", "meant"),
+    [
+        ("orbit.apolune_altitude=100 km", "parking_altitude"),
+        ("orbit.periapsis_altitude=15 km", "perilune_altitude"),
+        ("vehicle.isp=310 s", "specific_impulse"),
+        ("vehicle.wet_mass=300 kg", "mass"),
+        ("vehicle.empty_mass=100 kg", "dry_mass"),
+    ],
+)
+def test_another_name_of_a_key_is_understood(change: str, meant: str) -> None:
+    assert refused(change).advice == f"did you mean {meant!r}?"
+
+
+def test_what_the_parking_altitude_is_stands_where_it_is_stated() -> None:
+    assert "apolune" in next(line for line in template().splitlines() if line.startswith("parking_altitude"))
+    assert "apolune" in reference()
+
+
+def test_a_message_names_the_template_of_its_kind() -> None:
+    polar = EXAMPLES / "polar_descent.toml"
+    with pytest.raises(PeriluneError, match="`perilune new powered_descent`"):
+        load_text(polar.read_text(encoding="utf-8").partition("[site]")[0])
+    with pytest.raises(PeriluneError, match="KIND`, hybrid_landing or powered_descent or precision_landing"):
+        load_text("[vehicle")
+
+
+def test_the_example_says_how_it_lands() -> None:
+    text = (EXAMPLES / "precision_landing.toml").read_text(encoding="utf-8")
+    assert "steeper" not in text and "47 deg from the vertical" in text
+
+
 def test_the_range_of_a_sweep() -> None:
     assert values_of("retro.specific_impulse", "310s:300s:-5s", KEYS) == [310.0, 305.0, 300.0]
     assert values_of("retro.delta_v", "0:100:50 m/s", KEYS) == [0.0, 50.0, 100.0]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from perilune.reproductions.papers import PAPERS
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError, unknown_name
 
 _EXIT_CODES = "Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converged, 5 not proved, 130 stopped."
 
@@ -27,21 +27,41 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     Told
         With the text, where only that is wanted.
     """
-    if list(arguments[:1]) == ["new"]:  # of which argparse would not see the FILE in `new KIND --force FILE`
-        arguments = sorted(arguments, key=lambda argument: argument.startswith("-"))
-    return _parser().parse_args(arguments)
+    words = list(arguments)
+    if words[:1] == ["help"]:
+        words = [*words[1:2], "--help"]
+    if words[:1] == ["new"]:  # of which argparse would not see the FILE in `new KIND --force FILE`
+        words.sort(key=lambda word: word.startswith("-"))
+    parser, known = _parsers()
+    if words and not words[0].startswith("-") and words[0] not in known:
+        raise unknown_name("command", words[0], list(known))
+    typed, left = parser.parse_known_args(words)
+    if left:
+        raise _unknown_argument(left[0], known.get(typed.command, parser))
+    return typed
 
 
 def help_text() -> str:
     """The help of the whole program."""
-    return _parser().format_help()
+    return _parsers()[0].format_help()
+
+
+def _unknown_argument(word: str, parser: argparse.ArgumentParser) -> PeriluneError:
+    """What is said of a word that a command has no use for."""
+    if not word.startswith("-"):
+        return PeriluneError("this argument is one too many", got=repr(word[:60]), advice=f"{parser.prog} --help")
+    options = [flag for action in parser._actions for flag in action.option_strings if flag.startswith("--")]
+    error = unknown_name("option", word.partition("=")[0], options)
+    return PeriluneError(
+        error.what, got=error.got, expected=error.expected, advice=error.advice or f"{parser.prog} --help"
+    )
 
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong by an error of ours, and its help by `Told`, so that both leave as all answers do."""
 
     def error(self, message: str) -> NoReturn:
-        raise PeriluneError(message, advice="perilune --help")
+        raise PeriluneError(message, advice=f"{self.prog} --help")
 
 
 class _Help(argparse.Action):
@@ -100,7 +120,7 @@ _SET = _option(
 _OUT = _option("--out", metavar="DIR", type=Path, help="Write everything into this directory.")
 _JSON = _switch("--json", "One JSON document on stdout.", dest="as_json")
 _VERBOSE = _switch("--verbose", "Show every iteration on stderr, and every check.")
-_FORCE = _switch("--force", "Replace files that are there.")
+_FORCE = _switch("--force", "Replace what an earlier run wrote there.")
 _NO_CACHE = _switch("--no-cache", "Compile anew and keep no machine code on disk.")
 _METHOD = _option(
     "--method",
@@ -110,23 +130,27 @@ _METHOD = _option(
 )
 
 
-def _parser() -> _Parser:
+def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
+    """That of the whole program, and that of each command."""
     parser = _Parser(
         prog="perilune",
         description="Optimal finite-thrust landings, each with its proof.",
-        epilog=_EXIT_CODES,
+        epilog=f"`perilune COMMAND --help` tells more. {_EXIT_CODES}",
         add_help=False,
         allow_abbrev=False,
     )
     parser.add_argument("--version", nargs=0, action=_Version, help="Show the version and leave.")
-    parser.add_argument("--help", nargs=0, action=_Help, help="Show this message and leave.")
+    parser.add_argument("-h", "--help", nargs=0, action=_Help, help="Show this message and leave.")
+    known: dict[str, _Parser] = {}
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="Commands")
 
     def command(name: str, about: str, *options: _Option) -> None:
-        made = commands.add_parser(name, help=about, description=about, add_help=False, allow_abbrev=False)
+        made = known[name] = commands.add_parser(
+            name, help=about, description=about, add_help=False, allow_abbrev=False
+        )
         for flags, settings in (*options, _JSON):
             made.add_argument(*flags, **settings)
-        made.add_argument("--help", nargs=0, action=_Help, help="Show this message and leave.")
+        made.add_argument("-h", "--help", nargs=0, action=_Help, help="Show this message and leave.")
 
     find = (_SET, _OUT, _VERBOSE, _FORCE)
     command(
@@ -182,11 +206,11 @@ def _parser() -> _Parser:
         "Write a commented scenario to start from.",
         _option("kind", metavar="KIND", nargs="?", help=kinds),
         _option("place", metavar="FILE", nargs="?", type=Path, help="Where to write; to stdout if left out."),
-        _FORCE,
+        _switch("--force", "Replace the file."),
     )
     command(
         "doctor",
         "Show versions, which optional parts are there, and the machine code kept on disk.",
         _switch("--clear-cache", "Remove the machine code kept on disk."),
     )
-    return parser
+    return parser, known

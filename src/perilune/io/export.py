@@ -75,6 +75,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
     claims = {"claimed": ["method", "statistics"]} if statistics.claimed else {}
     document = {
         "problem": solution.problem.name,
+        "title": solution.problem.title,
         "method": solution.method,
         "outcome": solution.outcome.name,
         "results": results(solution),

@@ -80,6 +80,10 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
     try:
         yield work
         _move(work, target)
+    except OSError as error:
+        if error.filename is None:  # a full disk names no file
+            error.filename = str(target)
+        raise
     finally:
         shutil.rmtree(work, ignore_errors=True)
         if lock is not None:

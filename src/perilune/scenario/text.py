@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -43,7 +44,7 @@ def parse(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise PeriluneError(
             "the scenario is not valid TOML",
-            got=str(error)[:200],
+            got=_at_fault(text, str(error)),
             expected='lines such as mass = "300 kg"',
             advice=_COMPARE,
         ) from None
@@ -54,6 +55,13 @@ def parse(text: str) -> dict[str, Any]:
             advice="start from the template: perilune new my_lander.toml",
         )
     return document
+
+
+def _at_fault(text: str, message: str) -> str:
+    """What the parser says, with the line that it names."""
+    lines, number = text.splitlines(), re.search(r"at line (\d+)", message)
+    line = lines[int(number[1]) - 1].strip() if number and int(number[1]) <= len(lines) else ""
+    return f"{message[:200]}: {line[:60]}" if line else message[:200]
 
 
 def apply(document: dict[str, Any], change: str) -> None:
