@@ -18,7 +18,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
 _TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
+MOST_EVALUATIONS = 300_000  # of the equations of motion in one phase; the examples take 130 to 250
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,13 +205,17 @@ def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
     from scipy.integrate import solve_ivp
 
     phase, p, x, scale = arc.phase, arc.p, x0, arc.state_scale
-    apart = np.zeros(len(x0))
+    apart, evaluations = np.zeros(len(x0)), count()
     for (left, right), piece in zip(pairwise(arc.edges), smooth_pieces(arc.trajectory.control), strict=False):
         control = exported_control(phase, piece)
 
         def rates(t: float, x: Vector, control: Any = control) -> Any:
+            if next(evaluations) > MOST_EVALUATIONS:
+                raise ArithmeticError(f"the flight takes more than {MOST_EVALUATIONS} evaluations")
             return phase.rates(x.tolist(), control(t), p)
 
+        if not np.isfinite(x).all():
+            raise ArithmeticError("the flight starts where there is no number")
         with np.errstate(all="ignore"):
             flown = solve_ivp(rates, (left, right), x, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale)
         if not flown.success:
