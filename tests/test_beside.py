@@ -498,6 +498,37 @@ def test_without_a_scenario_what_was_not_checked_is_said(hybrid_dir: Path, capsy
     assert all("rocket equation" in note for note in said) or loaded.problem.bookkeeping is not None
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("vehicle_mass", 0.0),
+        ("vehicle_mass", 1e300),
+        ("vehicle_thrust", 1e300),
+        ("vehicle_standard_gravity", 9.81e-6),
+        ("retro_specific_impulse", 0.00031),
+        ("retro_specific_impulse", 1e-300),
+    ],
+)
+def test_physics_that_cannot_be_computed_is_not_proved(
+    hybrid_dir: Path, capsys: pytest.CaptureFixture[str], name: str, value: float
+) -> None:
+    """A file without a scenario may state any; no fault of the program comes of it."""
+
+    def change(document: dict[str, Any]) -> None:
+        document["scenario"] = None
+        document["given"][name]["value"] = value
+
+    code, said = told(edited(hybrid_dir, change), capsys)
+    assert code == 5 and "NOT_PROVED, level 0" in said and "FAIL 1" in said
+
+
+def test_a_flight_without_end_is_not_proved(hybrid: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("perilune.proof.flight.MOST_EVALUATIONS", 50)
+    checks = {c.name: c for c in pl.verify(hybrid, level=1).checks}
+    assert not checks["computable"].passed
+    assert "more than 50 evaluations" in checks["computable"].meaning
+
+
 def test_verify_has_no_such_notes_of_a_problem_in_python(hybrid: Solution) -> None:
     assert pl.verify(hybrid, level=1).notes == ()
 

@@ -281,7 +281,7 @@ class Solution:
     def results(self) -> dict[str, Result]:
         """What the problem asks of its flight, by name: its `results`, then the phases' `integrals`.
 
-        Of a problem that asks nothing, the flight time and the objective.
+        Of a problem that asks nothing, the flight time and the objective. NaN where they cannot be computed.
         """
         problem, p = self.problem, self.parameters
         first, last = (problem.phases[i].state_record(*self.trajectories[i].state.values[i]) for i in (0, -1))
@@ -291,7 +291,12 @@ class Solution:
                 "objective": Result(value=float(self.objective), unit=problem.objective_unit, description="J"),
             }
         else:
-            found = _named(problem.result_variables, problem.results(first, last, p, NUMERIC))
+            try:
+                with np.errstate(all="ignore"):
+                    values = problem.results(first, last, p, NUMERIC)
+            except ArithmeticError:  # a file may hold what nothing can be computed with
+                values = [np.nan] * len(problem.result_variables)
+            found = _named(problem.result_variables, values)
         for k, phase in enumerate(problem.phases):
             for name, part in _named(phase.integral_variables, self._integrals(k)).items():
                 so_far = found[name].value if name in found else 0.0

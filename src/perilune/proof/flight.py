@@ -18,7 +18,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from perilune.words.types import Matrix, Vector
 _TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
 # Of no more use is a flight that multiplies its errors: what ends where it should is no longer known.
 MOST_GROWTH = 1e3
+MOST_EVALUATIONS = 300_000  # of the equations of motion in one phase; the examples take 130 to 250
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,19 +258,22 @@ def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
     from scipy.integrate import solve_ivp
 
     phase, p, x, scale = arc.phase, arc.p, x0, arc.state_scale
-    apart = np.zeros(len(x0))
+    apart, evaluations = np.zeros(len(x0)), count()
     controls = smooth_pieces(arc.trajectory.control)
     for left, right in pairwise(arc.edges):
         control = exported_control(phase, controls[int(np.searchsorted(arc.breaks, left, side="right"))])
-
         held = arc.answers(0.5 * (left + right))
 
         def rates(t: float, x: Vector, control: Any = control, held: Vector = held) -> Any:
+            if next(evaluations) > MOST_EVALUATIONS:
+                raise ArithmeticError(f"the flight takes more than {MOST_EVALUATIONS} evaluations")
             if not len(held):
                 return phase.rates(x.tolist(), control(t), p)
             # From kink to kink on its own side, which goes on smoothly where a step looks beyond.
             return watched_rates(phase, x, np.array(control(t)), p, held)[0].real
 
+        if not np.isfinite(x).all():
+            raise ArithmeticError("the flight starts where there is no number")
         with np.errstate(all="ignore"):
             flown = solve_ivp(rates, (left, right), x, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale)
         if not flown.success:

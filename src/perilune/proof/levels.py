@@ -8,6 +8,8 @@ error of a good answer, so that it can fail, and a meaning; a NaN fails.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from perilune.methods.method import Method
@@ -43,8 +45,8 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
     Returns
     -------
     Verification
-        Every check made. Unusable tables, or costates that are missing, end the proof at the check that says
-        so.
+        Every check made. Unusable tables, costates that are missing, or physics that cannot be computed end the proof
+        at the check that says so.
 
     Raises
     ------
@@ -58,21 +60,33 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
             got=f"{len(solution.trajectories)} for {len(solution.problem.phases)} phases",
             expected="one for each phase",
         )
-    readable = tables(solution)
-    checks: list[Check] = [readable]
-    if readable.passed:
+    checks: list[Check] = []
+    try:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
         with np.errstate(all="ignore"):
-            flown = flights(solution)
-            checks += feasibility(solution, flown)
-            if level >= 2:
-                checks += extremality(solution, flown)
-            if level >= 3 and all(t.costate is not None for t in solution.trajectories):
-                checks += local_optimality(solution)
-                checks += neighbours(solution, resolve)
-            if level >= 4:
-                checks += agreement(solution, other)
+            for check in _checks(solution, level, resolve, other):
+                checks.append(check)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        meaning = f"the physics can be computed where the tables lead: {error}"
+        checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
     return Verification(checks=tuple(checks), text=solution.problem.text, notes=_unchecked(solution.problem))
+
+
+def _checks(solution: Solution, level: int, resolve: Resolve, other: Method | None) -> Iterator[Check]:
+    """Every check in order; those of tables that cannot be read end there."""
+    readable = tables(solution)
+    yield readable
+    if not readable.passed:
+        return
+    flown = flights(solution)
+    yield from feasibility(solution, flown)
+    if level >= 2:
+        yield from extremality(solution, flown)
+    if level >= 3 and all(t.costate is not None for t in solution.trajectories):
+        yield from local_optimality(solution)
+        yield from neighbours(solution, resolve)
+    if level >= 4:
+        yield from agreement(solution, other)
 
 
 def _unchecked(problem: Problem) -> tuple[str, ...]:

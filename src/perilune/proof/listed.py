@@ -67,7 +67,7 @@ def _reached(
     try:
         with np.errstate(all="ignore"):  # of unknowns that nobody has looked at
             found = resolve(solution.problem, guess)
-    except PeriluneError:
+    except (PeriluneError, ArithmeticError, np.linalg.LinAlgError):
         return None
     reached = replace(found.extremals[0], nature=_ALONE.get(found.extremals[0].nature, found.extremals[0].nature))
     if not _alike(solution, reached, entry) or (proved and not examine(found, 2, resolve).passed):
