@@ -32,7 +32,7 @@ from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, j
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
-_TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
+_TOLERANCE = 1e-13  # of SciPy's integrator, relative and in canonical units
 
 
 @dataclass(frozen=True, kw_only=True)
