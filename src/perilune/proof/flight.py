@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.controls import directions
-from perilune.problem.problem import Phase
+from perilune.problem.phase import Phase
 from perilune.problem.solution import Curve, Solution
 from perilune.proof.arc import Arc
 from perilune.proof.guards import watched_rates
@@ -32,7 +32,7 @@ from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, j
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
-_TOLERANCE = 1e-12  # of SciPy's integrator, relative and in canonical units
+_TOLERANCE = 1e-13  # of SciPy's integrator, relative and in canonical units
 # Of no more use is a flight that multiplies its errors: what ends where it should is no longer known.
 MOST_GROWTH = 1e3
 MOST_EVALUATIONS = 300_000  # of the equations of motion in one phase; the examples take 130 to 250
