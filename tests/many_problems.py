@@ -16,7 +16,9 @@ from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
 from perilune.problem.controls import Bounded, Direction
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
 from perilune.shooting.function import Shooting
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales

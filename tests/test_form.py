@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from perilune.problem.problem import Given, Problem
+from perilune.problem.problem import Problem
 from perilune.problem.tape import Tape
+from perilune.problem.variables import Given
 from perilune.proof.numerics import COMPLEX
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError

@@ -14,7 +14,7 @@ from perilune.methods.hybrid import Hybrid
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.controls import Bounded
-from perilune.problem.problem import Variable
+from perilune.problem.variables import Variable
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from test_descent import PENG_STEERING, peng
 from test_indirect import impossible_steering, tangent_steering

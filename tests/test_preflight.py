@@ -21,8 +21,10 @@ from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.controls import Direction
+from perilune.problem.phase import Phase
 from perilune.problem.preflight import Finding, member, possible, preflight, refuse_impossible
-from perilune.problem.problem import Given, Phase, Problem, Variable
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Given, Variable
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, Outcome

@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 
 from perilune.problem.controls import Bounded, Direction
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
 from perilune.words.outcome import PeriluneError
 
 

@@ -14,7 +14,8 @@ from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.bodies import MOON
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.controls import Bounded
-from perilune.problem.problem import Free, Given, Problem, Variable
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from problems.ascents import tangent_steering

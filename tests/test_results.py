@@ -15,8 +15,8 @@ from scipy.integrate import quad
 from perilune.io.export import extremals_document, solution_document
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem.problem import Variable
 from perilune.problem.solution import Nature, Result, Solution
+from perilune.problem.variables import Variable
 from perilune.problem.views import Beside, Views
 from perilune.report.figures import label, solution_figures
 from perilune.report.summary import solution_markdown, solution_summary

@@ -14,7 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 from perilune.models.bodies import MOON
 from perilune.problem.preflight import possible, preflight, refuse_impossible
-from perilune.problem.problem import Given
+from perilune.problem.variables import Given
 from perilune.scenario import KINDS, load_file, load_text, quantities_of, template, values_of
 from perilune.scenario.reader import names_of
 from perilune.scenario.reference import reference

@@ -13,8 +13,10 @@ import pytest
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
 from perilune.models.landing import Retro, bookkeeping
 from perilune.problem.controls import Bounded, Direction
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Verification
 from perilune.solve import verify
 from perilune.words.outcome import Outcome, PeriluneError

@@ -12,8 +12,10 @@ import pytest
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.precision import Corridor
 from perilune.problem.controls import Bounded
-from perilune.problem.problem import Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.variables import Given, Variable
 from perilune.problem.verification import Check, Verification
 from perilune.solve import solve, verify
 from perilune.words.outcome import Outcome

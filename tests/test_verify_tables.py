@@ -14,8 +14,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from perilune.models.precision import Corridor
 from perilune.problem.controls import Bounded
-from perilune.problem.problem import Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.variables import Given, Variable
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import COSTATE_LIMIT
 from perilune.proof.feasible import STATE_LIMIT

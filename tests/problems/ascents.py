@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from perilune.problem.controls import Direction
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
 from perilune.words.units import Scales
 from problems.answered import Answered
 

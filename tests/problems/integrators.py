@@ -8,7 +8,9 @@ from functools import partial
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.controls import Bounded
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
 from problems.answered import Answered
 
 

@@ -6,7 +6,9 @@ from functools import partial
 
 from cho import cho_landing
 from perilune.problem.controls import Bounded
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
 from problems.answered import Answered
 from test_descent import peng
 

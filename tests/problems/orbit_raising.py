@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from perilune.problem.controls import Direction
-from perilune.problem.problem import Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Given, Variable
 from problems.answered import Answered
 
 

@@ -6,7 +6,9 @@ import math
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
 from perilune.words.units import Scales
 from problems.answered import Answered
 

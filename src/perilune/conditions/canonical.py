@@ -20,7 +20,8 @@ import numpy as np
 from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.symbolic import Kinked, Parameters, canonical_given, trace_sides
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.problem.controls import Bounded, Regime, directions, scalars
-from perilune.problem.problem import Phase
+from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 from perilune.words.outcome import PeriluneError
 

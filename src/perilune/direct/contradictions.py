@@ -13,7 +13,8 @@ import numpy as np
 
 from perilune.direct.nlp import Answer, Program
 from perilune.problem.controls import scalars
-from perilune.problem.problem import Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
     canonical_given,
@@ -22,6 +23,7 @@ from perilune.problem.symbolic import (
     trace_at_end,
     trace_parameters,
 )
+from perilune.problem.variables import Variable
 from perilune.words.outcome import InfeasibleError
 from perilune.words.types import Vector
 from perilune.words.units import told

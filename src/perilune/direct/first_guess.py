@@ -16,7 +16,8 @@ import numpy as np
 from perilune.direct.segments import Sampler
 from perilune.problem.controls import control_scales, placed
 from perilune.problem.guess import fitting_guess
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Trajectory
 from perilune.problem.symbolic import Unnumbered, canonical_free, state_scales, trace_parameters, trace_rates
 from perilune.words.maths import NUMERIC

@@ -27,7 +27,8 @@ import numpy as np
 from perilune.direct.collocation import Mesh
 from perilune.direct.segments import Segment
 from perilune.problem.controls import admissible, scalars
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.symbolic import state_scales
 from perilune.words.types import Matrix, Vector
 

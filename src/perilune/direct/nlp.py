@@ -23,7 +23,8 @@ import numpy as np
 
 from perilune.direct.collocation import Mesh, Rule, Scheme, rule
 from perilune.problem.controls import directions
-from perilune.problem.problem import Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
     Unnumbered,
@@ -36,6 +37,7 @@ from perilune.problem.symbolic import (
     trace_parameters,
     trace_rates,
 )
+from perilune.problem.variables import Variable
 from perilune.words.types import Matrix, Vector
 
 

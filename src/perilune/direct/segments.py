@@ -20,7 +20,8 @@ import numpy as np
 from perilune.direct.collocation import Polynomial, Rule
 from perilune.direct.nlp import Answer, PhaseValues, Program
 from perilune.problem.controls import admissible, admissible_rates, control_scales
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Trajectory, hermite_nodes
 from perilune.problem.symbolic import state_scales
 from perilune.words.types import Matrix, Vector

@@ -25,7 +25,8 @@ from perilune.io.files import finite, fresh_directory, json_text
 from perilune.io.physics import physics_document
 from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.problem.controls import Bounded, Direction
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.words.asked import demand
 from perilune.words.maths import NUMERIC

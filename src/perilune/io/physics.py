@@ -16,8 +16,10 @@ from typing import Any
 from perilune.io.reading import MOST_ENTRIES, number, part, plain, record, refuse, text
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.form import PHASE_FUNCTIONS, roles_of
-from perilune.problem.problem import Free, Given, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.tape import Expression, Tape
+from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.views import Views
 from perilune.words.units import Scales
 

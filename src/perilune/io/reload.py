@@ -19,8 +19,10 @@ import numpy as np
 from perilune.io.physics import read_physics
 from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
 from perilune.problem.controls import directions
-from perilune.problem.problem import Given, Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
+from perilune.problem.variables import Given
 from perilune.words.bounded import bounded_text
 from perilune.words.outcome import Outcome, PeriluneError
 

@@ -12,7 +12,8 @@ from perilune.conditions.canonical import PhaseExtremal, extremal_parameters
 from perilune.conditions.pontryagin import Conditions, derive
 from perilune.kernels import DenseArc
 from perilune.problem.controls import control_scales, scalars
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
 from perilune.shooting.propagate import flight

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from perilune.methods.ladder import Ladder
-from perilune.problem.problem import Problem, Variable
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.variables import Variable
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 

@@ -32,9 +32,11 @@ from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.assemble import free_values, multipliers, trajectories
 from perilune.problem.controls import control_scales
-from perilune.problem.problem import Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.symbolic import canonical_given, free_scales, state_scales
+from perilune.problem.variables import Variable
 from perilune.shooting.propagate import engine, equations
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome

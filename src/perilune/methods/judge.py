@@ -11,7 +11,8 @@ from perilune.conditions.canonical import PhaseExtremal
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import DenseArc
 from perilune.methods.assemble import controls, fly, free_values, objective_scale
-from perilune.problem.problem import Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.symbolic import state_scales
 from perilune.problem.variables import Free, Variable
 from perilune.shooting.function import Root

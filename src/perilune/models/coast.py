@@ -12,7 +12,8 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.problem.problem import Free, Phase, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.variables import Free, Variable
 from perilune.words.declared import quantity
 from perilune.words.types import Physics
 

@@ -38,8 +38,10 @@ from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
 from perilune.models.vehicle import Throttle, Vehicle
 from perilune.problem.controls import Bounded, Control, Direction
 from perilune.problem.declared import given_of
+from perilune.problem.phase import Phase
 from perilune.problem.preflight import Finding
-from perilune.problem.problem import Free, Given, Phase, Problem
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given
 from perilune.problem.views import History, Views
 from perilune.words.declared import quantity, record, span, words
 from perilune.words.maths import NUMERIC

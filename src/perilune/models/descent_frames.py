@@ -41,7 +41,7 @@ from perilune.models.rotating import (
     place,
     seen_inertially,
 )
-from perilune.problem.problem import Variable
+from perilune.problem.variables import Variable
 from perilune.words.types import Physics
 
 AXIS = (0.0, 0.0, 1.0)  # of the rotation, in the Cartesian frame

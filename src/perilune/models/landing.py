@@ -26,8 +26,10 @@ from perilune.models.limits import braking, exhaust_speed
 from perilune.models.vehicle import Retro, Vehicle
 from perilune.problem.controls import Direction
 from perilune.problem.declared import given_of
-from perilune.problem.problem import Free, Phase, Problem, Variable
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.variables import Free, Variable
 from perilune.problem.verification import Check
 from perilune.problem.views import Beside, History, Views
 from perilune.words.asked import demand_records

@@ -46,8 +46,10 @@ from perilune.models.rotating import (
 from perilune.models.vehicle import Throttle, Vehicle
 from perilune.problem.controls import Direction
 from perilune.problem.declared import given_of
+from perilune.problem.phase import Phase
 from perilune.problem.preflight import Finding
-from perilune.problem.problem import Free, Phase, Problem, Variable
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Variable
 from perilune.problem.views import History, Views
 from perilune.words.asked import demand_records
 from perilune.words.declared import quantity, record

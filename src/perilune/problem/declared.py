@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.problem.problem import Given
+from perilune.problem.variables import Given
 from perilune.words.declared import Quantity, keys_of, section_of, values_of
 
 

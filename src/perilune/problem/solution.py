@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.controls import normalised
-from perilune.problem.problem import Problem, Variable
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Variable
 from perilune.problem.verification import Verification
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome, PeriluneError

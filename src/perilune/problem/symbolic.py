@@ -18,7 +18,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.problem.problem import Free, Phase, Problem
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free
 from perilune.words.maths import NUMPY_NAMES, Table
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
-from perilune.problem.problem import Phase, Problem, borne_out
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem, borne_out
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Variable
 from perilune.proof.crossings import Crossing, Guarded

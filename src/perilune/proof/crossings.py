@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.controls import normalised
-from perilune.problem.problem import Phase
+from perilune.problem.phase import Phase
 from perilune.problem.solution import Trajectory
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import jacobian

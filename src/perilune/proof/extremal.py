@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Free
 from perilune.problem.solution import Solution
+from perilune.problem.variables import Free
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, end_slopes, objective_scale, objective_slope, slopes_at_end
 from perilune.proof.flight import Flight, costate_deviation

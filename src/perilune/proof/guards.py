@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Phase
+from perilune.problem.phase import Phase
 from perilune.proof.numerics import COMPLEX, stacked
 from perilune.words.maths import Table
 

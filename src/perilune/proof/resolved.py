@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.problem import Given, Problem
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.variables import Given
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.extremal import at_bound
