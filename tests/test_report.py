@@ -256,7 +256,7 @@ def test_an_altered_file_is_refused(hybrid: Solution, tmp_path, path: str, value
         (b'"\\' * 2**24, "not readable JSON"),
         (b'{"format": 1, "format": 2}', "says something twice"),
         (b'{"format": Infinity}', "not finite"),
-        (b"9" * 10_000, "not readable JSON"),
+        (b"9" * 10_000, "not a saved solution"),
         (b"[]", "not a saved solution"),
         (b'{"format": NaN}', "not finite"),
         (b" " * (64 * 2**20 + 1), "too large"),
