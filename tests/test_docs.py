@@ -191,7 +191,7 @@ def test_messages() -> None:
 def test_checks(hybrid: Solution, ordinary: Solution) -> None:
     """Each check that is made is on the page, with its level and its limit."""
     shown = [
-        (re.findall(r"`([^`]+)`", name)[0], int(level), float(limit))
+        (re.findall(r"`([^`]+)`", name)[0], int(level), float(limit.split()[0]), limit.endswith("g"))
         for name, level, limit, *_ in rows(DOCS / "verification.md", 5)[1:]
     ]
     met = set()
@@ -199,9 +199,12 @@ def test_checks(hybrid: Solution, ordinary: Solution) -> None:
         for check in prove(solution, 3).verification.checks:
             found = [row for row in shown if fnmatch.fnmatch(check.name, row[0]) and row[1] == check.level]
             assert found, f"{check.name} of level {check.level} is not on the page"
-            pattern, _, limit = found[0]
-            unit = solution.problem.scales.of(check.unit)
-            assert check.limit == pytest.approx(limit * unit, rel=1e-9), check.name
+            pattern, _, limit, grows = found[0]
+            limit *= solution.problem.scales.of(check.unit)
+            if grows:  # errors of a landing grow little
+                assert limit * (1 - 1e-9) <= check.limit < 30 * limit, check.name
+            else:
+                assert check.limit == pytest.approx(limit, rel=1e-9), check.name
             met.add(pattern)
     # A landing of constant thrust has no bounded control, so nothing that could switch.
     assert {pattern for pattern, *_ in shown} - met == {"switching_*"}
