@@ -190,6 +190,31 @@ def test_watched_tables_and_functions_are_what_they_are_unwatched(kind: Any) -> 
     assert len(differences) == {"smooth": 2, "monotone": 4, "linear": 4}[kind] + 5
 
 
+@pytest.mark.parametrize("at", np.linspace(0.11, 0.87, 7))
+def test_a_short_dip_across_a_guard_is_two_crossings(at: float) -> None:
+    """y = (t - c)^2 - d inside one piece of a table, its ends far above."""
+    depth = 1e-6
+    phase = pl.Phase(
+        name="dive", states=variables(y="m", w="m/s"), duration="T",
+        dynamics=lambda x, u, p, m: (x.w, m.where(x.y > p.ground, p.g, 2 * p.g)),
+    )  # fmt: skip
+    problem = pl.Problem(
+        name="dive", phases=(phase,), start=lambda p, m: (p.ground, p.w0), objective=lambda x, p, m: x.y,
+        objective_unit="m", given=given(g=(2.0, "m/s^2"), T=(1.0, "s"), ground=(0.0, "m"), w0=(-1.0, "m/s")),
+    )  # fmt: skip
+    t = np.array([0.0, 1.0])
+    state = Curve(
+        time=t, values=np.column_stack([(t - at) ** 2 - depth, 2 * (t - at)]),
+        rates=np.column_stack([2 * (t - at), np.full(2, 2.0)]),
+    )  # fmt: skip
+    empty = Curve(time=t, values=np.zeros((2, 0)), rates=np.zeros((2, 0)))
+    solution = Solution(
+        problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free={},
+        trajectories=(Trajectory(phase="dive", state=state, control=empty),),
+    )  # fmt: skip
+    assert arc_of(solution).crossed == pytest.approx([at - 1e-3, at + 1e-3], abs=1e-9)
+
+
 # --- wrong ones
 
 

@@ -21,7 +21,7 @@ from perilune.problem.variables import Given, Variable
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import COSTATE_LIMIT
 from perilune.proof.feasible import STATE_LIMIT
-from perilune.proof.flight import flights
+from perilune.proof.flight import flights, state_deviation
 from perilune.proof.pieces import POINTS, UP_TO, WEIGHTS, Pieces, extremes, polynomial, through, turns
 from perilune.solve import solve, verify
 from perilune.words.outcome import Outcome
@@ -343,6 +343,43 @@ def test_a_dip_below_the_ground_between_the_points_is_found() -> None:
         )  # fmt: skip
         check = next(c for c in verify(solution, level=1).checks if c.name == "path_height")
         assert check.value == pytest.approx(depth, rel=1e-6)
+
+
+def drift(rate: Any, cost: float) -> Solution:
+    """y' = rate(t) of which a table of one cubic says that y = 0; a clock is the other state."""
+    phase = Phase(
+        name="drift", states=(Variable(name="clock"), Variable(name="y")), duration="T",
+        dynamics=lambda x, u, p, m: (1 / p.second, rate(x.clock, m) / p.second),
+    )  # fmt: skip
+    problem = Problem(
+        name="drift", phases=(phase,), start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.y,
+        given={"T": Given(value=1.0, unit="s"), "second": Given(value=1.0, unit="s")},
+    )  # fmt: skip
+    t = np.array([0.0, 1.0])
+    state = Curve(time=t, values=np.column_stack([t, 0 * t]), rates=np.array([[1.0, 0.0], [1.0, 0.0]]))
+    empty = Curve(time=t, values=np.zeros((2, 0)), rates=np.zeros((2, 0)))
+    return Solution(
+        problem=problem, method="by hand", outcome=Outcome.SOLVED, free={}, objective=cost,
+        trajectories=(Trajectory(phase="drift", state=state, control=empty),),
+    )  # fmt: skip
+
+
+def test_a_rate_that_vanishes_at_the_points_of_a_piece_is_found_by_its_halves() -> None:
+    """Legendre's P4, whose zeros are Gauss's points: y rises to its integral, -s (1 - s)(1 - 2 s)(1 - 7 s (1 - s))."""
+    solution = drift(lambda c, m: 1e-6 * (1 - 20 * c + 90 * c**2 - 140 * c**3 + 70 * c**4), 0.0)
+    arc = Arc(solution=solution, index=0)
+    assert len(arc.looked_at[0]) > 1
+    s = np.linspace(0.0, 1.0, 10_001)
+    largest = 1e-6 * np.abs(s * (1 - s) * (1 - 2 * s) * (1 - 7 * s * (1 - s))).max()
+    assert state_deviation(arc, np.zeros(2)).largest[1] == pytest.approx(largest, rel=0.05)
+
+
+def test_what_quadrature_leaves_open_counts() -> None:
+    arc = Arc(solution=drift(lambda c, m: 1e-3 * m.sin(1e9 * c), 0.0), index=0)
+    still = arc.looked_at[2][1]
+    found = state_deviation(arc, np.zeros(2))
+    assert still > STATE_LIMIT
+    assert found.largest[1] == pytest.approx(max(np.abs(found.inside[1]).max(), np.abs(found.ends[1]).max()) + still)
 
 
 # --- anything at all

@@ -16,13 +16,14 @@ from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Variable
 from perilune.proof.crossings import Crossing, Guarded
 from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
-from perilune.proof.pieces import BLOCK, POINTS, WEIGHTS, Pieces, just_before
+from perilune.proof.pieces import BLOCK, IN_HALVES, POINTS, WEIGHTS, Pieces, just_before, polynomial, through
 from perilune.words.types import Matrix, Vector
 
 ON_BOUND = 1e-7  # a control this close to its bound, in canonical units, lies on it
 # Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they
 # still do is no error that is forgotten, but part of every difference that is reported.
 _SETTLED = 1e-13
+_BENT = 1e-10  # rates times the width of a piece, scaled: how far they may be from a cubic
 _HALVINGS, _MOST_OPEN = 60, 4000
 
 
@@ -274,7 +275,10 @@ class Arc:
             finer = self.slopes(halves := pieces.halves)
             whole, parts = (s.rows() @ WEIGHTS * p.width for s, p in ((own, pieces), (finer, halves)))
             difference = np.abs(whole - parts.reshape(*whole.shape, 2).sum(axis=-1))
-            again = (difference > _SETTLED).any(axis=0) & (left > 0) & (len(pieces) < _MOST_OPEN)
+            # What vanishes at the points, and integrates to nothing over either half, shows at those of the halves.
+            bent = polynomial(through(own.rows())[:, :, None], IN_HALVES) - finer.rows().reshape(*whole.shape, 8)
+            again = (difference > _SETTLED).any(axis=0) | (np.abs(bent).max(axis=2) * pieces.width > _BENT).any(axis=0)
+            again &= (left > 0) & (len(pieces) < _MOST_OPEN)
             found.append(pieces[~again])
             slopes.append(own[~again])
             still = still + difference[:, ~again].sum(axis=1)

@@ -27,6 +27,7 @@ def _gauss(count: int) -> tuple[Vector, Vector, Matrix]:
 
 POINTS, WEIGHTS, UP_TO = _gauss(4)
 ENDS = np.array([0.0, 1.0])
+IN_HALVES = np.concatenate([0.5 * POINTS, 0.5 + 0.5 * POINTS])
 BLOCK = 400  # pieces worked on at a time: their numbers stay in the processor's cache
 
 
@@ -110,7 +111,8 @@ def turns(c: Matrix) -> Matrix:
     _, b, c, d = np.moveaxis(c, -1, 0)
     # The roots of b + 2 c s + 3 d s^2 by the form that loses no digits.
     q = -(c + np.copysign(np.sqrt(np.maximum(c * c - 3 * b * d, 0.0)), c))
-    roots = np.stack([q / (3 * d), b / q], axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # no root is none inside
+        roots = np.stack([q / (3 * d), b / q], axis=-1)
     inside = (c * c >= 3 * b * d)[..., None] & (roots > 0) & (roots < 1)
     return np.where(inside, roots, 0.5)
 
