@@ -2,11 +2,12 @@
 
 How each ends, and the CPU time that saying so takes. Each problem is solved without a guess and not proved:
 
-    python benchmarks/refusals.py [--count 60] [--seed 8] [--jobs 2] [--doubt] [--out refusals.json]
+    python benchmarks/refusals.py [--count 60] [--seed 8] [--jobs 2] [--doubt] [--edge] [--out refusals.json]
 
 ``--count`` is of each kind. With ``--doubt`` every refusal without a bound that holds for every flight is attacked: the
-direct method solves the problem with its limits far apart, and follows that flight while they close in. The counts
-depend on the seed alone, the times on the machine; compare two versions with ``PYTHONPATH`` in one run.
+direct method solves the problem with its limits far apart, and follows that flight while they close in. With ``--edge``
+each is solved again with a dry mass just below, and just above, the mass that its best flight lands. The counts depend
+on the seed alone, the times on the machine; compare two versions with ``PYTHONPATH`` in one run.
 """
 
 from __future__ import annotations
@@ -29,10 +30,11 @@ from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.problem import Problem
 from perilune.solve import solve
-from perilune.words.outcome import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 BODIES = (MOON, MERCURY, EUROPA, CERES)
 STANDARD_GRAVITY = 9.80665
+SEARCHED = "the best of n found misses it"
 
 
 def surface_gravity(body: Body) -> float:
@@ -116,6 +118,7 @@ WIDE: dict[str, Callable[[float], float]] = {
 }
 STEPS = 10  # in which the limits close in
 FINEST_STEP = 1 / 80
+EDGES = (0.995, 0.9995, 1.003)  # of the landed mass
 
 
 def flown_after_all(problem: Problem) -> bool:
@@ -156,9 +159,33 @@ def judge(kind: str, seed: int, number: int, doubt: bool) -> dict[str, Any]:
     except PeriluneError as error:
         row |= {"outcome": "scenario refused", "why": f"{error.what}: {error.got}"}
     row["seconds"] = time.process_time() - began
-    if doubt and row["outcome"] == BEST_MISSES and flown_after_all(problem):
+    if doubt and row["outcome"] == SEARCHED and flown_after_all(problem):
         row["flown"] = True
     return row
+
+
+def at_the_edge(kind: str, seed: int, number: int) -> list[str]:
+    """What is said where the dry mass is a given share of the mass that can land; nothing where no flight is known."""
+    loose = draw(kind, seed, number)
+    loose = loose.with_given(vehicle_dry_mass=0.3 * loose.given["vehicle_dry_mass"].value)
+    said = []
+    try:
+        landed = -solve(loose, level=0).objective
+    except NotConvergedError as error:
+        if error.flight is None:
+            return []
+        landed = -error.flight.objective
+    except PeriluneError:
+        return []
+    for share in EDGES:
+        try:
+            solve(loose.with_given(vehicle_dry_mass=share * landed), level=0)
+            said.append("answered")
+        except InfeasibleError:
+            said.append("refused")
+        except NotConvergedError as error:
+            said.append("not converged, " + ("nothing found" if error.flight is None else "a flight kept"))
+    return said
 
 
 def told(name: str, rows: Sequence[dict[str, Any]]) -> str:
@@ -177,12 +204,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=8)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--doubt", action="store_true")
+    parser.add_argument("--edge", action="store_true")
     parser.add_argument("--out", default="")
     arguments = parser.parse_args()
     with ProcessPoolExecutor(max_workers=arguments.jobs) as pool:
         each = [(kind, arguments.seed, n, arguments.doubt) for kind in KINDS for n in range(arguments.count)]
         jobs = [pool.submit(judge, *one) for one in each]
         rows = [job.result() for job in jobs]
+        edges = [pool.submit(at_the_edge, *one[:3]) for one in each] if arguments.edge else []
+        for share, said in zip(EDGES, zip(*filter(None, (edge.result() for edge in edges)), strict=True), strict=False):
+            print(f"dry mass {share:g} of what can land: {dict(Counter(said))}")
     for kind in KINDS:
         here = [row for row in rows if row["kind"] == kind]
         print(f"{kind}: {dict(Counter(row['outcome'] for row in here))}")
@@ -192,7 +223,7 @@ def main() -> None:
     print(told("without an answer", refused))
     print(told("all", rows))
     if arguments.doubt:
-        searched = [row for row in rows if row["outcome"] == BEST_MISSES]
+        searched = [row for row in rows if row["outcome"] == SEARCHED]
         wrong = [f"{row['kind']} {row['number']}" for row in searched if "flown" in row]
         print(f"refused by a search: {len(searched)}, of which can be flown: {', '.join(wrong) or 'none'}")
     if arguments.out:

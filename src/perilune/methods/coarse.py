@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,6 +18,7 @@ from perilune.words.types import Vector
 
 _ROUGHEST = 0.05  # relative mesh error beyond which a flight is not said to keep anything
 _BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
+_FINER = 100  # most iterations of an attempt on the finer mesh
 _LOOKS = 400  # times of a phase at which its conditions are looked at
 
 
@@ -63,22 +65,25 @@ class Coarse:
 
     @cached_property
     def flight(self) -> Solution | None:
-        """Its answer if that is good enough to keep; what is too rough is solved again on a finer mesh."""
+        """Its answer if that is good enough to keep; what is rough is solved again on a finer mesh, within bounds."""
         known = self.solution
-        try:
-            if known is not None and (known.statistics.residual >= _ROUGHEST or self._broken(known)):
-                known = self._run(segments=16, guess=known)
-        except PeriluneError:
+        if known is None:
             return None
-        return known if known is not None and known.statistics.residual < _ROUGHEST else None
+        if not _fair(known) or self._broken(known):
+            with suppress(PeriluneError):  # then the first is all there is
+                finer = self._run(segments=16, iterations=_FINER, guess=known)
+                known = finer if _fair(finer) else known
+        return known if _fair(known) else None
 
     def _broken(self, flight: Solution) -> bool:
         return any(-values.min() > _BROKEN * np.ptp(values) for _, values in along_path(self.problem, flight))
 
-    def _run(self, segments: int, guess: Solution | None = None) -> Solution:
+    def _run(self, segments: int, iterations: int = 300, guess: Solution | None = None) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
-        method = self.settings.transcription or Pseudospectral(nodes=5, segments=segments, refine=0)
+        method = self.settings.transcription or Pseudospectral(
+            nodes=5, segments=segments, refine=0, iterations=iterations
+        )
         try:
             solution = method.run(self.problem, guess)
         except PeriluneError as error:
@@ -90,3 +95,7 @@ class Coarse:
     def _say(self, lines: tuple[str, ...]) -> None:
         """One line; what a mesh missed, condition by condition, stays with the direct method."""
         self.tried.append("direct transcription: " + "; ".join(line.partition(" (")[0] for line in lines))
+
+
+def _fair(solution: Solution) -> bool:
+    return solution.statistics.residual < _ROUGHEST
