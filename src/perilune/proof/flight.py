@@ -102,7 +102,8 @@ def flights(solution: Solution) -> list[tuple[Arc, Flight]]:
     before = 1.0
     for k in range(len(solution.problem.phases)):
         arc = Arc(solution=solution, index=k)
-        flight = fly(arc, *(initial_state(solution, k, end) for end in ends), before)
+        by_steps, by_pieces = (initial_state(solution, k, end) for end in ends)
+        flight = fly(arc, by_steps, by_pieces, before)
         flown.append((arc, flight))
         ends, before = flight.ends, float(flight.growth.max())
     return flown
