@@ -17,6 +17,7 @@ from perilune.methods.indirect import Indirect
 from perilune.methods.judge import Breach
 from perilune.methods.refusals import refusal
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.problem.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import BEST_MISSES, CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
@@ -105,3 +106,11 @@ def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixtu
     assert height[0] == pytest.approx(15e3) and abs(height[-1]) < 1.0
     assert -25.0 < min(height) < -15.0 and "height_above_site broken by 19 m between" in kept["error"]["got"]
     assert kept["partial"]["tried"]
+
+
+def test_a_broken_path_is_named_and_no_round_off(landing: Problem) -> None:
+    """With 50 N no burn's size makes an extremal, but each burn has one, which dives: not its residual of 1e-16."""
+    with pytest.raises(
+        NotConvergedError, match=r"every extremal breaks a condition[\s\S]*height_above_site falls to -"
+    ):
+        solve(landing.with_given(vehicle_thrust=50.0))

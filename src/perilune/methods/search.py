@@ -17,7 +17,7 @@ from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import Conditions, derive
 from perilune.methods.assemble import free_values, joints_from, multipliers, trajectories, unknowns_from
 from perilune.methods.coarse import Coarse
-from perilune.methods.judge import Judge
+from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import not_converged, refusal
 from perilune.problem.guess import fitting_guess
@@ -61,6 +61,7 @@ class Search:
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
         self.rung, self.met = "", 0
+        self.broken: list[Breach] = []  # by extremals met with the scanned parameter held
         self.coarse = Coarse(self.settings, self.problem, self.tried)
 
     @cached_property
@@ -189,10 +190,12 @@ class Search:
                 member = Member(value=value, root=root)
                 if self._walked_through(member):
                     continue
-                if self.judge.breach(root) is None:
+                breach = self.judge.breach(root)
+                if breach is None:
                     yield member, _RANDOM
                 else:
                     breaking.append(member)
+                    self.broken.append(breach)
         met = f"{self.met} extremals, {len(breaking)} of them break a condition"
         self.tried.append(f"{_RANDOM}{where}: {len(Y)} starts, {met}")
         if self.base is None:
@@ -363,7 +366,7 @@ class Search:
 
     def _refusal(self, found: list[Found]) -> PeriluneError:
         breaches = [breach for f in found if (breach := self.judge.breach(f.root)) is not None]
-        return refusal(self.coarse, breaches) or self._failure()
+        return refusal(self.coarse, breaches or self.broken) or self._failure()
 
     def _failure(self) -> NotConvergedError:
         return not_converged(self.conditions, self.coarse, self.shooting.iterations, self.best_failure)
