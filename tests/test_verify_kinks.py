@@ -373,6 +373,18 @@ def test_a_corner_of_two_kinks_without_a_jump_is_passed() -> None:
     assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
 
 
+def test_a_kink_that_a_control_moves_without_a_jump_is_passed() -> None:
+    """y' = v |x + a|/L: what is zero there but for rounding is no jump."""
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return p.v, p.v * m.fabs(x.x + u.a) / p.L
+
+    t = np.array([0.0, 0.5, 1.0])
+    xy = np.column_stack([t - 0.6, np.sign(t - 0.5) * (t - 0.5) ** 2 / 2])
+    solution = crossing_two(rates, t, xy, np.column_stack([np.ones(3), np.abs(t - 0.5)]), control=0.1)
+    assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
+
+
 def test_a_jump_that_a_control_moves_is_not_understood() -> None:
     """Where neighbours cross depends on what the control does there."""
 
