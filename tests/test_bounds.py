@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -214,6 +215,63 @@ def test_a_guess_is_held_at_the_bound_it_runs_into() -> None:
     there = solve(shove(*BOUNDED[4]), guess=wide, level=0)
     back = solve(shove(*BOUNDED[0]), guess=narrow, level=0)
     assert (there.objective, back.objective) == pytest.approx((narrow.objective, wide.objective), rel=1e-9)
+
+
+# -- which extremals there are, and what each is
+
+
+@pytest.mark.parametrize("worst", [0.47, 0.2])
+@pytest.mark.parametrize("price", [1e-3, 1.0])
+def test_extremals_are_told_apart_however_close_and_flat(worst: float, price: float) -> None:
+    """dJ/dq = price (q - worst) (q - best): between two values of the family too, and where J is all but flat."""
+    best, base = 0.485, push(0.0, 2.0)
+
+    def polynomial(q: Any) -> Any:
+        return q * q * q / 3 - (worst + best) / 2 * q * q + worst * best * q
+
+    problem = replace(
+        base,
+        given={**base.given, "price": Given(value=price, unit="m^2/s^3")},
+        free=(Free(name="q", unit="m", lower=0.0, upper=1.0, typical=1.0),),
+        objective=lambda x, p, m: x.cost + p.price * polynomial(p.q / p.length),
+    )
+
+    found = {e.nature: e for e in solve(problem, level=0).extremals}
+    assert found[Nature.WORST].free["q"] == pytest.approx(worst, abs=1e-7)
+    least = found.get(Nature.LOCAL_OPTIMUM) or found[Nature.BEST]
+    assert least.free["q"] == pytest.approx(best, abs=1e-7)
+    assert least.objective == pytest.approx(energy(1.0, 0.0, 1.5) + price * polynomial(best), rel=1e-12)
+    assert len(found) == 3  # and the lower bound, where J rises into the range
+
+
+def test_a_parameter_that_acts_between_phases() -> None:
+    """A kick at the joint, paid for at the end: the least by SciPy over the place, the speed before it and the kick."""
+    from scipy.optimize import minimize
+
+    base = push()
+    half = base.phases[0]
+    first = replace(half, name="first", end=None, end_conditions=())
+    second = replace(
+        half, name="second", duration="T2", end_conditions=(half.end_conditions[0], Variable(name="speed", unit="m/s"))
+    )
+    problem = replace(
+        base,
+        phases=(first, second),
+        links=(lambda x, p, m: (x.x, x.v + p.kick, x.cost),),
+        given={**base.given, "T2": Given(value=0.5, unit="s"), "price": Given(value=0.8, unit="1/s")},
+        free=(Free(name="kick", unit="m/s", lower=-5.0, upper=5.0, typical=1.0),),
+        objective=lambda x, p, m: x.cost + p.price * p.kick * p.kick,
+    )
+
+    def cost(z: np.ndarray) -> float:
+        place, speed, kick = z
+        return energy(place, 0.0, speed) + 0.8 * kick * kick + energy(1.0 - place, speed + kick, 0.0, 0.5)
+
+    least = minimize(cost, [0.5, 0.5, 0.0], tol=1e-14)
+    solution = solve(problem)
+    assert solution.outcome is Outcome.PROVED, str(solution.verification)
+    assert solution.objective == pytest.approx(float(least.fun), rel=1e-10)
+    assert solution.free["kick"] == pytest.approx(float(least.x[2]), abs=1e-6)
 
 
 # -- what is no answer

@@ -136,3 +136,19 @@ def test_without_a_corridor_only_the_ground_is_in_the_way() -> None:
     assert free.results["landed_mass"].value >= held.results["landed_mass"].value - 1e-9
     side = solution_figures(free)["track"].axes[0]
     assert "glide slope" not in [line.get_label() for line in side.lines]
+
+
+def test_what_is_read_off_the_fall_is_what_a_burn_without_thrust_says(falls: Solution) -> None:
+    fall, burn = falls.problem.phases
+    flown = falls.trajectories[0]
+    t = np.linspace(0.0, flown.duration, 5)
+    x, off = list(flown.state(t).T), [np.zeros(len(t))] * len(burn.control_names)
+    with np.errstate(all="ignore"):  # the angles of a thrust that there is none of
+        whole = burn.evaluate("outputs", x, off, falls.parameters)
+    known = dict(zip((v.name for v in burn.output_variables), whole, strict=True))
+    read = dict(
+        zip((v.name for v in fall.output_variables), fall.evaluate("outputs", x, [], falls.parameters), strict=True)
+    )
+    assert read and read.keys() < known.keys()
+    for name, value in read.items():
+        assert np.asarray(value) == pytest.approx(np.asarray(known[name]), rel=1e-12)

@@ -59,6 +59,38 @@ def test_light_bends_at_a_choice() -> None:
     assert np.linalg.norm(after) == pytest.approx(2.0, abs=1e-10)
 
 
+def test_a_costate_that_only_one_side_moves_is_kept() -> None:
+    """A sail drifts at 1 m/s and beyond 1 m with its own speed y as well, whose costate is constant before.
+
+    Over 3 m in 2 s the integral of y from 1 s on is 1 m: y' = c, then c (2 s - t), so c + c/3 = 1 and J = 2 c^2/3.
+    """
+    phase = pl.Phase(
+        name="sail",
+        states=variables(x="m", y="m/s", cost="m^2/s^3"),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (
+            p.drift + m.where(x.x > p.border, x.y, 0.0 * p.drift), u.u, 0.5 * u.u * u.u,
+        ),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far,),
+        end_conditions=variables(there="m"),
+    )  # fmt: skip
+    problem = pl.Problem(
+        name="sail",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given=given(drift=(1.0, "m/s"), border=(1.0, "m"), far=(3.0, "m"), T=(2.0, "s")),
+        objective=lambda x, p, m: x.cost,
+        objective_unit="m^2/s^3",
+    )
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED
+    assert solution.objective == pytest.approx(0.375, rel=1e-12)
+    lam = solution.trajectories[0].costate
+    assert lam is not None
+    assert lam.values[[0, -1], 1] == pytest.approx([-0.75, 0.0], abs=1e-10)
+
+
 def flipped() -> pl.Problem:
     """From rest to rest over 1 m in least time, thrust at most 1 m/s^2 either way, its sign turned beyond 0.3 m."""
     phase = pl.Phase(

@@ -155,3 +155,12 @@ def test_amplified_round_off_is_a_root_where_y_cannot_be_better(copies: int) -> 
     assert ends.converged.all()
     assert ends.y == pytest.approx(np.sqrt(2), abs=1e-14)
     assert not run(amplified(2e-6), *[1.0] * copies).converged.any()
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+def test_small_steps_do_not_make_a_root_of_a_residual_above_the_tolerance(copies: int) -> None:
+    """A slope stated as twice the true one halves the error in each step: the steps are small before the residual."""
+    ends = run(toy(lambda y: y - 1, lambda y: np.full(y.shape, 2.0)), *[0.0] * copies)
+    assert ends.converged.all()
+    assert ends.y == pytest.approx(1.0, abs=1e-11)
+    assert (np.abs(ends.rows[:, 0]) <= 1e-11).all()

@@ -61,6 +61,27 @@ def test_the_rocket_equation_bounds_the_papers_landings(delta_v: float | None, l
     assert landed < bound < 1.12 * landed
 
 
+@pytest.mark.parametrize(("main", "retro"), [(310.0, 220.0), (220.0, 310.0)])
+def test_each_burn_is_charged_at_its_own_engine(main: float, retro: float) -> None:
+    """Tsiolkovsky's equation burn by burn; with no burn stated, the better engine does it all."""
+    g0, mu, radius = 9.80665, MOON.gravitational_parameter, MOON.radius
+    r0, parking = radius + 15e3, radius + 100e3
+    vehicle, orbit = (
+        Vehicle(mass=300.0, thrust=440.0, specific_impulse=main),
+        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
+    )
+    speed = math.sqrt(2 * mu / r0 - 2 * mu / (r0 + parking))
+
+    def left(delta_v: float | None) -> float:
+        problem = hybrid_landing(vehicle, Retro(specific_impulse=retro, delta_v=delta_v), orbit, MOON)
+        return finding(problem, "landed mass by the rocket equation").value
+
+    rest = math.sqrt((speed - 800.0) ** 2 + 2 * mu / radius - 2 * mu / r0) - MOON.rotation_rate * radius
+    assert left(800.0) == pytest.approx(300.0 * math.exp(-800.0 / (retro * g0) - rest / (main * g0)), rel=1e-12)
+    whole = math.sqrt(speed**2 + 2 * mu / radius - 2 * mu / r0) - MOON.rotation_rate * radius
+    assert left(None) == pytest.approx(300.0 * math.exp(-whole / (310.0 * g0)), rel=1e-12)
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.3, 8.0), st.floats(-8.0, 8.0), st.floats(-0.02, 0.02), st.floats(0.0, 1600.0))
 def test_no_steering_law_beats_the_rocket_equation(

@@ -65,6 +65,7 @@ def test_a_hidden_constant_is_found() -> None:
          "one unit of both"),
         (lambda x, u, p, m: p.push**2, "p.push**2 in m^2/s^4", "a quantity in m/s^2"),
         (lambda x, u, p, m: 0.0 - x.v / 3.0, "0 - x.v/3 in m/s", "a quantity in m/s^2"),
+        (lambda x, u, p, m: x.v - (x.v - 2.0 * x.v), "x.v - (x.v - 2*x.v) in m/s", "a quantity in m/s^2"),
         (lambda x, u, p, m: p.push + m.atan2(x.x, x.v), "x.x in m, beside x.v in m/s, in m.atan2(x.x, x.v)",
          "one unit of both"),
     ],

@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import perilune as pl
 from cho import CHO_MOON
 from command_line import HYBRID, read_json, snapshot
 from perilune.cli import run
 from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
 from perilune.methods.judge import Breach
-from perilune.methods.refusals import refusal
+from perilune.methods.refusals import refusal, ridden_condition
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.problem import Problem
+from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import BEST_MISSES, CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.outcome import (
+    BEST_MISSES,
+    CANNOT_BE_FLOWN,
+    InfeasibleError,
+    NotConvergedError,
+    Outcome,
+    PeriluneError,
+)
 from problems.ascents import tangent_steering
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -114,3 +124,73 @@ def test_a_broken_path_is_named_and_no_round_off(landing: Problem) -> None:
         NotConvergedError, match=r"every extremal breaks a condition[\s\S]*height_above_site falls to -"
     ):
         solve(landing.with_given(vehicle_thrust=50.0))
+
+
+def over_ground(height: Callable[[np.ndarray], np.ndarray], residual: float = 1e-6) -> Solution:
+    """A flight by hand with the given heights, which must not be negative."""
+    phase = pl.Phase(
+        name="over",
+        states=(pl.Variable(name="h", unit="m"),),
+        controls=(pl.Bounded(name="climb", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (u.climb,),
+        duration="T",
+        path=lambda x, u, p, m: (x.h,),
+        path_conditions=(pl.Variable(name="ground", unit="m"),),
+    )
+    problem = pl.Problem(
+        name="over",
+        phases=(phase,),
+        start=lambda p, m: (p.h0,),
+        given={"T": pl.Given(value=1.0, unit="s"), "h0": pl.Given(value=1.0, unit="m")},
+        objective=lambda x, p, m: x.h,
+        objective_unit="m",
+    )
+    t = np.linspace(0.0, 1.0, 201)
+    slope = np.gradient(height(t), t)[:, None]
+    flown = Trajectory(
+        phase="over",
+        state=Curve(time=t, values=height(t)[:, None], rates=slope),
+        control=Curve(time=t, values=slope, rates=0 * slope),
+    )
+    return Solution(
+        problem=problem, method="by hand", outcome=Outcome.SOLVED, objective=0.0, free={}, trajectories=(flown,),
+        statistics=Statistics(residual=residual),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("at", "ridden"), [(0.0, None), (0.02, None), (0.3, "ground"), (0.93, "ground"), (1.0, None)])
+def test_a_condition_that_is_met_at_the_ends_alone_is_not_ridden(at: float, ridden: str | None) -> None:
+    flight = over_ground(lambda t: 3.0 * (t - at) ** 2)
+    assert ridden_condition(flight.problem, flight) == ridden
+
+
+@dataclass(frozen=True)
+class Again:
+    """A direct method whose answer is known."""
+
+    answer: Solution
+
+    def run(self, problem: pl.Problem, guess: Solution | None = None) -> Solution:
+        return self.answer
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "kept"),
+    [
+        ((0.1, 0.01), (0.2, 0.01), "first"),
+        ((-0.01, 0.01), (0.2, 0.01), "second"),  # it breaks the ground by more than a mesh does
+        ((0.1, 0.06), (0.2, 0.01), "second"),  # too rough
+        ((0.1, 0.06), (0.2, 0.06), None),
+    ],
+)
+def test_a_flight_is_kept_that_is_good_enough_or_becomes_so(
+    first: tuple[float, float], second: tuple[float, float], kept: str | None
+) -> None:
+    """Of lowest height and mesh error: once as it is, and once after another try."""
+    flights = {
+        name: over_ground(lambda t, low=low: low + 3.0 * (t - 0.5) ** 2, residual)
+        for name, (low, residual) in (("first", first), ("second", second))
+    }
+    coarse = Coarse(Indirect(transcription=Again(flights["second"])), flights["first"].problem, [])
+    coarse.solution = flights["first"]
+    assert coarse.flight is (flights[kept] if kept else None)

@@ -156,6 +156,7 @@ def test_a_change_may_add_a_section() -> None:
         ("body.rotation_rate=1.52504e-4 rad/s", "mixes degrees and radians", "deg/s"),
         ("body.rotation_rate=2.6617e-6 deg/s", "mixes degrees and radians", "deg/s"),
         ("body.rotation_rate=13.2 rad/s", "throw the ground into space", "deg/s"),
+        ("body.rotation_rate=-13.2 rad/s", "throw the ground into space", "deg/s"),
         ("body.rotation_rate=13.2 deg", "body.rotation_rate - the unit has the wrong dimension", "deg/s"),
         ("body.name=mars", "a name and quantities", "leave out"),
         ("orbit.perilune_altitude=15 m", "lower than the terrain", "m in place of km"),

@@ -102,6 +102,7 @@ def test_every_kind_is_stated_by_an_example() -> None:
         (PRECISION, "throttle.upper=90 deg", "throttle.upper is out of range", "between 0 and 1"),
         (PRECISION, "corridor.tilt=95 deg", "corridor.tilt is no angle", "95 deg"),
         (PRECISION, "approach.longest_coast=0 s", "approach.longest_coast is out of range", "900 s"),
+        (PRECISION, "approach.east=-1e5 km", "so far away", "km in place of m"),
         (PRECISION, "body.j3=1", "no key of this name in [body]", "'j2'"),
         (PRECISION, "problem.target=site", "no key of this name in [problem]", "kind"),
         (HYBRID, "start.altitude=3 km", "[start] belongs to another", "powered_descent"),

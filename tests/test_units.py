@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import Scales, dimension_text, parse_quantity, told, unit
+from perilune.words.units import _UNITS, Scales, dimension_text, parse_quantity, told, unit
 
 
 @pytest.mark.parametrize(
@@ -39,6 +39,22 @@ from perilune.words.units import Scales, dimension_text, parse_quantity, told, u
 )
 def test_a_quantity_becomes_si(text: str, wanted: str, value: float) -> None:
     assert parse_quantity(text, wanted) == pytest.approx(value, rel=1e-15)
+
+
+# In SI, from the definitions: the SI brochure (2019), 3rd CGPM (1901), the yard and pound agreement (1959).
+EACH = {
+    "m": 1.0, "km": 1000.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048,
+    "s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0, "day": 86400.0,
+    "kg": 1.0, "g": 0.001, "t": 1000.0, "lb": 0.45359237,
+    "N": 1.0, "kN": 1000.0, "MN": 1000000.0, "lbf": 4.4482216152605, "g0": 9.80665, "Pa": 1.0, "kPa": 1000.0,
+    "J": 1.0, "kJ": 1000.0, "MJ": 1000000.0, "W": 1.0, "kW": 1000.0, "MW": 1000000.0,
+    "K": 1.0, "%": 0.01, "rad": 1.0, "deg": 0.017453292519943295, "1": 1.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", _UNITS)
+def test_each_unit_has_the_size_of_its_definition(name: str) -> None:
+    assert unit(name)[0] == pytest.approx(EACH[name], rel=1e-15)
 
 
 @pytest.mark.parametrize(

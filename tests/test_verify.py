@@ -18,6 +18,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Verification
+from perilune.proof.resolved import neighbours
 from perilune.solve import verify
 from perilune.words.outcome import Outcome, PeriluneError
 
@@ -138,6 +139,18 @@ def test_a_retro_burn_of_zero_is_not_stationary_inside_its_range(scipy_ordinary:
         free={**scipy_ordinary.free, "retro_delta_v": 0.0},
     )
     assert failed(verify(inside, level=2)) == {"stationary_retro_delta_v"}
+
+
+@pytest.mark.parametrize(("bounds", "passes"), [((0.0, 1000.0), True), ((1000.0, 1500.0), False)])
+def test_at_a_bound_the_objective_must_not_fall_into_the_range(bounds: tuple[float, float], passes: bool) -> None:
+    """The best retro burn is 1200.9 m/s: 1000 m/s are right as the most that may be burnt, not as the least."""
+    fixed = cho_problem(Retro(specific_impulse=310.0, delta_v=1000.0))
+    found = solution_of(fixed, shoot(fixed, np.array(GUESSES["hybrid"])))
+    hybrid, (lower, upper) = cho_problem(HYBRID), bounds
+    free = tuple(replace(f, lower=lower, upper=upper) if f.name == "retro_delta_v" else f for f in hybrid.free)
+    problem = replace(hybrid, ranges=None, free=free)
+    claimed = replace(found, problem=problem, free={**found.free, "retro_delta_v": 1000.0})
+    assert failed(verify(claimed, level=2)) == (set() if passes else {"stationary_retro_delta_v"})
 
 
 def test_another_delta_v_is_not_stationary() -> None:
@@ -497,3 +510,78 @@ def test_steering_that_is_not_linear_in_its_tangent_is_feasible_but_no_extremal(
     verification = verify(linear_tangent(bend=1e-3), level=2)
     assert verification.level == 1
     assert failed(verification) >= {"minimum_of_hamiltonian", "stationary_direction_along_up"}
+
+
+@pytest.mark.parametrize(("bend", "slips"), [(0.0, set()), (1e10, set()), (1e10, {"vy"})])
+def test_a_cubic_bend_of_the_optimum_is_extrapolated_away(bend: float, slips: set[str]) -> None:
+    """J = lam s + bend s^3: differences at steps s and 2 s, extrapolated, give lam exactly; another lam they do not."""
+    solution = linear_tangent()
+    costate = solution.trajectories[0].costate
+    assert costate is not None
+    slopes = dict(zip(("y", "vx", "vy"), costate.values[0], strict=True))
+
+    def resolve(problem: Problem, guess: Solution) -> Solution:
+        moved = {name: problem.given[f"offset_{name}"].value for name in slopes}
+        lam = {name: value + 1e-4 * (name in slips) for name, value in slopes.items()}
+        return replace(guess, objective=sum(lam[name] * s + bend * s**3 for name, s in moved.items()))
+
+    checks = list(neighbours(solution, resolve))
+    assert {c.name for c in checks if not c.passed} == {f"initial_costate_{name}" for name in slips}
+
+
+# Absolute, in canonical units: a few times what an answer may leave, not in terms of the limits themselves.
+@pytest.mark.parametrize(
+    ("which", "column", "amount", "check"),
+    [("state", 2, 1e-9, "state_vy"), ("costate", 2, 1e-8, "costate_vy"), ("costate", 0, 1e-8, "costate_y")],
+)
+def test_a_table_off_by_a_hundred_millionth_fails(which: str, column: int, amount: float, check: str) -> None:
+    good = linear_tangent()
+    T = good.trajectories[0].duration
+
+    def bulged(curve: Curve) -> Curve:
+        values, rates = curve.values.copy(), curve.rates.copy()
+        values[:, column] += amount * np.sin(np.pi * curve.time / T) ** 2
+        rates[:, column] += amount * np.pi / T * np.sin(2 * np.pi * curve.time / T)
+        return replace(curve, values=values, rates=rates)
+
+    assert check in failed(verify(with_curve(good, which, bulged), level=2))
+
+
+def test_an_end_that_is_missed_by_a_billionth_fails() -> None:
+    good = linear_tangent()
+    height = good.problem.given["height"].value
+    assert failed(verify(good, level=1)) == set()
+    missed = replace(good, problem=good.problem.with_given(height=height + 1e-9))
+    assert failed(verify(missed, level=1)) == {"height"}
+    assert failed(verify(replace(good, objective=good.objective + 1e-9), level=1)) == {"objective"}
+
+
+def sailing(along: float, space: int) -> Solution:
+    """Farthest in 1 s at the speed v (a^2 + 0.3 a), a the first component of a direction: best along 1, locally -1."""
+    names, rest = ("a", "b", "c")[:space], [0.0] * (space - 1)
+    phase = Phase(
+        name="sail",
+        states=(Variable(name="x", unit="m"),),
+        controls=(Direction(names=names),),
+        dynamics=lambda x, u, p, m: (p.v * (u.a * u.a + 0.3 * u.a),),
+        duration="T",
+    )
+    problem = Problem(
+        name="sailing",
+        phases=(phase,),
+        start=lambda p, m: (0.0 * p.v * p.T,),
+        given={"v": Given(value=1.0, unit="m/s"), "T": Given(value=1.0, unit="s")},
+        objective=lambda x, p, m: -x.x,
+        objective_unit="m",
+    )
+    t, speed = np.linspace(0.0, 1.0, 5), 1.0 + 0.3 * along
+    flown = curves(t, (speed * t,), (speed,), (-1.0,), (0.0,), (along, *rest), [0.0] * space)
+    return Solution(
+        problem=problem, method="closed form", outcome=Outcome.SOLVED, objective=-speed, free={}, trajectories=(flown,)
+    )
+
+
+@pytest.mark.parametrize("space", [2, 3])
+def test_a_direction_that_is_best_among_its_neighbours_alone_fails(space: int) -> None:
+    assert failed(verify(sailing(1.0, space), level=2)) == set()
+    assert failed(verify(sailing(-1.0, space), level=2)) == {"minimum_of_hamiltonian"}

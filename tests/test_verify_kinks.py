@@ -315,3 +315,85 @@ def test_a_flight_that_would_have_to_slide_is_not_proved() -> None:
     verification = pl.verify(slide(1.0), level=1)
     assert "state_x" in {c.name for c in verification.failed}
     assert math.isnan(next(c.value for c in verification.checks if c.name == "state_x"))
+
+
+def crossing_two(
+    rates: Any, t: np.ndarray, xy: np.ndarray, slopes: np.ndarray, control: float | None = None
+) -> Solution:
+    """A flight of x and y by hand, its tables given at times t, and a constant control where there is one."""
+    phase = pl.Phase(
+        name="go", states=variables(x="m", y="m"), duration="T", dynamics=rates,
+        controls=() if control is None else (pl.Bounded(name="a", unit="m"),),
+    )  # fmt: skip
+    problem = pl.Problem(
+        name="go", phases=(phase,), start=lambda p, m: (p.x0, p.y0), objective=lambda x, p, m: x.x,
+        objective_unit="m", given=given(T=(float(t[-1]), "s"), x0=(float(xy[0, 0]), "m"), y0=(float(xy[0, 1]), "m"),
+                                        v=(1.0, "m/s"), L=(1.0, "m"), zero=(0.0, "m")),
+    )  # fmt: skip
+    u = np.zeros((len(t), 0)) if control is None else np.full((len(t), 1), control)
+    flown = Trajectory(
+        phase="go", state=Curve(time=t, values=xy, rates=slopes), control=Curve(time=t, values=u, rates=0 * u)
+    )
+    return Solution(
+        problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=float(xy[-1, 0]), free={},
+        trajectories=(flown,),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.2])
+def test_at_a_corner_of_two_jumps_nothing_is_known_of_neighbours(apart: float) -> None:
+    """Which of the two a neighbour crosses first decides where it goes; one after the other they are understood."""
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return m.where(x.y > p.zero, p.v, 2 * p.v), m.where(x.x > p.zero, 2 * p.v, p.v)
+
+    # x meets its border at 0.5 s; y goes twice as fast from there, and meets its own `apart` s later.
+    meets = 0.5 + apart
+    t = np.repeat([0.0, 0.5, meets, 1.0], [1, 2, 2, 1]) if apart else np.array([0.0, 0.5, 0.5, 1.0])
+    before_x, before_y = t <= 0.5, t <= meets
+    x = np.where(before_y, 2 * (t - 0.5), 2 * apart + t - meets)
+    y = np.where(before_x, t - 0.5 - 2 * apart, 2 * (t - meets))
+    sides = np.array([*([0] * 2), *([1] * (len(t) - 4)), *([2] * 2)])
+    slopes = np.column_stack([np.where(sides == 2, 1.0, 2.0), np.where(sides == 0, 1.0, 2.0)])
+    solution = crossing_two(rates, t, np.column_stack([x, y]), slopes)
+    verification = pl.verify(solution, level=1)
+    assert verification.passed == bool(apart), str(verification)
+    assert np.isnan(arc_of(solution).crossings[0].speeds).all() == (not apart)
+
+
+def test_a_corner_of_two_kinks_without_a_jump_is_passed() -> None:
+    """x' = v (1 + |x|/L), and y likewise: from -1 both reach 0 at log 2 s, by 1 - 2 e^-t, then e^(t - log 2) - 1."""
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return p.v * (1 + m.fabs(x.x) / p.L), p.v * (1 + m.fabs(x.y) / p.L)
+
+    t = np.linspace(0.0, 2 * math.log(2), 801)
+    x = np.where(t <= math.log(2), 1 - 2 * np.exp(-t), 0.5 * np.exp(t) - 1)
+    solution = crossing_two(rates, t, np.column_stack([x, x]), np.column_stack([1 + np.abs(x)] * 2))
+    assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
+
+
+def test_a_kink_that_a_control_moves_without_a_jump_is_passed() -> None:
+    """y' = v |x + a|/L: what is zero there but for rounding is no jump."""
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return p.v, p.v * m.fabs(x.x + u.a) / p.L
+
+    t = np.array([0.0, 0.5, 1.0])
+    xy = np.column_stack([t - 0.6, np.sign(t - 0.5) * (t - 0.5) ** 2 / 2])
+    solution = crossing_two(rates, t, xy, np.column_stack([np.ones(3), np.abs(t - 0.5)]), control=0.1)
+    assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
+
+
+def test_a_jump_that_a_control_moves_is_not_understood() -> None:
+    """Where neighbours cross depends on what the control does there."""
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return p.v, m.where(x.x + u.a > p.zero, 2 * p.v, p.v)
+
+    t = np.array([0.0, 0.5, 0.5, 1.0])
+    x, y = t - 0.6, np.where(t <= 0.5, t, 2 * t - 0.5)
+    slopes = np.column_stack([np.ones(4), [1.0, 1.0, 2.0, 2.0]])
+    solution = crossing_two(rates, t, np.column_stack([x, y]), slopes, control=0.1)
+    assert not pl.verify(solution, level=1).passed
+    assert np.isnan(arc_of(solution).crossings[0].speeds).all()

@@ -10,7 +10,7 @@ import pytest
 import perilune as pl
 from perilune.models.bodies import Body
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.proof.flight import flights
+from perilune.proof.flight import MOST_GROWTH, _growth, flights
 
 PHOBOS = Body(name="phobos", gravitational_parameter=7.087e5, radius=11.1e3, rotation_rate=2.28e-4)
 
@@ -63,6 +63,37 @@ def test_growth_is_that_of_the_closed_form() -> None:
     assert solution.objective == pytest.approx(3.0 / (1 - np.exp(-6.0)), rel=1e-9)  # rate x0^2 / (1 - e^(-2 rate T))
     (_, flight) = flights(solution)[0]
     assert flight.growth == pytest.approx([np.exp(3.0), 1.0], rel=1e-6)
+
+
+def test_a_phase_inherits_the_growth_of_those_before() -> None:
+    """The same flight in two halves: an error at the start of the first grows by e^3 until the end of the second."""
+    whole = runaway(3.0)
+    first = replace(whole.phases[0], name="first", end=None, end_conditions=())
+    problem = replace(
+        whole,
+        phases=(first, replace(whole.phases[0], name="second")),
+        links=(lambda x, p, m: (x.x, x.e),),
+        given={**whole.given, "T": pl.Given(value=0.5, unit="s")},
+    )
+    (_, early), (_, late) = flights(pl.solve(problem, level=0))
+    assert early.growth == pytest.approx([np.exp(1.5), 1.0], rel=1e-6)
+    assert late.growth == pytest.approx([np.exp(3.0), np.exp(1.5)], rel=1e-6)
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+@pytest.mark.parametrize("peak", ["early", "late"])
+def test_growth_is_the_most_of_all_stretches_from_the_start_or_to_the_end(peak: str, jumps: bool) -> None:
+    """Against the products of the pieces' matrices written out, which do not commute, with a jump between two."""
+    random = np.random.default_rng(3)
+    sizes = np.array([6.0, 3.0, 0.2, 0.1, 0.5] if peak == "early" else [0.1, 0.2, 0.5, 6.0, 3.0])
+    past = random.normal(size=(5, 3, 3)) * sizes[:, None, None]
+    over = {1: np.eye(3) + random.normal(size=(3, 3))} if jumps else {}
+    links = [over[i] @ each if i in over else each for i, each in enumerate(past)]
+    stretches = [links[:k] for k in range(1, 6)] + [links[k:] for k in range(5)]
+    products = [np.linalg.multi_dot([np.eye(3), *stretch[::-1]]) for stretch in stretches]
+    most = np.max([np.abs(product).sum(axis=1) for product in products], axis=0)
+    assert _growth(past, over) == pytest.approx(np.clip(most, 1.0, MOST_GROWTH), rel=1e-12)
+    assert (most > 1).all() and (most < MOST_GROWTH).all()
 
 
 @pytest.mark.parametrize("rate", [0.1, 3.0, 6.0])
