@@ -270,3 +270,35 @@ def test_that_no_flight_at_all_is_best_is_said(longest: float) -> None:
     )
     with pytest.raises(NotConvergedError, match=r"T goes to 0 s: the best push is none[\s\S]*a lower bound above 0"):
         solve(waiting)
+
+
+def placed_by_choice(gain: float, ranged: bool) -> Problem:
+    """x' = u for 1 s from 0 to q >= 0, J = int u^2/2 - gain q^2 = (1/2 - gain) q^2; q free, or the range of an end."""
+    phase = Phase(
+        name="go",
+        states=(Variable(name="x", unit="m"), Variable(name="e", unit="m^2/s")),
+        controls=(Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=(lambda x, p, m: (x.x,)) if ranged else (lambda x, p, m: (x.x - p.q,)),
+        end_conditions=(Variable(name="place", unit="m", lower=0.0 if ranged else -np.inf),),
+    )
+    return Problem(
+        name="placed",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0),
+        given={"T": Given(value=1.0, unit="s"), "gain": Given(value=gain, unit="1/s")},
+        free=() if ranged else (Free(name="q", unit="m", lower=0.0, upper=5.0),),
+        objective=(lambda x, p, m: x.e - p.gain * x.x * x.x) if ranged else (lambda x, p, m: x.e - p.gain * p.q * p.q),
+        objective_unit="m^2/s",
+    )
+
+
+@pytest.mark.parametrize(("ranged", "sees"), [(False, "second_variation"), (True, "conjugate_point")])
+def test_a_bound_that_holds_nothing_back_proves_no_optimum(ranged: bool, sees: str) -> None:
+    """At q = 0 the slope of J is 0 whatever the gain: beyond 1/2 leaving the bound is better at second order."""
+    rests = solve(placed_by_choice(0.2, ranged))
+    assert rests.outcome is Outcome.PROVED, str(rests.verification)
+    proof = verify(replace(rests, problem=placed_by_choice(1.0, ranged)))
+    assert proof.level == 2
+    assert next(c for c in proof.checks if c.name == sees).value == pytest.approx(2.0, rel=1e-6)  # gain / (1/2)

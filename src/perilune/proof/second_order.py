@@ -41,8 +41,15 @@ import numpy as np
 from perilune.problem.controls import Bounded, normalised, placed, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
-from perilune.proof.extremal import INSIDE, at_bound, end_multipliers, end_sides
+from perilune.proof.arc import Arc, objective_scale
+from perilune.proof.extremal import (
+    INSIDE,
+    STATIONARY_LIMIT,
+    at_bound,
+    end_multipliers,
+    end_sides,
+    parameter_gradient,
+)
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
@@ -65,7 +72,12 @@ def local_optimality(solution: Solution) -> Iterator[Check]:
         An extremal with costates.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
-    inner = [f.name for f in solution.problem.free if not any(at_bound(solution, f))]
+    nu = [end_multipliers(arc)[0] for arc in arcs]
+    inner = [
+        f.name
+        for f in solution.problem.free
+        if not any(at_bound(solution, f)) or _slack(solution, parameter_gradient(arcs, nu, f.name), f.unit)
+    ]
     durations = [name for name in inner if name in solution.problem.duration_names]
     pieces = _pieces(arcs, inner)
     for arc in arcs:
@@ -83,6 +95,14 @@ def local_optimality(solution: Solution) -> Iterator[Check]:
             meaning=f"the same with {', '.join(others)} varied together with the control: beyond 1 a better choice "
             "is near",
         )  # fmt: skip
+
+
+def _slack(solution: Solution, multiplier: float, unit: str) -> bool:
+    """Whether a bound that is reached holds nothing back, so that what lies on it may leave it at no first-order cost.
+
+    That is varied to both sides then, which asks for more than is necessary.
+    """
+    return abs(multiplier) * solution.problem.scales.of(unit) <= STATIONARY_LIMIT * objective_scale(solution)
 
 
 def _positive(forms: tuple[Matrix, Matrix, int] | None, fixed: Sequence[int], *, name: str, meaning: str) -> Check:
@@ -369,5 +389,7 @@ def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matr
 
     x = arc.state(np.array([arc.duration]))[:, 0]
     first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
-    held = end_sides(arc) != INSIDE  # a range that is not at a bound is free to vary
+    # A range is free to vary where it is not at a bound, or where that bound holds nothing back.
+    slack = np.abs(nu) * arc.end_scale <= STATIONARY_LIMIT * arc.objective_scale
+    held = np.where(slack, end_sides(arc) == 0, end_sides(arc) != INSIDE)
     return first[1:][held] / arc.end_scale[held, None], second
