@@ -41,19 +41,20 @@ import numpy as np
 from perilune.problem.controls import Bounded, normalised, placed, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, objective_scale
-from perilune.proof.extremal import (
-    INSIDE,
-    STATIONARY_LIMIT,
-    at_bound,
-    end_multipliers,
-    end_sides,
-    parameter_gradient,
-)
+from perilune.proof.arc import Arc
+from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
-from perilune.proof.switching import HAMILTONIAN_LIMIT, control_rates, crossings, on_bounds, strictness, tangents
+from perilune.proof.switching import (
+    HAMILTONIAN_LIMIT,
+    control_rates,
+    crossings,
+    on_bounds,
+    strictness,
+    tangents,
+    with_limits,
+)
 from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
@@ -72,12 +73,7 @@ def local_optimality(solution: Solution) -> Iterator[Check]:
         An extremal with costates.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
-    nu = [end_multipliers(arc)[0] for arc in arcs]
-    inner = [
-        f.name
-        for f in solution.problem.free
-        if not any(at_bound(solution, f)) or _slack(solution, parameter_gradient(arcs, nu, f.name), f.unit)
-    ]
+    inner = varied(solution, arcs)
     durations = [name for name in inner if name in solution.problem.duration_names]
     pieces = _pieces(arcs, inner)
     for arc in arcs:
@@ -95,14 +91,6 @@ def local_optimality(solution: Solution) -> Iterator[Check]:
             meaning=f"the same with {', '.join(others)} varied together with the control: beyond 1 a better choice "
             "is near",
         )  # fmt: skip
-
-
-def _slack(solution: Solution, multiplier: float, unit: str) -> bool:
-    """Whether a bound that is reached holds nothing back, so that what lies on it may leave it at no first-order cost.
-
-    That is varied to both sides then, which asks for more than is necessary.
-    """
-    return abs(multiplier) * solution.problem.scales.of(unit) <= STATIONARY_LIMIT * objective_scale(solution)
 
 
 def _positive(forms: tuple[Matrix, Matrix, int] | None, fixed: Sequence[int], *, name: str, meaning: str) -> Check:
@@ -204,6 +192,8 @@ class _Piece:
         u = self.u.reshape(len(self.u), *middle, self.steps) + 0 * z[0]
         for column in range(self.basis.shape[1]):
             u = u + self.basis[:, column].reshape(len(self.u), *middle, self.steps) * z[n + m + column]
+        for name, value, was in zip(self.names, z[n : n + m], self.parameter_values, strict=True):
+            u = u + with_limits(self.arc, self.u, name).reshape(len(u), *middle, self.steps) * (value - was)
         u = normalised(self.arc.phase.controls, u) if len(self.u) else u
         left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
         return (right - left) * self.arc.rates(z[:n], u, p)
