@@ -328,3 +328,64 @@ def test_that_no_flight_at_all_is_best_is_said(longest: float) -> None:
     )
     with pytest.raises(NotConvergedError, match=r"T goes to 0 s: the best push is none[\s\S]*a lower bound above 0"):
         solve(waiting)
+
+
+def placed_by_choice(gain: float, ranged: bool) -> Problem:
+    """x' = u for 1 s from 0 to q >= 0, J = int u^2/2 - gain q^2 = (1/2 - gain) q^2; q free, or the range of an end."""
+    phase = Phase(
+        name="go",
+        states=(Variable(name="x", unit="m"), Variable(name="e", unit="m^2/s")),
+        controls=(Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=(lambda x, p, m: (x.x,)) if ranged else (lambda x, p, m: (x.x - p.q,)),
+        end_conditions=(Variable(name="place", unit="m", lower=0.0 if ranged else -np.inf),),
+    )
+    return Problem(
+        name="placed",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0),
+        given={"T": Given(value=1.0, unit="s"), "gain": Given(value=gain, unit="1/s")},
+        free=() if ranged else (Free(name="q", unit="m", lower=0.0, upper=5.0),),
+        objective=(lambda x, p, m: x.e - p.gain * x.x * x.x) if ranged else (lambda x, p, m: x.e - p.gain * p.q * p.q),
+        objective_unit="m^2/s",
+    )
+
+
+@pytest.mark.parametrize(("ranged", "sees"), [(False, "second_variation"), (True, "conjugate_point")])
+def test_a_bound_that_holds_nothing_back_proves_no_optimum(ranged: bool, sees: str) -> None:
+    """At q = 0 the slope of J is 0 whatever the gain: beyond 1/2 leaving the bound is better at second order."""
+    rests = solve(placed_by_choice(0.2, ranged))
+    assert rests.outcome is Outcome.PROVED, str(rests.verification)
+    proof = verify(replace(rests, problem=placed_by_choice(1.0, ranged)))
+    assert proof.level == 2
+    assert next(c for c in proof.checks if c.name == sees).value == pytest.approx(2.0, rel=1e-6)  # gain / (1/2)
+
+
+def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else() -> None:
+    """x'' = u in [-1, q], 1 m from rest to rest: T = sqrt(2 (1 + 1/q)), J = T + q^2/5. dJ/dq goes through u = q."""
+    phase = Phase(
+        name="go",
+        states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
+        controls=(Bounded(name="u", unit="m/s^2", lower=-1.0, upper="q"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.distance, x.v),
+        end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
+    )
+    problem = Problem(
+        name="limits",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0),
+        given={"distance": Given(value=1.0, unit="m"), "price": Given(value=0.2, unit="s^5/m^2")},
+        free=(Free(name="T", unit="s", lower=0.0, upper=20.0), Free(name="q", unit="m/s^2", lower=0.1, upper=10.0)),
+        objective=lambda x, p, m: p.T + p.price * p.q * p.q,
+        objective_unit="s",
+    )
+    best = solve(problem)
+    assert best.outcome is Outcome.PROVED, str(best.verification)
+    q = best.free["q"]
+    assert 0.4 * q == pytest.approx(1 / (q * q * math.sqrt(2 * (1 + 1 / q))), rel=1e-8)
+    least = solve(problem.with_given(q=0.1), level=0)
+    claim = verify(replace(least, problem=problem, free={**least.free, "q": 0.1}))
+    assert [c.name for c in claim.failed if c.level == 2] == ["stationary_q"]

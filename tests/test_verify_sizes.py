@@ -105,3 +105,47 @@ def test_an_error_is_found_however_a_flight_multiplies_it(rate: float) -> None:
     control = replace(flown.control, values=flown.control.values * (1 + 1e-7))
     wrong = replace(solution, trajectories=(replace(flown, control=control),))
     assert pl.verify(wrong).level == 0
+
+
+def arrival(clock: float) -> pl.Problem:
+    """10 m from rest to rest with least time of arrival and effort, by a clock that does not begin at 0."""
+    phase = pl.Phase(
+        name="go",
+        states=tuple(
+            pl.Variable(name=name, unit=unit) for name, unit in (("x", "m"), ("v", "m/s"), ("t", "s"), ("e", "m^2/s^3"))
+        ),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 1.0, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.distance, x.v),
+        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
+    )
+    return pl.Problem(
+        name="arrival",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, p.clock, 0.0),
+        given={
+            "distance": pl.Given(value=10.0, unit="m"),
+            "clock": pl.Given(value=clock, unit="s"),
+            "worth": pl.Given(value=1.0, unit="s^4/m^2"),
+        },
+        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=5.0),),
+        objective=lambda x, p, m: x.t + p.worth * x.e,
+        objective_unit="s",
+        scales=pl.Scales(length=10.0, time=5.0),
+    )
+
+
+@pytest.mark.parametrize("clock", [0.0, 1.7e9])
+def test_a_constant_in_the_objective_loosens_no_limit(clock: float) -> None:
+    """J = clock + T + 6 d^2/T^3 is least at T = (18 d^2)^(1/4), whatever the clock says."""
+    problem = arrival(clock)
+    best = pl.solve(problem)
+    assert best.outcome is pl.Outcome.PROVED, str(best.verification)
+    assert best.free["T"] == pytest.approx(1800.0**0.25, rel=1e-9)
+    late = 1.1 * best.free["T"]
+    held = pl.solve(problem.with_given(T=late), level=0)
+    claim = pl.verify(replace(held, problem=problem, free={"T": late}))
+    assert [c.name for c in claim.failed if c.level == 2] == ["stationary_T"]
+    early = replace(best, objective=best.objective - 0.01)
+    assert [c.name for c in pl.verify(early, level=1).failed] == ["objective"]

@@ -42,7 +42,7 @@ from perilune.words.outcome import unknown_name
 from perilune.words.types import Physics, Vector
 from perilune.words.units import Scales
 
-_BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
+BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
 
 
 def borne_out(scale: float, unit: float, reached: float) -> float:
@@ -55,7 +55,7 @@ def borne_out(scale: float, unit: float, reached: float) -> float:
     reached
         Its largest absolute value on the flight.
     """
-    return min(scale, max(_BEYOND * reached, unit))
+    return min(scale, max(BEYOND * reached, unit))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -276,7 +276,7 @@ class Problem:
         """
         units = (self.scales.of(v.unit) for v in phase.states)
         return np.array([
-            max(most, unit if v.scale is None else borne_out(v.scale, unit, most) / _BEYOND)
+            max(most, unit if v.scale is None else borne_out(v.scale, unit, most) / BEYOND)
             for v, unit, most in zip(phase.states, units, reached.tolist(), strict=True)
         ])  # fmt: skip
 

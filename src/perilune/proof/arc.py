@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem, borne_out
+from perilune.problem.problem import BEYOND, Problem, borne_out
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Variable
 from perilune.proof.crossings import Crossing, Guarded
@@ -296,11 +297,35 @@ class Arc:
 
 
 def objective_scale(solution: Solution) -> float:
-    """Size of J [SI]: what it is, and at least its canonical unit or the scale of its own."""
+    """Size of J [SI]: what it is, and at least its canonical unit or the scale of its own.
+
+    A constant in it, as of a clock that does not begin at 0, is no size: beyond a thousand canonical units, J counts up
+    to a thousand times what the flight changes of it.
+    """
     problem, reached = solution.problem, abs(solution.objective)
+    unit = problem.scales.of(problem.objective_unit)
+    if reached > BEYOND * max(unit, problem.objective_size):
+        reached = borne_out(reached, BEYOND * unit, _changed(solution))
     if problem.objective_scale is None:
-        return max(reached, problem.objective_size)
-    return max(reached, borne_out(problem.objective_scale, problem.scales.of(problem.objective_unit), reached))
+        return max(reached, unit)
+    return max(reached, borne_out(problem.objective_scale, unit, reached))
+
+
+def _changed(solution: Solution) -> float:
+    """What of J the flight and the free parameters change, to first order [SI]."""
+    problem, p = solution.problem, solution.parameters
+    last = Arc(solution=solution, index=len(problem.phases) - 1)
+    spans = np.zeros(len(last.phase.states))
+    for phase, flown in zip(problem.phases, solution.trajectories, strict=True):
+        of_phase = dict(zip(phase.state_names, np.ptp(flown.state.values, axis=0).tolist(), strict=True))
+        spans += np.array([of_phase.get(name, 0.0) for name in last.phase.state_names])
+    end = last.phase.state_record(*last.state(np.array([last.duration]))[:, 0].tolist())
+    changed = float(np.abs(objective_slope(last) / last.state_scale) @ spans)
+    for free in problem.free:
+        value = solution.free[free.name]
+        stepped = SimpleNamespace(**{**vars(p), free.name: value + 1j * STEP})
+        changed += abs(float(np.imag(problem.objective(end, stepped, COMPLEX))) / STEP * value)
+    return changed
 
 
 def slopes_at_end(arc: Arc, function: Callable[[Any], Any]) -> Matrix:

@@ -33,7 +33,7 @@ from perilune.proof.flight import Flight, costate_deviation
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, STEP
 from perilune.proof.pieces import just_before
-from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality
+from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality, with_limits
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: costates 1.3e-10, derivatives in parameters 2e-11.
@@ -193,7 +193,7 @@ def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> 
             total += slope([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
         total += sum(nu * slope([1.0], [s]) for nu, s in _guards(arc, stepped))
         inside = arc.sampled
-        f = arc.rates(inside.x, inside.u, stepped)
+        f = arc.rates(inside.x, inside.u + 1j * STEP * unit * with_limits(arc, inside.u, name), stepped)
         total += float((inside.lam * f.imag).sum(axis=0) @ inside.weights) / (STEP * unit)
         if arc.phase.duration == name:
             total += float((inside.lam * f.real).sum(axis=0) @ inside.weights) / arc.duration
@@ -213,6 +213,20 @@ def at_bound(solution: Solution, free: Free) -> tuple[bool, bool]:
     """Whether a free parameter lies on its lower and on its upper bound."""
     value, near = solution.free[free.name], ACTIVE * solution.problem.scales.of(free.unit)
     return abs(value - free.lower) <= near, abs(value - free.upper) <= near
+
+
+def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
+    """Free parameters that no bound holds: inside theirs, or on one that they may leave at no first-order cost.
+
+    The second variation takes the latter to both sides, which asks for more than is necessary.
+    """
+    nu, slack = [end_multipliers(arc)[0] for arc in arcs], STATIONARY_LIMIT * objective_scale(solution)
+    return [
+        f.name
+        for f in solution.problem.free
+        if not any(at_bound(solution, f))
+        or abs(parameter_gradient(arcs, nu, f.name)) * solution.problem.scales.of(f.unit) <= slack
+    ]
 
 
 def _stationary(solution: Solution, free: Free, gradient: float) -> Check:

@@ -158,10 +158,11 @@ def _free_parameters(solution: Solution) -> Iterator[Check]:
 
 def _objective(solution: Solution, arc: Arc, flight: Flight) -> Check:
     flown = [float(solution.problem.objective(arc.phase.state_record(*x), arc.p, NUMERIC)) for x in flight.ends]
+    grown = float(np.abs(objective_slope(arc)) @ flight.growth)
     return Check(
         name="objective", level=1, value=float(np.max(np.abs(np.array(flown) - solution.objective))),
         unit=solution.problem.objective_unit,
-        limit=END_LIMIT * max(arc.objective_scale, float(np.abs(objective_slope(arc)) @ flight.growth)),
+        limit=END_LIMIT * float(np.clip(grown, arc.objective_scale, MOST_GROWTH * arc.objective_scale)),
         meaning="difference between the objective of the new flight and the one claimed",
     )  # fmt: skip
 

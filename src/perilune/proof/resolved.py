@@ -86,7 +86,7 @@ def _initial_costates(problem: Problem, solution: Solution, resolve: Resolve) ->
     held = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names}
     moved, arc = problem.with_given(**held), Arc(solution=solution, index=0)
     for state, of_state, lam in zip(problem.phases[0].states, arc.state_scale, costate.values[0], strict=True):
-        size = of_state / arc.objective_scale
+        size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
         def slope(shift: float, name: str = f"offset_{state.name}") -> float:
             ahead, behind = (_objective(resolve, moved.with_given(**{name: s}), solution) for s in (shift, -shift))

@@ -42,11 +42,19 @@ from perilune.problem.controls import Bounded, normalised, placed, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
-from perilune.proof.extremal import INSIDE, at_bound, end_multipliers, end_sides
+from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
-from perilune.proof.switching import HAMILTONIAN_LIMIT, control_rates, crossings, on_bounds, strictness, tangents
+from perilune.proof.switching import (
+    HAMILTONIAN_LIMIT,
+    control_rates,
+    crossings,
+    on_bounds,
+    strictness,
+    tangents,
+    with_limits,
+)
 from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
@@ -65,7 +73,7 @@ def local_optimality(solution: Solution) -> Iterator[Check]:
         An extremal with costates.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
-    inner = [f.name for f in solution.problem.free if not any(at_bound(solution, f))]
+    inner = varied(solution, arcs)
     durations = [name for name in inner if name in solution.problem.duration_names]
     pieces = _pieces(arcs, inner)
     for arc in arcs:
@@ -184,6 +192,8 @@ class _Piece:
         u = self.u.reshape(len(self.u), *middle, self.steps) + 0 * z[0]
         for column in range(self.basis.shape[1]):
             u = u + self.basis[:, column].reshape(len(self.u), *middle, self.steps) * z[n + m + column]
+        for name, value, was in zip(self.names, z[n : n + m], self.parameter_values, strict=True):
+            u = u + with_limits(self.arc, self.u, name).reshape(len(u), *middle, self.steps) * (value - was)
         u = normalised(self.arc.phase.controls, u) if len(self.u) else u
         left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
         return (right - left) * self.arc.rates(z[:n], u, p)
@@ -369,5 +379,7 @@ def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matr
 
     x = arc.state(np.array([arc.duration]))[:, 0]
     first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
-    held = end_sides(arc) != INSIDE  # a range that is not at a bound is free to vary
+    # A range is free to vary where it is not at a bound, or where that bound holds nothing back.
+    slack = np.abs(nu) * arc.end_scale <= STATIONARY_LIMIT * arc.objective_scale
+    held = np.where(slack, end_sides(arc) == 0, end_sides(arc) != INSIDE)
     return first[1:][held] / arc.end_scale[held, None], second

@@ -68,6 +68,16 @@ def on_bounds(arc: Arc, at: int, control: Bounded, u: Matrix) -> tuple[Vector, V
     return control.on_bounds(u[at], ON_BOUND * arc.control_scale[at], arc.p)
 
 
+def with_limits(arc: Arc, u: Matrix, parameter: str) -> Matrix:
+    """How each component of a control moves with a parameter that is the bound on which it lies: 1 or 0, as u."""
+    moves = np.zeros(u.shape)
+    for at, control in scalars(arc.phase.controls):
+        for limit, held in zip((control.lower, control.upper), on_bounds(arc, at, control, u), strict=True):
+            if limit == parameter:
+                moves[at] += held
+    return moves
+
+
 def _zeros(arc: Arc) -> Iterator[Check]:
     """The switching function of each control at the times it jumps, on both sides."""
     for at, control in scalars(arc.phase.controls):
