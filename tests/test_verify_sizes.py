@@ -149,3 +149,13 @@ def test_a_constant_in_the_objective_loosens_no_limit(clock: float) -> None:
     assert [c.name for c in claim.failed if c.level == 2] == ["stationary_T"]
     early = replace(best, objective=best.objective - 0.01)
     assert [c.name for c in pl.verify(early, level=1).failed] == ["objective"]
+
+
+@pytest.mark.parametrize("scales", [pl.Scales(length=1e12), pl.Scales(length=1e12, time=1e9, mass=1e12)])
+def test_scales_loosen_no_limit(hybrid: pl.Solution, scales: pl.Scales) -> None:
+    """A file states them too: a landing that misses by some metres fails level 1 whatever it says of sizes."""
+    flown = hybrid.trajectories[0]
+    turned = replace(flown, control=replace(flown.control, values=flown.control.values + 1e-3))
+    of_size = replace(hybrid, problem=replace(hybrid.problem, scales=scales))
+    assert pl.verify(replace(of_size, trajectories=(turned,)), level=1).level == 0
+    assert pl.verify(replace(of_size, objective=hybrid.objective - 1.0), level=1).level == 0

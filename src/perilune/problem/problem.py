@@ -42,6 +42,7 @@ from perilune.words.outcome import unknown_name
 from perilune.words.types import Physics, Vector
 from perilune.words.units import Scales
 
+_NOTHING = 1e-18  # of a canonical unit
 BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
 
 
@@ -56,6 +57,14 @@ def borne_out(scale: float, unit: float, reached: float) -> float:
         Its largest absolute value on the flight.
     """
     return min(scale, max(BEYOND * reached, unit))
+
+
+def likely(unit: float, reached: float) -> float:
+    """A canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will either.
+
+    What is rounding beside any unit that may be stated is nothing reached.
+    """
+    return min(max(unit, reached / BEYOND), BEYOND * reached) if reached > _NOTHING * unit else unit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -274,7 +283,10 @@ class Problem:
         That is what they reach, and at least their canonical units; or, where a state has a scale of its own, a
         thousandth of that: so an answer is judged alike whatever scale it was computed with.
         """
-        units = (self.scales.of(v.unit) for v in phase.states)
+        together = dict.fromkeys((v.unit for v in phase.states), 0.0)
+        for v, most in zip(phase.states, reached.tolist(), strict=True):
+            together[v.unit] = max(together[v.unit], most)
+        units = (likely(self.scales.of(v.unit), together[v.unit]) for v in phase.states)
         return np.array([
             max(most, unit if v.scale is None else borne_out(v.scale, unit, most) / BEYOND)
             for v, unit, most in zip(phase.states, units, reached.tolist(), strict=True)

@@ -12,9 +12,9 @@ import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
-from perilune.problem.problem import BEYOND, Problem, borne_out
+from perilune.problem.problem import BEYOND, Problem, borne_out, likely
 from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.problem.variables import Variable
+from perilune.problem.variables import Free, Variable
 from perilune.proof.crossings import Crossing, Guarded
 from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
 from perilune.proof.pieces import BLOCK, IN_HALVES, POINTS, WEIGHTS, Pieces, just_before, polynomial, through
@@ -125,17 +125,15 @@ class Arc:
         return self._condition_sizes("path", self.phase.path_conditions)
 
     def _condition_sizes(self, function: str, conditions: Sequence[Variable]) -> Vector:
-        """Canonical units; of a condition with a scale of its own no more than what it goes through bears out."""
-        sizes = np.array([self.problem.size_of(c) for c in conditions])
-        if any(c.scale is not None for c in conditions):
-            t = self.trajectory.state.time
-            values = self.phase.evaluate(function, list(self.state(t)), list(self.control(t)), self.p)
-            reached = np.abs(stacked(values, t.shape, float)).max(axis=1)
-            sizes = np.array([
-                size if c.scale is None else borne_out(size, self.problem.scales.of(c.unit), float(most))
-                for c, size, most in zip(conditions, sizes, reached, strict=True)
-            ])  # fmt: skip
-        return sizes
+        """Canonical units, or scales of their own; no more than what the conditions go through bears out."""
+        t = self.trajectory.state.time
+        values = self.phase.evaluate(function, list(self.state(t)), list(self.control(t)), self.p)
+        reached = np.abs(stacked(values, t.shape, float)).max(axis=1)
+        units = [likely(self.problem.scales.of(c.unit), most) for c, most in zip(conditions, reached, strict=True)]
+        return np.array([
+            unit if c.scale is None else borne_out(c.scale, unit, float(most))
+            for c, unit, most in zip(conditions, units, reached, strict=True)
+        ])  # fmt: skip
 
     @cached_property
     def costate_scale(self) -> Vector:
@@ -144,8 +142,15 @@ class Arc:
 
     @cached_property
     def control_scale(self) -> Vector:
-        """Canonical units of the control components [SI]."""
-        return control_scales(self.phase.controls, self.problem.scales)
+        """Sizes of the control components [SI]."""
+        units = control_scales(self.phase.controls, self.problem.scales)
+        reached = np.abs(self.trajectory.control.values).max(axis=0)
+        return np.array([likely(unit, most) for unit, most in zip(units.tolist(), reached.tolist(), strict=True)])
+
+    @property
+    def time_scale(self) -> float:
+        """Size of a time [s]."""
+        return likely(self.problem.scales.time, self.duration)
 
     @property
     def objective_scale(self) -> float:
@@ -302,13 +307,20 @@ def objective_scale(solution: Solution) -> float:
     A constant in it, as of a clock that does not begin at 0, is no size: beyond a thousand canonical units, J counts up
     to a thousand times what the flight changes of it.
     """
-    problem, reached = solution.problem, abs(solution.objective)
+    problem, reached, changed = solution.problem, abs(solution.objective), _changed(solution)
     unit = problem.scales.of(problem.objective_unit)
+    unit = min(unit, likely(unit, max(reached, changed)))
     if reached > BEYOND * max(unit, problem.objective_size):
-        reached = borne_out(reached, BEYOND * unit, _changed(solution))
+        reached = borne_out(reached, BEYOND * unit, changed)
     if problem.objective_scale is None:
         return max(reached, unit)
     return max(reached, borne_out(problem.objective_scale, unit, reached))
+
+
+def free_size(solution: Solution, free: Free) -> float:
+    """Size of a free parameter [SI]: its canonical unit, as far as its value and bounds bear it out."""
+    told = [abs(v) for v in (solution.free[free.name], free.lower, free.upper) if np.isfinite(v)]
+    return likely(solution.problem.scales.of(free.unit), max(told))
 
 
 def _changed(solution: Solution) -> float:

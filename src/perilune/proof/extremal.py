@@ -28,7 +28,7 @@ import numpy as np
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Free
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, end_slopes, objective_scale, objective_slope, slopes_at_end
+from perilune.proof.arc import Arc, end_slopes, free_size, objective_scale, objective_slope, slopes_at_end
 from perilune.proof.flight import Flight, costate_deviation
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, STEP
@@ -168,7 +168,7 @@ def _hamiltonian_constant(arc: Arc) -> Check:
     )
     return Check(
         name=f"{arc.prefix}hamiltonian_constant", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
-        value=float(np.abs(values - values.mean()).max()) * arc.problem.scales.time / arc.objective_scale,
+        value=float(np.abs(values - values.mean()).max()) * arc.time_scale / arc.objective_scale,
         meaning="largest change of the Hamiltonian along the arc (scaled); it is constant on an extremal",
     )  # fmt: skip
 
@@ -211,7 +211,7 @@ def _guards(arc: Arc, p: Any) -> Iterator[tuple[float, Any]]:
 
 def at_bound(solution: Solution, free: Free) -> tuple[bool, bool]:
     """Whether a free parameter lies on its lower and on its upper bound."""
-    value, near = solution.free[free.name], ACTIVE * solution.problem.scales.of(free.unit)
+    value, near = solution.free[free.name], ACTIVE * free_size(solution, free)
     return abs(value - free.lower) <= near, abs(value - free.upper) <= near
 
 
@@ -224,14 +224,13 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
     return [
         f.name
         for f in solution.problem.free
-        if not any(at_bound(solution, f))
-        or abs(parameter_gradient(arcs, nu, f.name)) * solution.problem.scales.of(f.unit) <= slack
+        if not any(at_bound(solution, f)) or abs(parameter_gradient(arcs, nu, f.name)) * free_size(solution, f) <= slack
     ]
 
 
 def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
     problem = solution.problem
-    scaled = gradient * problem.scales.of(free.unit) / objective_scale(solution)
+    scaled = gradient * free_size(solution, free) / objective_scale(solution)
     lower, upper = at_bound(solution, free)
     limit, meaning = (
         STATIONARY_LIMIT,

@@ -14,7 +14,7 @@ import numpy as np
 from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, end_slopes, objective_slope
+from perilune.proof.arc import Arc, end_slopes, free_size, objective_slope
 from perilune.proof.flight import MOST_GROWTH, Flight, smooth_pieces
 from perilune.proof.pieces import ENDS, extremes, polynomial, through, turns
 from perilune.words.maths import NUMERIC
@@ -69,7 +69,7 @@ def _times(arc: Arc) -> Iterator[Check]:
     yield Check(
         name=f"{arc.prefix}{arc.phase.duration}", level=1, unit="s",
         value=max(abs(float(c.time[-1]) - arc.duration) for c in arc.curves),
-        limit=1e-12 * arc.problem.scales.time,
+        limit=1e-12 * arc.time_scale,
         meaning=f"difference between the last time of the exported tables and {arc.phase.duration}",
     )  # fmt: skip
 
@@ -152,7 +152,7 @@ def _paths(arc: Arc, flight: Flight) -> Iterator[Check]:
 def _free_parameters(solution: Solution) -> Iterator[Check]:
     for f in solution.problem.free:
         if np.isfinite(f.lower) or np.isfinite(f.upper):
-            value, scale = np.array([solution.free[f.name]]), solution.problem.scales.of(f.unit)
+            value, scale = np.array([solution.free[f.name]]), free_size(solution, f)
             yield _bound(f"bounds_{f.name}", f.name, value, f.lower, f.upper, f.unit, scale)
 
 

@@ -109,7 +109,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
             continue
         S = np.abs(gradient[_row(arc, control)])
         jumps = arc.jumps[at] != 0
-        crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.problem.scales.time
+        crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.time_scale
         slopes = np.append(S[held] / apart[held], crossing)
         yield Check(
             name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
@@ -132,7 +132,7 @@ def crossings(arc: Arc) -> Vector:
 
     (f_before, h_before), (f_after, h_after) = side(arc.control(before)), side(arc.control(times))
     D = (f_after * h_before - f_before * h_after).sum(axis=0)
-    return np.where(arc.jumps.any(axis=0), D * arc.problem.scales.time**2 / arc.objective_scale, 0.0)
+    return np.where(arc.jumps.any(axis=0), D * arc.time_scale**2 / arc.objective_scale, 0.0)
 
 
 def _row(arc: Arc, control: Bounded) -> int:
@@ -162,7 +162,7 @@ def _minimum(arc: Arc) -> Check:
         worst = max(worst, _gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
-        value=worst * arc.problem.scales.time / arc.objective_scale,
+        value=worst * arc.time_scale / arc.objective_scale,
         meaning=f"most that any of {samples} controls inside each of {count} pieces lowers the Hamiltonian (scaled)",
     )  # fmt: skip
 
@@ -206,7 +206,7 @@ def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
 def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
     """dH/d(control) along `tangents`, scaled, shape (k, N)."""
     f = control_rates(arc, x, u, tangents(arc, u))
-    return (lam[:, None, :] * f).sum(axis=0) * arc.problem.scales.time / arc.objective_scale
+    return (lam[:, None, :] * f).sum(axis=0) * arc.time_scale / arc.objective_scale
 
 
 def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix]:

@@ -172,6 +172,9 @@ def _example(unit_text: str) -> str:
     return f"100 {unit_text}" if unit_text != "1" else "1.0"
 
 
+_LARGEST = 1e15  # of a scale in SI: a tenth of a light year
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scales:
     """One length [m], time [s], mass [kg] and temperature [K] that make the numbers of a problem of order one."""
@@ -183,8 +186,10 @@ class Scales:
 
     def __post_init__(self) -> None:
         for name in ("length", "time", "mass", "temperature"):
-            if not (value := getattr(self, name)) > 0 or not math.isfinite(value):
-                raise PeriluneError(f"a scale must be positive: {name}", got=str(value), expected="> 0 and finite")
+            if not 1 / _LARGEST <= (value := getattr(self, name)) <= _LARGEST:
+                raise PeriluneError(
+                    f"this is no scale of a {name}", got=f"{value} in SI", expected=f"{1 / _LARGEST:g} to {_LARGEST:g}"
+                )
             object.__setattr__(self, name, float(value))  # numpy's numbers show in every answer, and are slow alone
 
     @cached_property
