@@ -250,6 +250,17 @@ def test_missing_curves_are_solved_again(fixed: Problem, tmp_path: Path) -> None
 TWO = {"vehicle.thrust": [440.0, 500.0]}
 
 
+def test_members_that_changed_places_are_solved_again(fixed: Problem, tmp_path: Path) -> None:
+    """One that could not be solved, under the number of another: it says for which values it was tried."""
+    first = sweep(fixed, TWO, level=0, store=tmp_path)
+    failed = {"values": [500.0], "message": "no flight", "failure": "NOT_CONVERGED", "solution": None}
+    (tmp_path / "000000.json").write_text(json.dumps(failed))
+    again = sweep(fixed, TWO, level=0, store=tmp_path)
+    assert objectives(again) == objectives(first)
+    (note,) = again.notes
+    assert "stored member 000000 cannot be used" in note and "values; got [500.0]" in note
+
+
 def falsified(store: Path, change: Any) -> None:
     """The first member of a store, changed."""
     file = store / "000000.json"

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -191,6 +192,7 @@ def test_a_flight_is_kept_that_is_good_enough_or_becomes_so(
         name: over_ground(lambda t, low=low: low + 3.0 * (t - 0.5) ** 2, residual)
         for name, (low, residual) in (("first", first), ("second", second))
     }
-    coarse = Coarse(Indirect(transcription=Again(flights["second"])), flights["first"].problem, [])
+    again: Any = Again(flights["second"])
+    coarse = Coarse(Indirect(transcription=again), flights["first"].problem, [])
     coarse.solution = flights["first"]
     assert coarse.flight is (flights[kept] if kept else None)
