@@ -20,8 +20,11 @@ from perilune.methods.indirect import Indirect
 from perilune.methods.judge import Breach
 from perilune.methods.refusals import refusal, ridden_condition
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.problem.controls import Bounded
+from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
+from perilune.problem.variables import Given, Variable
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import (
@@ -63,6 +66,40 @@ def test_the_best_of_those_that_miss_is_named() -> None:
     undecided = refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
     assert isinstance(undecided, NotConvergedError) and "not settled" in undecided.what
     assert InfeasibleError("too heavy").reason == "cannot be flown"
+
+
+def hurried(most: float) -> Problem:
+    """1 m in 1 s from rest to rest, no faster than `most`, with least integral of a^2/2."""
+    phase = Phase(
+        name="go",
+        states=(
+            Variable(name="x", unit="m"),
+            Variable(name="v", unit="m/s", upper=most),
+            Variable(name="e", unit="m^2/s^3"),
+        ),
+        controls=(Bounded(name="a", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.a, 0.5 * u.a * u.a),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far, x.v),
+        end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
+    )
+    return Problem(
+        name="hurried",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given={"far": Given(value=1.0, unit="m"), "T": Given(value=1.0, unit="s")},
+        free=(),
+        objective=lambda x, p, m: x.e,
+        objective_unit="m^2/s^3",
+    )
+
+
+@pytest.mark.parametrize("most", [1.01, 1.2])
+def test_what_only_a_coarse_mesh_misses_is_not_refused(most: float) -> None:
+    """A steep trapezoid flies it, too steep for the segments of a coarse mesh."""
+    with pytest.raises(NotConvergedError) as e:
+        solve(hurried(most))
+    assert e.value.exit_code == 4
 
 
 def test_extremals_that_break_the_path_refuse_nothing() -> None:

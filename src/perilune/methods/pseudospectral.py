@@ -192,7 +192,8 @@ class _Run:
                 tries.append(self.attempt(program, nearest.free, nearest.phases, "from there"))
                 if tries[-1].converged:
                     return program, tries[-1]
-        self.all_missed = len(misses) + len(vanished) == len(starts) and guess is None
+        # One start alone may owe its miss to the mesh.
+        self.all_missed = CONVINCED <= len(starts) == len(misses) + len(vanished) and guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
             self.refuse(program, min(misses, key=_violation), len(misses))
         if not misses:
