@@ -254,6 +254,20 @@ def test_a_control_that_wavers_from_node_to_node_is_no_minimum(hybrid: Solution)
     assert "stationary_direction_transverse_radial" in failed(with_table(hybrid, "control", waver))
 
 
+def test_a_direction_that_rounding_decides_ends_the_flight(hybrid: Solution) -> None:
+    """Shrunk to its last digits from a break on: SciPy's steps would take for ever."""
+
+    def shrunk(curve: Curve) -> Curve:
+        k = 1 + int(0.08598287219209247 * (len(curve.time) - 3))
+        nodes, values, rates = (np.insert(a, k, a[k], axis=0) for a in (curve.time, curve.values, curve.rates))
+        values[k + 1 :] *= 1 - 1.0000000000002303
+        return Curve(time=nodes, values=values, rates=rates)
+
+    began = time.process_time()
+    assert failed(with_table(hybrid, "control", shrunk)) == {"computable"}
+    assert time.process_time() - began < 30
+
+
 # --- states and costates
 
 
