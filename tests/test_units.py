@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given, strategies as st
@@ -107,6 +108,12 @@ def test_a_written_number_is_read_back(value: float, length: tuple[str, float]) 
 @given(*[st.integers(-9, 9).map(lambda k: k / 2)] * 4)
 def test_a_dimension_is_written_so_that_it_can_be_read(a: float, b: float, c: float, d: float) -> None:
     assert unit(dimension_text((a, b, c, d))) == (1.0, (a, b, c, d))
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf"), 1e16, 1e-16, "3"])
+def test_what_is_no_scale_is_refused(value: Any) -> None:
+    with pytest.raises(PeriluneError, match="no scale of a length"):
+        Scales(length=value)
 
 
 def test_scales_divide_what_has_their_dimension() -> None:

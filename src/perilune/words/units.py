@@ -186,7 +186,8 @@ class Scales:
 
     def __post_init__(self) -> None:
         for name in ("length", "time", "mass", "temperature"):
-            if not 1 / _LARGEST <= (value := getattr(self, name)) <= _LARGEST:
+            value = getattr(self, name)
+            if isinstance(value, str) or not 1 / _LARGEST <= value <= _LARGEST:
                 raise PeriluneError(
                     f"this is no scale of a {name}", got=f"{value} in SI", expected=f"{1 / _LARGEST:g} to {_LARGEST:g}"
                 )
