@@ -152,7 +152,7 @@ class Arc:
         """Size of a time [s]."""
         return likely(self.problem.scales.time, self.duration)
 
-    @property
+    @cached_property
     def objective_scale(self) -> float:
         """Size of J [SI]."""
         return objective_scale(self.solution)

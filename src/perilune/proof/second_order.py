@@ -120,9 +120,10 @@ def _tangled(arc: Arc) -> bool:
 def _pieces(arcs: Sequence[Arc], names: Sequence[str]) -> list[_Piece]:
     """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters."""
     switches = {
-        (arc.index, float(arc.breaks[k])): float(crossings(arc)[k])
+        (arc.index, float(time)): float(slope)
         for arc in arcs
-        for k in np.nonzero(arc.jumps.any(axis=0))[0]
+        for time, slope, jumps in zip(arc.breaks, crossings(arc), arc.jumps.any(axis=0), strict=True)
+        if jumps
     }
     met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
     times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
