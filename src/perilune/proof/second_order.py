@@ -122,8 +122,8 @@ def _pieces(arcs: Sequence[Arc], names: Sequence[str]) -> list[_Piece]:
     switches = {
         (arc.index, float(time)): float(slope)
         for arc in arcs
-        for time, slope, jumps in zip(arc.breaks, crossings(arc), arc.jumps.any(axis=0), strict=True)
-        if jumps
+        for at in [np.nonzero(arc.jumps.any(axis=0))[0]]
+        for time, slope in zip(arc.breaks[at], crossings(arc)[at], strict=True)
     }
     met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
     times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
