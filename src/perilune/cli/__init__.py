@@ -10,6 +10,7 @@ Everything heavy is imported inside the commands, so that ``--help`` is quick.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -20,7 +21,15 @@ def main() -> NoReturn:
     # Before NumPy is loaded: the matrices are tiny, and threads that wait for each other cost more than they give.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _fill_closed_streams()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a job in the background ignores Ctrl-C
+        signal.signal(signal.SIGINT, _stop)
     sys.exit(run(sys.argv[1:]))
+
+
+def _stop(*_: object) -> NoReturn:
+    """Ctrl-C: what an import or a file leaves open when it is cut short is no news for who asked for it."""
+    sys.unraisablehook = lambda _: None
+    raise KeyboardInterrupt
 
 
 def _fill_closed_streams() -> None:
