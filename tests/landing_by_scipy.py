@@ -148,6 +148,7 @@ def solution_of(problem: Problem, z: np.ndarray) -> Solution:
 
 def resolve(problem: Problem, guess: Solution) -> Solution:
     """Re-solve a perturbed problem from a solution of a near one."""
+    problem = problem.with_given(**{f.name: f.lower for f in problem.free if f.lower == f.upper})
     z = np.asarray(guess.unknowns)
     if "retro_delta_v" in problem.free_names and len(z) == 5:
         z = np.append(z, guess.parameters.retro_delta_v / problem.scales.of("m/s"))

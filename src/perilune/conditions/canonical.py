@@ -20,9 +20,10 @@ import numpy as np
 from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
+from perilune.problem.neighbours import offsets, unmoved
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import Kinked, Parameters, canonical_given, trace_sides
+from perilune.problem.symbolic import Kinked, Parameters, canonical_given, state_scales, trace_sides
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
@@ -69,9 +70,10 @@ class PhaseExtremal:
 
 
 def extremal_parameters(problem: Problem) -> Vector:
-    """The numbers p of the canonical equations: the given parameters, then the limits that are numbers of their own."""
+    """The numbers p of the canonical equations: the given parameters, limits that are numbers, offsets of the start."""
     limits = [getattr(control, side) / problem.scales.of(control.unit) for _, control, side in _plain_limits(problem)]
-    return np.concatenate([canonical_given(problem), limits])
+    moved = offsets(problem) / state_scales(problem, problem.phases[0])
+    return np.concatenate([canonical_given(unmoved(problem)), limits, moved])
 
 
 def _plain_limits(problem: Problem) -> list[tuple[int, Bounded, str]]:
@@ -118,7 +120,7 @@ def canonical_equations(
         The phase, and the symbols of all parameters.
     limits, numbers
         Of `limit_symbols`: lower and upper limit of each scalar control of the phase; all numbers that the equations
-        take, the given parameters and the limits.
+        take, as `extremal_parameters` lists them.
     free_names
         Names of the free parameters.
 

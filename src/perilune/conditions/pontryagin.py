@@ -28,6 +28,7 @@ from functools import lru_cache
 import casadi as ca
 
 from perilune.conditions.canonical import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
+from perilune.problem.neighbours import unmoved
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
@@ -95,7 +96,7 @@ def derive(problem: Problem) -> Conditions:
     PeriluneError
         If a control's minimum of H is not known in closed form.
     """
-    return _derive(Unnumbered(problem))
+    return _derive(Unnumbered(unmoved(problem)))
 
 
 @lru_cache(maxsize=64)
@@ -103,7 +104,8 @@ def _derive(unnumbered: Unnumbered) -> Conditions:
     problem = unnumbered.problem
     p = trace_parameters(problem)
     symbols, limits = limit_symbols(problem, p)
-    numbers = ca.vertcat(p.given, symbols)
+    offset = ca.SX.sym("offset", len(problem.phases[0].states))
+    numbers = ca.vertcat(p.given, symbols, offset)
     phases = [
         canonical_equations(phase, p, pairs, numbers, problem.free_names)
         for phase, pairs in zip(problem.phases, limits, strict=True)
@@ -113,7 +115,7 @@ def _derive(unnumbered: Unnumbered) -> Conditions:
     y = ca.vertcat(*lam0, p.free, *nu)
     ends = [ca.SX.sym(f"zf_{k}", 2 * e.half) for k, e in enumerate(phases)]
 
-    starts, initial_states = _starts(problem, p, numbers, tuple(phases), lam0, y)
+    starts, initial_states = _starts(problem, p, numbers, offset, tuple(phases), lam0, y)
     conditions, costates = [], []
     last = problem.phases[-1]
     cost = ca.SX(problem.objective(last.state_record(*elements(ends[-1][: len(last.states)])), p.record, SYMBOLIC))
@@ -213,6 +215,7 @@ def _starts(
     problem: Problem,
     p: Parameters,
     numbers: ca.SX,
+    offset: ca.SX,
     phases: tuple[PhaseExtremal, ...],
     lam0: list[ca.SX],
     y: ca.SX,
@@ -224,7 +227,7 @@ def _starts(
 
         def state(before: ca.SX, k: int = k, constants: list[ca.SX] = constants) -> ca.SX:
             if k == 0:
-                return ca.vertcat(column(problem.start(p.record, SYMBOLIC)), *constants)
+                return ca.vertcat(column(problem.start(p.record, SYMBOLIC)) + offset, *constants)
             previous = problem.phases[k - 1]
             record = previous.state_record(*elements(before[: len(previous.states)]))
             return ca.vertcat(column(problem.links[k - 1](record, p.record, SYMBOLIC)), *constants)

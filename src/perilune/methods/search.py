@@ -21,6 +21,7 @@ from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import not_converged, refusal
 from perilune.problem.guess import fitting_guess
+from perilune.problem.neighbours import unmoved
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
 from perilune.problem.symbolic import canonical_free, free_scales
@@ -139,7 +140,8 @@ class Search:
     def _known(self, guess: Solution) -> Vector:
         """Unknowns of a guess: its own where it is of this method and form, else read off its curves."""
         own = guess.unknowns if guess.method == self.settings.name else None
-        same = (guess.problem.scales, guess.problem.structure) == (self.problem.scales, self.problem.structure)
+        one, other = unmoved(guess.problem), unmoved(self.problem)
+        same = (one.scales, one.structure) == (other.scales, other.structure)
         if own is not None and same and len(own) == len(self.conditions.unknowns):
             return np.array(own)
         return unknowns_from(self.problem, guess)
@@ -151,7 +153,7 @@ class Search:
             i: limit
             for i, value in enumerate(free.tolist())
             for limit in (limits.lower[i], limits.upper[i])
-            if abs(value - limit) <= _AT_BOUND
+            if abs(value - limit) <= _AT_BOUND or limits.lower[i] == limits.upper[i]
         }
         ranges = {}
         for i, (_, unknown) in enumerate(self.conditions.ranges):

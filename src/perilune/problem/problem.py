@@ -205,15 +205,17 @@ class Problem:
         )
         links = tuple(found["links", k] for k in range(len(self.links)))
         own = {name: found[name] for name in ("start", "objective", "results") if name in found}
-        new = self._changed(phases=phases, links=links, **own)
+        new = self.changed(phases=phases, links=links, **own)
         new.__dict__["expressed"] = new
         return new
 
-    def _changed(self, **changes: Any) -> Problem:
-        """A problem of the same form, which is not traced or tried again."""
+    def changed(self, **changes: Any) -> Problem:
+        """A problem that is not tried again; of the same form, or with `form=None` traced when it is asked for."""
         new = object.__new__(Problem)
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
-        new.__dict__.update(kept, form=self.form, **changes)
+        new.__dict__.update(kept, **{"form": self.__dict__.get("form"), **changes})
+        if new.__dict__["form"] is None:
+            del new.__dict__["form"]
         return new
 
     def __getstate__(self) -> dict[str, Any]:
@@ -325,8 +327,9 @@ class Problem:
                 raise unknown_name("parameter", name, sorted(known))
             given[name] = Given(value=value, unit=self.unit_of(name))
         free = tuple(f for f in self.free if f.name not in values)
-        same = {"structure": self.structure} if len(free) == len(self.free) else {}  # values do not enter it
-        new = self._changed(given=MappingProxyType(given), free=free, **same)
+        # Values do not enter it.
+        same = {"structure": self.structure} if len(free) == len(self.free) and "form" in self.__dict__ else {}
+        new = self.changed(given=MappingProxyType(given), free=free, **same)
         check_given(new)
         new._take_ranges()
         check_free(new)

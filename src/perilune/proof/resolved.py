@@ -7,20 +7,17 @@ d2J*/dp2 > 0          over problems with a free parameter held to either side of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from perilune.problem.neighbours import held, movable, offset_of
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.problem.variables import Given
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.extremal import at_bound
 from perilune.words.outcome import PeriluneError
-from perilune.words.types import Physics
 
 Resolve = Callable[[Problem, Solution], Solution]
 
@@ -30,27 +27,6 @@ _SHARES = (1.0, 0.1, 0.01)
 PARAMETER_SHIFT = 2e-3
 COSTATE_LIMIT = 1e-6
 CURVATURE_LIMIT = -1e-4
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShiftedStart:
-    """Initial state plus given parameters ``offset_<state>``; equal records are equal functions."""
-
-    start: Physics
-    names: tuple[str, ...]
-
-    def __call__(self, p: Any, m: Any) -> Sequence[Any]:
-        """Initial state [SI]."""
-        offsets = (getattr(p, f"offset_{name}") for name in self.names)
-        return tuple(value + offset for value, offset in zip(self.start(p, m), offsets, strict=True))
-
-
-def shifted(problem: Problem) -> Problem:
-    """The problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
-    states = problem.phases[0].states
-    offsets = {f"offset_{s.name}": Given(value=0.0, unit=s.unit) for s in states}
-    start = ShiftedStart(start=problem.start, names=problem.phases[0].state_names)
-    return replace(problem, start=start, given={**problem.given, **offsets})
 
 
 def _objective(resolve: Resolve, problem: Problem, guess: Solution) -> float:
@@ -69,27 +45,26 @@ def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
     solution
         An extremal with costates.
     resolve
-        ``resolve(problem, guess)`` returns the extremal of `problem` next to the guess.
+        ``resolve(problem, guess)`` returns the extremal of `problem` next to the guess; a free parameter whose range is
+        a single value is held there.
     """
-    problem = solution.problem
-    held = {f.name: solution.free[f.name] for f in problem.free if any(at_bound(solution, f))}
-    # One form of the problem for all neighbours, as each new form is derived and compiled.
-    problem = shifted(problem).with_given(**held)
-    yield from _initial_costates(problem, solution, resolve)
-    yield from _parameters(problem, solution, resolve)
+    bound = {f.name: solution.free[f.name] for f in solution.problem.free if any(at_bound(solution, f))}
+    yield from _initial_costates(solution, bound, resolve)
+    yield from _parameters(solution, bound, resolve)
 
 
-def _initial_costates(problem: Problem, solution: Solution, resolve: Resolve) -> Iterator[Check]:
-    costate = solution.trajectories[0].costate
+def _initial_costates(solution: Solution, bound: dict[str, float], resolve: Resolve) -> Iterator[Check]:
+    problem, costate = movable(solution.problem), solution.trajectories[0].costate
     if costate is None:
         return
-    held = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names}
-    moved, arc = problem.with_given(**held), Arc(solution=solution, index=0)
+    chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names} | bound
+    arc = Arc(solution=solution, index=0)
     for state, of_state, lam in zip(problem.phases[0].states, arc.state_scale, costate.values[0], strict=True):
         size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
-        def slope(shift: float, name: str = f"offset_{state.name}") -> float:
-            ahead, behind = (_objective(resolve, moved.with_given(**{name: s}), solution) for s in (shift, -shift))
+        def slope(shift: float, name: str = offset_of(state.name)) -> float:
+            moved = (held(problem.with_given(**{name: s}), **chosen) for s in (shift, -shift))
+            ahead, behind = (_objective(resolve, neighbour, solution) for neighbour in moved)
             return (ahead - behind) / (2 * shift)
 
         limit = COSTATE_LIMIT * max(1.0, abs(lam) * size)
@@ -110,13 +85,16 @@ def _initial_costates(problem: Problem, solution: Solution, resolve: Resolve) ->
         )  # fmt: skip
 
 
-def _parameters(problem: Problem, solution: Solution, resolve: Resolve) -> Iterator[Check]:
+def _parameters(solution: Solution, bound: dict[str, float], resolve: Resolve) -> Iterator[Check]:
+    problem = solution.problem
     for free in problem.free:
-        if free.name in problem.duration_names:
+        if free.name in problem.duration_names or free.name in bound:
             continue
         value, size = solution.free[free.name], problem.size_of(free)
         shift = min(PARAMETER_SHIFT * size, 0.5 * (value - free.lower), 0.5 * (free.upper - value))
-        sides = [_objective(resolve, problem.with_given(**{free.name: value + s}), solution) for s in (shift, -shift)]
+        sides = [
+            _objective(resolve, held(problem, **bound, **{free.name: value + s}), solution) for s in (shift, -shift)
+        ]
         curvature = (sides[0] + sides[1] - 2 * solution.objective) / shift**2
         yield Check(
             name=f"second_order_{free.name}", level=3, limit=CURVATURE_LIMIT, unit="1",

@@ -53,6 +53,7 @@ class Limits:
         masks, held = roots.choice[:, :count] > 0, roots.choice[:, count:]
         low, high = ~masks & (values < self.lower - _SLACK), ~masks & (values > self.upper + _SLACK)
         free = masks & (held == self.lower) & (rises < -_SLACK) | masks & (held == self.upper) & (rises > _SLACK)
+        free &= self.lower < self.upper
         held = np.where(low, self.lower, np.where(high, self.upper, np.where(free, 0.0, held)))
         return np.hstack([((masks & ~free) | low | high).astype(float), held])
 

@@ -1,0 +1,73 @@
+"""Neighbours of a problem: with its start moved, or free parameters held. They need no derivation of their own.
+
+A moved start is one more given parameter ``offset_<state>`` for each state, so a neighbour is a problem like any other.
+What is derived from a problem counts with such offsets from the beginning (`unmoved`, `offsets`), and with any set of
+free parameters held: all neighbours share what was derived and compiled for the problem itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Given
+from perilune.words.types import Vector
+
+
+def offset_of(state: str) -> str:
+    """Name of the parameter by which a state is moved at the start."""
+    return f"offset_{state}"
+
+
+@dataclass(frozen=True, eq=False)
+class MovedStart:
+    """Initial state of a problem plus its offsets."""
+
+    problem: Problem
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the offsets."""
+        return tuple(map(offset_of, self.problem.phases[0].state_names))
+
+    def __call__(self, p: Any, m: Any) -> Sequence[Any]:
+        """Initial state [SI]."""
+        return tuple(a + getattr(p, name) for a, name in zip(self.problem.start(p, m), self.names, strict=True))
+
+
+def movable(problem: Problem) -> Problem:
+    """The problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
+    offsets = {offset_of(s.name): Given(value=0.0, unit=s.unit) for s in problem.phases[0].states}
+    given = MappingProxyType({**problem.given, **offsets})
+    return problem.changed(start=MovedStart(problem), given=given, form=None)
+
+
+def unmoved(problem: Problem) -> Problem:
+    """The problem without the offsets of its start."""
+    if not isinstance(problem.start, MovedStart):
+        return problem
+    of = problem.start.problem
+    given = MappingProxyType({name: problem.given[name] for name in of.given})
+    same = {"structure": of.structure} if len(of.free) == len(problem.free) else {}
+    return of.changed(given=given, free=problem.free, **same)
+
+
+def offsets(problem: Problem) -> Vector:
+    """By how much each state is moved at the start [SI]."""
+    if not isinstance(problem.start, MovedStart):
+        return np.zeros(len(problem.phases[0].states))
+    return np.array([problem.given[name].value for name in problem.start.names])
+
+
+def held(problem: Problem, **values: float) -> Problem:
+    """The problem with free parameters that may take no other than these values [SI]."""
+    free = tuple(
+        replace(f, lower=v, upper=v, typical=v) if (v := values.get(f.name)) is not None else f for f in problem.free
+    )
+    same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
+    return problem.changed(free=free, **same)
