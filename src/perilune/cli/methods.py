@@ -22,11 +22,12 @@ def method_of(name: str) -> Method:
     """
     if name not in NAMES:
         raise unknown_name("method", name, list(NAMES))
-    from perilune.methods.indirect import Indirect
+    if name == "indirect":
+        from perilune.methods.indirect import Indirect
+
+        return Indirect()
     from perilune.methods.pseudospectral import Pseudospectral
 
-    if name == "indirect":
-        return Indirect()
     if name == "direct":
         return Pseudospectral()
     from perilune.methods.genetic import Genetic
