@@ -21,7 +21,7 @@ from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import not_converged, refusal
 from perilune.problem.guess import fitting_guess
-from perilune.problem.neighbours import unmoved
+from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
 from perilune.problem.symbolic import canonical_free, free_scales
@@ -138,10 +138,14 @@ class Search:
         raise self._failure()
 
     def _known(self, guess: Solution) -> Vector:
-        """Unknowns of a guess: its own where it is of this method and form, else read off its curves."""
-        own = guess.unknowns if guess.method == self.settings.name else None
-        one, other = unmoved(guess.problem), unmoved(self.problem)
-        same = (one.scales, one.structure) == (other.scales, other.structure)
+        """Unknowns of a guess: its own where it is of this method and form, else read off its curves.
+
+        So do neighbours for a proof begin, which looks at the curves and believes no numbers beside them.
+        """
+        own = guess.unknowns if guess.method == self.settings.name and not is_neighbour(self.problem) else None
+        same = own is not None and (
+            (guess.problem.scales, guess.problem.structure) == (self.problem.scales, self.problem.structure)
+        )
         if own is not None and same and len(own) == len(self.conditions.unknowns):
             return np.array(own)
         return unknowns_from(self.problem, guess)

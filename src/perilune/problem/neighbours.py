@@ -71,3 +71,8 @@ def held(problem: Problem, **values: float) -> Problem:
     )
     same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
     return problem.changed(free=free, **same)
+
+
+def is_neighbour(problem: Problem) -> bool:
+    """Whether the start is moved, or a free parameter held."""
+    return isinstance(problem.start, MovedStart) or any(f.lower == f.upper for f in problem.free)
