@@ -115,8 +115,8 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
 
 
 def test_where_a_flight_keeps_everything_it_is_kept() -> None:
-    """Every extremal at the example's corridor of 30 degrees breaks it; the direct method's flight does not."""
-    tight = load_file(EXAMPLES / "precision_landing.toml", ("corridor.tilt=30 deg",)).problem
+    """Every extremal breaks a glide slope of 25 degrees; the direct method's flight does not."""
+    tight = load_file(EXAMPLES / "precision_landing.toml", ("corridor.slope=25 deg",)).problem
     with pytest.raises(
         NotConvergedError, match=r"every extremal breaks[\s\S]*direct method: J = -\d+.*, mesh error"
     ) as e:

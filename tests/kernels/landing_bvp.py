@@ -40,6 +40,7 @@ def by_hand() -> Conditions:
         modes=(ca.Function("rhs", [z, p], [ca.vertcat(rhs(z[:7], p), 0)]),),
         reports=(),
         regimes=((),),
+        held=((),),
         events=(),
         mode=ca.Function("mode", [z, p], [ca.SX(0)]),
         state_count=4,

@@ -17,13 +17,22 @@ from itertools import accumulate
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.control_law import ControlLaw, minimising_control
+from perilune.conditions.control_law import ControlLaw, Held, keepable, minimising_control
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.neighbours import offsets, unmoved
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import Kinked, Parameters, canonical_given, state_scales, trace_sides
+from perilune.problem.symbolic import (
+    SYMBOLIC,
+    Kinked,
+    Parameters,
+    canonical_given,
+    column,
+    elements,
+    state_scales,
+    trace_sides,
+)
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
@@ -42,8 +51,8 @@ class PhaseExtremal:
         For each mode None, or where its control is found by Newton's method (z, p) -> w and (z, [p; w]) -> z'.
     reports
         (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
-    regimes
-        For each mode the regime of each scalar control.
+    regimes, held
+        For each mode the regime of each scalar control, and the conditions of the path that hold a direction.
     events
         What leads from mode to mode.
     mode
@@ -58,6 +67,7 @@ class PhaseExtremal:
     solved: tuple[tuple[ca.Function, ca.Function] | None, ...]
     reports: tuple[ca.Function, ...]
     regimes: tuple[tuple[Regime, ...], ...]
+    held: tuple[Held, ...]
     events: tuple[Event, ...]
     mode: ca.Function
     state_count: int
@@ -111,6 +121,7 @@ def canonical_equations(
     limits: dict[str, tuple[ca.SX, ca.SX]],
     numbers: ca.SX,
     free_names: tuple[str, ...],
+    keep: Held = (),
 ) -> PhaseExtremal:
     """Derive the canonical equations of a phase.
 
@@ -123,6 +134,8 @@ def canonical_equations(
         take, as `extremal_parameters` lists them.
     free_names
         Names of the free parameters.
+    keep
+        Conditions of the path that the control has to keep; of those that are not `keepable` nothing is known here.
 
     Raises
     ------
@@ -131,10 +144,9 @@ def canonical_equations(
     """
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
-    dynamics = trace_sides(phase, x, u, p.record)
-    acting = ca.vertcat(
-        *dynamics.rates, *(c.argument for c in dynamics.choices), *(limit for pair in limits.values() for limit in pair)
-    )
+    dynamics, kept = trace_sides(phase, x, u, p.record), _kept(phase, x, u, p, keep)
+    bounds = ca.vertcat(ca.SX(0, 1), *(limit for pair in limits.values() for limit in pair))
+    acting = ca.vertcat(*dynamics.rates, *(c.argument for c in dynamics.choices), bounds, *kept.values())
     constants = tuple(
         i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(acting, p.free[i])
     )
@@ -155,12 +167,12 @@ def canonical_equations(
     laws, flows, solved, reports = [], [], [], []
     for f in dynamics.rates:
         hamiltonian = ca.dot(lam[:n], f)
-        law = minimising_control(phase, hamiltonian, u, limits)
+        law = minimising_control(phase, hamiltonian, u, limits, kept)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
         gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
-        for control, found in zip(law.control, law.solved, strict=True):
-            # A limit that is a free parameter moves the control with it.
-            pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, limits, q))
+        for control, found, held in zip(law.control, law.solved, law.held, strict=True):
+            bounding = ca.vertcat(bounds, *(kept[name] for name in held))
+            pull = _through_bounds(hamiltonian, u, control, bounding, ca.vertcat(x, q))
             whole = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
@@ -179,6 +191,7 @@ def canonical_equations(
         solved=tuple(solved),
         reports=tuple(reports),
         regimes=tuple(regimes for law in laws for regimes in law.regimes),
+        held=tuple(held for law in laws for held in law.held),
         events=tuple(_events(dynamics, laws, flows, z, function)),
         mode=function("mode", _mode(dynamics, laws, flows, z)),
         state_count=n,
@@ -289,14 +302,19 @@ def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], leas
     return ca.vertcat(x, at), ca.substitute(least, lam, at)
 
 
-def _through_limits(
-    hamiltonian: ca.SX, u: ca.SX, control: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], q: ca.SX
-) -> ca.SX:
-    """dH/dq through a control that sits at a limit which depends on the free parameters q."""
-    if not ca.depends_on(ca.vertcat(ca.SX(0, 1), *(limit for pair in limits.values() for limit in pair)), q):
-        return ca.SX.zeros(q.numel(), 1)
+def _kept(phase: Phase, x: ca.SX, u: ca.SX, p: Parameters, keep: Held) -> dict[str, ca.SX]:
+    """Those of the conditions that the control law can hold."""
+    conditions = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
+    named = {c.name: conditions[i] for i, c in enumerate(phase.path_conditions) if c.name in keep}
+    return {name: condition for name, condition in named.items() if keepable(phase, condition, u)}
+
+
+def _through_bounds(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounding: ca.SX, z: ca.SX) -> ca.SX:
+    """dH/dz through a control that sits at a limit, or on a condition of the path, which depends on z."""
+    if not ca.depends_on(bounding, z):
+        return ca.SX.zeros(z.numel(), 1)
     # On a bound dH/du is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
-    return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
+    return ca.mtimes(ca.jacobian(control, z).T, ca.gradient(hamiltonian, u))
 
 
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:

@@ -6,14 +6,21 @@ function of the scalars alone, whose slopes S = dH/du are the same with d in pla
 which H is linear sits at a bound, at the upper one where S < 0. One in which H bends sits at a bound, or between them
 where S = 0: in closed form where H is quadratic, else by Newton's method.
 
-A *mode* names the regime of every scalar; its control is smooth in (x, lambda). Zeros of S, and a control between its
-bounds that reaches one, are the events that lead from mode to mode.
+A condition of the path that is linear in a direction, c = a . d - b >= 0, leaves a cap of the sphere. Where -g/|g| lies
+outside, the least H is on its rim, d = b/|a| a/|a| - sqrt(1 - (b/|a|)^2) h/|h| with h the part of g across a; where two
+of them hold, in a corner.
+
+A *mode* names the regime of every scalar and the conditions that are held; its control is smooth in (x, lambda). Zeros
+of S, a control between its bounds that reaches one, and zeros of c with the control that leaves it out are the events
+that lead from mode to mode.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -27,6 +34,9 @@ from perilune.words.outcome import PeriluneError
 _GRID = {1: 17, 2: 9}
 _STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
+
+
+Held = tuple[str, ...]  # conditions of the path by name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +57,8 @@ class ControlLaw:
     ----------
     regimes
         For each mode the regime of each scalar, in the order of the phase's scalars.
+    held
+        For each mode the conditions of the path that are held, by name.
     control
         For each mode the whole control, a column of expressions.
     solved
@@ -59,6 +71,7 @@ class ControlLaw:
     """
 
     regimes: tuple[tuple[Regime, ...], ...]
+    held: tuple[Held, ...]
     control: tuple[ca.SX, ...]
     solved: tuple[tuple[ca.SX, ca.SX, ca.SX] | None, ...]
     transitions: tuple[Transition, ...]
@@ -66,7 +79,11 @@ class ControlLaw:
 
 
 def minimising_control(
-    phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]]
+    phase: Phase,
+    hamiltonian: ca.SX,
+    u: ca.SX,
+    limits: dict[str, tuple[ca.SX, ca.SX]],
+    kept: Mapping[str, ca.SX] = MappingProxyType({}),
 ) -> ControlLaw:
     """The control that minimises H.
 
@@ -78,24 +95,83 @@ def minimising_control(
         H as an expression of the symbols u, among others.
     limits
         Lower and upper limit of each scalar by name; infinite where there is none.
+    kept
+        Conditions of the path by name, expressions of u that must not become negative; each must be `keepable`.
 
     Raises
     ------
     PeriluneError
         If H is linear in a scalar without bounds, or in a direction not linear, or a direction depends on a scalar.
     """
-    reduced, law = _directions_eliminated(phase, hamiltonian, u, limits)
-    kinds = [_Scalar(phase, at, control, reduced, u, limits[control.name]) for at, control in scalars(phase.controls)]
-    modes = list(product(*(kind.regimes for kind in kinds)))
-    stepped = [_control(phase, reduced, law, u, kinds, regimes) for regimes in modes]
-    controls = [ca.substitute(*step) for step in stepped]
+    modes, controls, stepped, values = list[_Mode](), list[ca.SX](), list[tuple[ca.SX, ca.SX, ca.SX]](), list[ca.SX]()
+    for held in _sets(phase, u, kept):
+        reduced, law = _directions_eliminated(phase, hamiltonian, u, limits, {name: kept[name] for name in held})
+        kinds = [
+            _Scalar(phase, at, control, reduced, u, limits[control.name]) for at, control in scalars(phase.controls)
+        ]
+        for regimes in product(*(kind.regimes for kind in kinds)):
+            step = _control(phase, reduced, law, u, kinds, regimes)
+            modes.append(_Mode(held=held, regimes=regimes, kinds=kinds))
+            stepped.append(step)
+            controls.append(ca.substitute(*step))
+            others = [c for name, c in kept.items() if name not in held]
+            values.append(_value(hamiltonian, u, modes[-1], controls[-1], others))
     return ControlLaw(
-        regimes=tuple(modes),
+        regimes=tuple(mode.regimes for mode in modes),
+        held=tuple(mode.held for mode in modes),
         control=tuple(controls),
         solved=tuple(step if step[1].numel() else None for step in stepped),
-        transitions=tuple(_transitions(u, kinds, modes, controls)),
-        mode=_least(hamiltonian, u, kinds, modes, controls),
+        transitions=tuple(_transitions(u, modes, controls, kept)),
+        mode=_least(values),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Mode:
+    """What names a mode, and its scalars with directions in place."""
+
+    held: Held
+    regimes: tuple[Regime, ...]
+    kinds: list[_Scalar]
+
+
+def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
+    """Whether a condition of the path is linear in one direction and knows no other control."""
+    return _direction_of(phase, condition, u) is not None
+
+
+def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] | None:
+    """First and last place of the direction in which a condition is linear; None where it is not."""
+    for first, last in directions(phase.controls):
+        part, others = u[first:last], ca.vertcat(ca.SX(0, 1), u[:first], u[last:])
+        if ca.depends_on(condition, part):
+            linear = not ca.depends_on(ca.gradient(condition, part), part)
+            return (first, last) if linear and not ca.depends_on(condition, others) else None
+    return None
+
+
+def _sets(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
+    """Which conditions may be held together: none, each, and two of one direction in space."""
+    of = {name: _direction_of(phase, condition, u) for name, condition in kept.items()}
+    pairs = [
+        (a, b)
+        for a, b in combinations(kept, 2)
+        if (at := of[a]) is not None and at == of[b] and at[1] - at[0] == 3 and not _parallel(kept[a], kept[b], u)
+    ]
+    return [(), *((name,) for name in kept), *pairs]
+
+
+def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
+    """Whether two conditions have one axis: seen at a few points."""
+    turn = ca.vertcat(ca.gradient(one, u), ca.gradient(other, u))
+    symbols = ca.symvar(turn)
+    evaluate = ca.Function("axes", [ca.vertcat(ca.SX(0, 1), *symbols)], [turn])
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        a, b = np.array(evaluate(rng.uniform(0.5, 1.5, len(symbols)))).reshape(2, -1)
+        if np.linalg.norm(a) * np.linalg.norm(b) - abs(a @ b) > 1e-9 * np.linalg.norm(a) * np.linalg.norm(b):
+            return False
+    return True
 
 
 class _Scalar:
@@ -119,9 +195,9 @@ class _Scalar:
 
 
 def _directions_eliminated(
-    phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]]
+    phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, list[ca.SX]]:
-    """H with the best directions in place, and u with them."""
+    """H with the best directions that hold these conditions in place, and u with them."""
     law = elements(u)
     for first, last in directions(phase.controls):
         names, part = phase.control_names[first:last], u[first:last]
@@ -136,10 +212,28 @@ def _directions_eliminated(
                 if (isinstance(control.lower, float | int) and control.lower < 0) or not _factor(gradient, u[at]):
                     raise _no_law(phase, names, f"a direction that depends on {control.name}")
                 gradient = ca.substitute(gradient, u[at], reference)
-        law[first:last] = elements(-gradient / ca.norm_2(gradient))
+        own = [c for c in held.values() if _direction_of(phase, c, u) == (first, last)]
+        law[first:last] = elements(_best_direction(gradient, part, own))
     places = [i for first, last in directions(phase.controls) for i in range(first, last)]
     best = ca.vertcat(ca.SX(0, 1), *(law[i] for i in places))
     return ca.substitute(hamiltonian, ca.vertcat(ca.SX(0, 1), *(u[i] for i in places)), best), law
+
+
+def _best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> ca.SX:
+    """Where gradient . d is least on the sphere, with up to two linear conditions held."""
+    if not held:
+        return -gradient / ca.norm_2(gradient)
+    axes = [ca.gradient(c, d) for c in held]
+    shares = ca.vertcat(*(-ca.substitute(c, d, ca.SX.zeros(d.numel(), 1)) for c in held))
+    if len(held) == 1:
+        size = ca.norm_2(axes[0])
+        axis, share = axes[0] / size, shares / size
+        across = gradient - ca.dot(gradient, axis) * axis
+        return share * axis - ca.sqrt(1 - share * share) * across / ca.norm_2(across)
+    A = ca.horzcat(*axes)
+    base, normal = ca.mtimes(A, ca.solve(ca.mtimes(A.T, A), shares)), ca.cross(*axes)
+    down = ca.if_else(ca.dot(gradient, normal) > 0, -normal, normal) / ca.norm_2(normal)
+    return base + ca.sqrt(1 - ca.sumsqr(base)) * down
 
 
 def _factor(gradient: ca.SX, scalar: ca.SX) -> bool:
@@ -223,19 +317,28 @@ def _grid(kind: _Scalar, count: int) -> list[ca.SX]:
     return [ca.SX(value) for value in np.sinh(np.linspace(-_WIDEST, _WIDEST, count))]
 
 
-def _transitions(
-    u: ca.SX, kinds: list[_Scalar], modes: list[tuple[Regime, ...]], controls: list[ca.SX]
-) -> list[Transition]:
+def _transitions(u: ca.SX, modes: list[_Mode], controls: list[ca.SX], kept: Mapping[str, ca.SX]) -> list[Transition]:
     """All ways from mode to mode; what is the same function in several modes is one."""
-    found: dict[tuple[str, int], Transition] = {}
-    for before, regimes in enumerate(modes):
-        for i, (kind, regime) in enumerate(zip(kinds, regimes, strict=True)):
+    found: dict[tuple[str, int, bool], Transition] = {}
+    names = [(mode.held, mode.regimes) for mode in modes]
+
+    def way(before: int, after: tuple[Held, tuple[Regime, ...]], function: ca.SX, direction: int, steady: bool) -> None:
+        key = _text(function), direction, steady
+        known = found.setdefault(key, Transition(function=function, direction=direction, steady=steady, switches={}))
+        known.switches[before] = names.index(after)
+
+    for before, mode in enumerate(modes):
+        for i, (kind, regime) in enumerate(zip(mode.kinds, mode.regimes, strict=True)):
             for after, function, direction in _ways(kind, regime, controls[before], u):
-                target = modes.index((*regimes[:i], after, *regimes[i + 1 :]))
-                key = _text(function), direction
-                way = Transition(function=function, direction=direction, steady=not kind.linear, switches={})
-                known = found.setdefault(key, way)
-                known.switches[before] = target
+                regimes = (*mode.regimes[:i], after, *mode.regimes[i + 1 :])
+                way(before, (mode.held, regimes), function, direction, not kind.linear)
+        for name, condition in kept.items():
+            more = tuple(n for n in kept if n in mode.held or n == name)
+            if name not in mode.held and (more, mode.regimes) in names:
+                # The best control without the condition breaks it from here on, or no longer does.
+                function = ca.substitute(condition, u, controls[before])
+                way(before, (more, mode.regimes), function, -1, True)
+                way(names.index((more, mode.regimes)), (mode.held, mode.regimes), function, 1, True)
     return list(found.values())
 
 
@@ -254,19 +357,24 @@ def _ways(kind: _Scalar, regime: Regime, control: ca.SX, u: ca.SX) -> list[tuple
     return [("upper" if kind.linear else "interior", slope, -1)]
 
 
-def _least(
-    hamiltonian: ca.SX, u: ca.SX, kinds: list[_Scalar], modes: list[tuple[Regime, ...]], controls: list[ca.SX]
-) -> ca.SX:
-    """Number of the mode in which H is least; a control between its bounds must be there."""
-    if len(modes) == 1:
-        return ca.SX(0.0)
+def _value(hamiltonian: ca.SX, u: ca.SX, mode: _Mode, control: ca.SX, others: Sequence[ca.SX]) -> ca.SX:
+    """H in a mode; infinite where a control is not between its bounds, or breaks another condition of the path."""
+    value = ca.substitute(hamiltonian, u, control)
+    for kind, regime in zip(mode.kinds, mode.regimes, strict=True):
+        if regime == "interior":
+            here = control[kind.at]
+            value = ca.if_else(ca.logic_and(kind.limits[0] <= here, here <= kind.limits[1]), value, np.inf)
+    for condition in others:
+        value = ca.if_else(ca.substitute(condition, u, control) >= 0, value, np.inf)
+    return value
+
+
+def _least(values: Sequence[ca.SX]) -> ca.SX:
+    """Number of the mode in which H is least."""
     number, least = ca.SX(0.0), ca.SX(np.inf)
-    for mode, (regimes, control) in enumerate(zip(modes, controls, strict=True)):
-        value = ca.substitute(hamiltonian, u, control)
-        for kind, regime in zip(kinds, regimes, strict=True):
-            if regime == "interior":
-                here = control[kind.at]
-                value = ca.if_else(ca.logic_and(kind.limits[0] <= here, here <= kind.limits[1]), value, np.inf)
+    if len(values) == 1:
+        return number
+    for mode, value in enumerate(values):
         # At a switch both are equal and the later one, full thrust, is as good.
         better = value < least
         number, least = ca.if_else(better, mode, number), ca.if_else(better, value, least)

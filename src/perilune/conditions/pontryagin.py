@@ -28,6 +28,7 @@ from functools import lru_cache
 import casadi as ca
 
 from perilune.conditions.canonical import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
+from perilune.conditions.control_law import Held, keepable
 from perilune.problem.neighbours import unmoved
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
@@ -86,28 +87,54 @@ class Conditions:
     needed: tuple[tuple[int, ...], ...]
 
 
-def derive(problem: Problem) -> Conditions:
+def derive(problem: Problem, keep: Held = ()) -> Conditions:
     """Derive the boundary value problem of a `Problem`.
 
     Values and bounds do not enter the expressions, so problems that differ only in them share one derivation.
+
+    Parameters
+    ----------
+    problem
+        What is to be solved.
+    keep
+        Names of conditions of the path that the control has to keep, where it can (`keepable`).
 
     Raises
     ------
     PeriluneError
         If a control's minimum of H is not known in closed form.
     """
-    return _derive(Unnumbered(unmoved(problem)))
+    return _derive(Unnumbered(unmoved(problem)), keep)
+
+
+def keepable_conditions(problem: Problem) -> Held:
+    """Names of the conditions of the path that `derive` can have the control keep."""
+    problem = unmoved(problem)
+    if not any(problem.form.limits_control(k) for k in range(len(problem.phases))):
+        return ()
+    return _keepable(Unnumbered(problem))
 
 
 @lru_cache(maxsize=64)
-def _derive(unnumbered: Unnumbered) -> Conditions:
+def _keepable(unnumbered: Unnumbered) -> Held:
+    problem = unnumbered.problem
+    p, found = trace_parameters(problem), list[str]()
+    for phase in problem.phases:
+        x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
+        values = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
+        found += [c.name for i, c in enumerate(phase.path_conditions) if keepable(phase, values[i], u)]
+    return tuple(dict.fromkeys(found))
+
+
+@lru_cache(maxsize=64)
+def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
     problem = unnumbered.problem
     p = trace_parameters(problem)
     symbols, limits = limit_symbols(problem, p)
     offset = ca.SX.sym("offset", len(problem.phases[0].states))
     numbers = ca.vertcat(p.given, symbols, offset)
     phases = [
-        canonical_equations(phase, p, pairs, numbers, problem.free_names)
+        canonical_equations(phase, p, pairs, numbers, problem.free_names, keep)
         for phase, pairs in zip(problem.phases, limits, strict=True)
     ]
     lam0 = [ca.SX.sym(f"lam0_{k}", e.half) for k, e in enumerate(phases)]

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal, extremal_parameters
-from perilune.conditions.pontryagin import Conditions, derive
+from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import DenseArc
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.phase import Phase
@@ -145,8 +145,8 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
 
 
-def unknowns_from(problem: Problem, guess: Solution) -> Vector:
-    """Canonical unknowns y of `problem` from a solution of any method for it, or for a problem of the same form.
+def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> Vector:
+    """Canonical unknowns y of `problem`, with its conditions, from a solution of any method for it or one of its form.
 
     The guess has as many phases (`perilune.problem.guess.fitting_guess`).
 
@@ -155,7 +155,6 @@ def unknowns_from(problem: Problem, guess: Solution) -> Vector:
     PeriluneError
         If the guess has other states, or no costates.
     """
-    conditions = derive(problem)
     lam0 = [
         _initial_costate(problem, phase, extremal.half, flown.costate)
         for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True)

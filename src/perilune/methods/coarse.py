@@ -18,6 +18,7 @@ from perilune.words.types import Vector
 
 _ROUGHEST = 0.05  # relative mesh error beyond which a flight is not said to keep anything
 _BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
+_TOUCHING = 1e-3  # of its range
 _FINER = 100  # most iterations of an attempt on the finer mesh
 _LOOKS = 400  # times of a phase at which its conditions are looked at
 
@@ -57,6 +58,8 @@ class Coarse:
 
     def solve(self) -> Solution | None:
         """Its answer from nothing."""
+        if self.solution is not None or self.refusal is not None:
+            return self.solution
         try:
             self.solution = self._run(segments=8)
         except PeriluneError as error:
@@ -95,6 +98,23 @@ class Coarse:
     def _say(self, lines: tuple[str, ...]) -> None:
         """One line; what a mesh missed, condition by condition, stays with the direct method."""
         self.tried.append("direct transcription: " + "; ".join(line.partition(" (")[0] for line in lines))
+
+
+def touched(flight: Solution) -> set[str]:
+    """Path conditions that a flight comes so near to, at the nodes of its tables, that they may hold it back."""
+    found = set[str]()
+    for phase, flown in zip(flight.problem.phases, flight.trajectories, strict=True):
+        if not phase.path_conditions:
+            continue
+        t = flown.state.time
+        u = flown.control.values if np.array_equal(flown.control.time, t) else flown.control(t)
+        values = phase.evaluate("path", list(flown.state.values.T), list(u.T), flight.parameters)
+        found |= {
+            condition.name
+            for condition, along in zip(phase.path_conditions, values, strict=True)
+            if np.min(along) <= _TOUCHING * np.ptp(along)
+        }
+    return found
 
 
 def _fair(solution: Solution) -> bool:

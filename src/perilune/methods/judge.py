@@ -60,13 +60,17 @@ class Judge:
     def __init__(self, problem: Problem, conditions: Conditions, p: Vector) -> None:
         self.problem, self.conditions, self.p = problem, conditions, p
         self.unit = objective_scale(problem)
-        self._known: dict[bytes, Breach | None] = {}
+        self._known: dict[bytes, tuple[Breach, ...]] = {}
 
     def breach(self, root: Root) -> Breach | None:
         """What the flight breaks first, or None."""
+        return next(iter(self.breaches(root)), None)
+
+    def breaches(self, root: Root) -> tuple[Breach, ...]:
+        """All that the flight breaks."""
         key = root.y.tobytes()
         if key not in self._known:
-            self._known[key] = next(self._breaches(root.y), None)
+            self._known[key] = tuple(self._breaches(root.y))
         return self._known[key]
 
     def _breaches(self, y: Vector) -> Iterator[Breach]:

@@ -14,22 +14,24 @@ from functools import cached_property
 import numpy as np
 
 from perilune.conditions.canonical import extremal_parameters
-from perilune.conditions.pontryagin import Conditions, derive
-from perilune.methods.assemble import free_values, joints_from, multipliers, trajectories, unknowns_from
-from perilune.methods.coarse import Coarse
+from perilune.conditions.control_law import Held
+from perilune.conditions.pontryagin import Conditions, derive, keepable_conditions
+from perilune.methods.answer import composed
+from perilune.methods.assemble import free_values, joints_from, unknowns_from
+from perilune.methods.coarse import Coarse, touched
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import not_converged, refusal
 from perilune.problem.guess import fitting_guess
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
+from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import canonical_free, free_scales
-from perilune.shooting.active import Limits, settle
+from perilune.shooting.active import Limits, limits_of, settle
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import Found, HeldFamily, scan
 from perilune.shooting.function import Root, Roots, Shooting
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
@@ -47,22 +49,27 @@ class Search:
     settings: Ladder
     problem: Problem
     watch: Watch
+    keep: Held = ()
     tried: list[str] = field(default_factory=list)
     best_failure: Root | None = None
 
     def __post_init__(self) -> None:
         self.began = time.perf_counter()
-        self.conditions: Conditions = derive(self.problem)
+        self.conditions: Conditions = derive(self.problem, self.keep)
+        self.keepable = tuple(name for name in keepable_conditions(self.problem) if name not in self.keep)
         self.p: Vector = extremal_parameters(self.problem)
         self.shooting = Shooting(self.conditions)
         self.judge = Judge(self.problem, self.conditions, self.p)
         self.history: list[Iteration] = []
         self.scanned = self._scanned_parameter()
-        self.limits = self._limits()
+        self.limits = limits_of(self.problem, self.conditions)
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
         self.rung, self.met = "", 0
-        self.broken: list[Breach] = []  # by extremals met with the scanned parameter held
+        # By extremals met with the scanned parameter held, and these.
+        self.broken: list[Breach] = []
+        self.breaking: list[Root] = []
+        self.answering = self
         self.coarse = Coarse(self.settings, self.problem, self.tried)
 
     @cached_property
@@ -75,8 +82,17 @@ class Search:
     def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
         """From a guess; or by the ladder, after the family through `base` (of another run) where there is one."""
         if guess is not None:
-            # Whether it keeps the path is for the proof to say.
-            return self._compose(self._from_guess(fitting_guess(self.problem, guess)), "guess")
+            search, found = self._from_guess(fitting_guess(self.problem, guess))
+            # Whether it keeps the rest of the path is for the proof to say.
+            return search._compose(found, "guess")
+        search, found = self.all_extremals(base)
+        if not search._answers(found):
+            raise search._refusal(found)
+        self.answering = search
+        return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
+
+    def all_extremals(self, base: Member | None = None) -> tuple[Search, list[Found]]:
+        """By the ladder; and of which search they are: this one, or one whose control keeps more of the path."""
         found: list[Found] = []
         rungs = [[(base, "continuation")] if base is not None else [], self._sphere_members(), self._transcription()]
         for i, rung in enumerate(rungs):
@@ -87,12 +103,35 @@ class Search:
                     new, members = self._all_extremals(first)
                     if self._answers(new) and self.base is None:
                         self.base, self.rung = first, name
-                    found += [f for f in new if not any(_same(f.root.y, known.root.y, 1e-6) for known in found)]
+                    found += _new(new, found)
                     for member in members:
                         self.walked.setdefault(member.value, []).append(member.root.y)
-        if not self._answers(found):
-            raise self._refusal(found)
-        return self._compose([f for f in found if self.judge.breach(f.root) is None], self.rung)
+            if i > 0 and (more := self._worth_keeping(found)):
+                search, kept = self._keeping(more).all_extremals()
+                if search._answers(kept) or not self._answers(found):
+                    answers = [f for f in found if self.judge.breach(f.root) is None]
+                    return search, [*kept, *_new(answers, kept)]
+        return self, found
+
+    def _worth_keeping(self, found: list[Found]) -> Held:
+        """Conditions that the control could keep, broken by extremals that are better than every answer."""
+        if not self.keepable:
+            return ()
+        answers = [f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None]
+        best, names = min(answers, default=math.inf), set[str]()
+        for root in (*(f.root for f in found), *self.breaking):
+            broken = {breach.name for breach in self.judge.breaches(root)}
+            if root.cost < best and (not answers or broken <= {*self.keepable}):
+                names |= broken
+        return tuple(name for name in self.keepable if name in names)
+
+    def _keeping(self, more: Held) -> Search:
+        """The same search with a control that keeps more conditions of the path."""
+        self.watch(f"extremals break {', '.join(more)}: the control keeps to it")
+        keep = tuple(name for name in keepable_conditions(self.problem) if name in {*self.keep, *more})
+        search = Search(self.settings, self.problem, self.watch, keep, self.tried)
+        search.coarse, search.history = self.coarse, self.history
+        return search
 
     def correct(self, y: Vector, like: Root, p: Vector) -> Root:
         """Newton at other given parameters p, with what is held as in `like` to begin with."""
@@ -120,10 +159,22 @@ class Search:
     def _answers(self, found: list[Found]) -> bool:
         return any(f.minimum and self.judge.breach(f.root) is None for f in found)
 
-    def _from_guess(self, guess: Solution) -> list[Found]:
-        """Newton from a guess; what lies on a bound there begins on it."""
-        y = self._known(guess)
-        root = self._settled(y[None], self._held_in(guess, y), limits=self.limits)[0]
+    def _from_guess(self, guess: Solution) -> tuple[Search, list[Found]]:
+        """Newton from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""
+        near = touched(guess) if self.keepable else set[str]()
+        held = tuple(name for name in self.keepable if name in near)
+        search = self._keeping(held) if held else self
+        y = search._known(guess)
+        found = search._near(y, search._held_in(guess, y))
+        # A neighbour touches what its guess touches.
+        if not is_neighbour(self.problem) and (more := search._worth_keeping(found)):
+            search, root = search._keeping(more), found[0].root
+            found = search._near(root.y, root.choice)
+        return search, found
+
+    def _near(self, y: Vector, choice: Vector) -> list[Found]:
+        """Newton from unknowns."""
+        root = self._settled(y[None], choice, limits=self.limits)[0]
         name = self._outside(root)
         if root.converged and name is None:
             held = self.scanned is None or root.choice[self.scanned] > 0
@@ -148,7 +199,7 @@ class Search:
         )
         if own is not None and same and len(own) == len(self.conditions.unknowns):
             return np.array(own)
-        return unknowns_from(self.problem, guess)
+        return unknowns_from(self.problem, self.conditions, guess)
 
     def _held_in(self, guess: Solution, y: Vector) -> Vector:
         """What a guess holds: free parameters on a bound, and ranges whose multiplier says so."""
@@ -177,9 +228,9 @@ class Search:
         """
         holds = [0.0] if self.scanned is None else np.linspace(*self._bounds(self.scanned), 5).tolist()
         starts = [self.settings.starts if i == 0 else self.settings.starts // 2 for i in range(len(holds))]
-        where = (
-            "" if self.scanned is None else f" with {self.problem.free[self.scanned].name} held at {len(holds)} values"
-        )
+        where = f" keeping {', '.join(self.keep)}" if self.keep else ""
+        if self.scanned is not None:
+            where += f" with {self.problem.free[self.scanned].name} held at {len(holds)} values"
         self.watch(f"start: {_RANDOM}{where}")
         Y = np.vstack([self._sphere_starts(count) for count in starts])
         held = np.repeat(holds, starts)
@@ -202,6 +253,7 @@ class Search:
                 else:
                     breaking.append(member)
                     self.broken.append(breach)
+                    self.breaking.append(root)
         met = f"{self.met} extremals, {len(breaking)} of them break a condition"
         self.tried.append(f"{_RANDOM}{where}: {len(Y)} starts, {met}")
         if self.base is None:
@@ -245,7 +297,7 @@ class Search:
         rough = self.coarse.solve()
         if rough is None:
             return
-        y = unknowns_from(self.problem, rough)
+        y = unknowns_from(self.problem, self.conditions, rough)
         choice, value = self._held_in(rough, y), 0.0
         if self.scanned is not None:
             value = float(y[self.conditions.free_at.start + self.scanned])
@@ -298,21 +350,6 @@ class Search:
     def _bounds(self, index: int) -> tuple[float, float]:
         return float(self.limits.lower[index]), float(self.limits.upper[index])
 
-    def _limits(self) -> Limits:
-        """Bounds of the free parameters and of the ranges, canonical."""
-        free = self.problem.free
-        conditions = [c for phase in self.problem.phases for c in phase.end_conditions]
-        ranges = [conditions[row] for row, _ in self.conditions.ranges]
-        size_of, p = self.problem.size_of, self.problem.parameters({})
-        both = [(size_of(f), f.lower, f.upper) for f in free] + [(size_of(v), *v.limits(p)) for v in ranges]
-        canonical = [(low / size, high / size) for size, low, high in both]
-        lower, upper = np.array(canonical, dtype=float).reshape(-1, 2).T
-        if len(self.problem.phases) == 1 and self.problem.duration_names[0] in self.problem.free_names:
-            # The only phase cannot vanish: a flight of no length is no flight.
-            at = self.problem.free_names.index(self.problem.duration_names[0])
-            lower[at] = -np.inf if lower[at] == 0 else lower[at]
-        return Limits(lower=lower, upper=upper)
-
     def _outside(self, root: Root) -> str | None:
         """The first free parameter that is out of its bounds, or None."""
         scales = free_scales(self.problem.free, self.problem)
@@ -325,50 +362,15 @@ class Search:
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
     def _compose(self, found: list[Found], rung: str) -> Solution:
-        ranked = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
-        extremals = tuple(
-            Extremal(
-                free=free_values(self.problem, self.conditions, f.root.y),
-                objective=float(f.root.cost * self.judge.unit),
-                nature=self._nature(f, best=place == 0, guessed=rung == "guess"),
-                unknowns=tuple(f.root.y.tolist()),
-            )
-            for place, f in enumerate(ranked)
+        statistics = Statistics(
+            rung=rung,
+            tried=tuple(self.tried),
+            iterations=self.shooting.iterations,
+            arcs=self.shooting.arcs,
+            wall_time=time.perf_counter() - self.began,
+            history=tuple(self.history),
         )
-        best = ranked[0].root
-        return Solution(
-            problem=self.problem,
-            method=self.settings.name,
-            outcome=Outcome.SOLVED,
-            objective=extremals[0].objective,
-            free=extremals[0].free,
-            trajectories=Deferred(
-                len(self.problem.phases), lambda: trajectories(self.problem, self.conditions, best.y)
-            ),
-            multipliers=multipliers(self.problem, self.conditions, best.y),
-            extremals=extremals,
-            unknowns=best.y,
-            statistics=Statistics(
-                rung=rung,
-                tried=tuple(self.tried),
-                iterations=self.shooting.iterations,
-                arcs=self.shooting.arcs,
-                residual=float(np.abs(best.residual).max()),
-                wall_time=time.perf_counter() - self.began,
-                history=tuple(self.history),
-            ),
-        )
-
-    def _nature(self, found: Found, *, best: bool, guessed: bool) -> Nature:
-        """What a root is; the one that a guess leads to was compared with no other."""
-        bound = bool(found.root.choice[: self.shooting.plan.free].any())
-        if not found.minimum and not bound:
-            return Nature.WORST
-        if guessed:
-            return Nature.NEAR_GUESS_AT_BOUND if bound else Nature.NEAR_GUESS
-        if bound:
-            return Nature.BEST_AT_BOUND if best else Nature.LOCAL_OPTIMUM_AT_BOUND
-        return Nature.BEST if best else Nature.LOCAL_OPTIMUM
+        return composed(self.settings.name, self.problem, self.conditions, found, statistics)
 
     def _refusal(self, found: list[Found]) -> PeriluneError:
         breaches = [breach for f in found if (breach := self.judge.breach(f.root)) is not None]
@@ -376,6 +378,11 @@ class Search:
 
     def _failure(self) -> NotConvergedError:
         return not_converged(self.conditions, self.coarse, self.shooting.iterations, self.best_failure)
+
+
+def _new(found: list[Found], known: list[Found]) -> list[Found]:
+    """Those that are not known yet."""
+    return [f for f in found if not any(_same(f.root.y, other.root.y, 1e-6) for other in known)]
 
 
 def _same(one: Vector, other: Vector, tolerance: float) -> bool:

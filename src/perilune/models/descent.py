@@ -231,13 +231,9 @@ def _phase(
     end, end_conditions = frame.ends[target]
     path, path_conditions = frame.path, variables("m", "height_above_site")
     if coordinates == "cartesian" and steering is not None:
-        margins = (
-            "elevation_above_lower",
-            "elevation_below_upper",
-            "azimuth_above_lower",
-            "azimuth_below_upper",
-        )
-        path, path_conditions = steered_path, (*path_conditions, *variables("rad", *margins))
+        path = steered_path
+        path_conditions += variables("1", "elevation_above_lower", "elevation_below_upper")
+        path_conditions += variables("rad", "azimuth_above_lower", "azimuth_below_upper")
     return Phase(
         name="descent",
         states=(*frame.states, mass_state(dry)),

@@ -157,13 +157,18 @@ def _cartesian_path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def steered_path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Height, and the margins of elevation and azimuth to their bounds, Peng et al. (24)."""
+    """Height, and the margins of elevation and azimuth to their bounds, Peng et al. (24).
+
+    Those of the elevation are differences of sines, linear in the direction, which the indirect method can hold.
+    """
+    r = m.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
+    upward = dot((x.x, x.y, x.z), (u.toward_x, u.toward_y, u.toward_z)) / r
     _, longitude, latitude = place((x.x, x.y, x.z), m)
     axes = heading_axes(longitude, latitude, p.start_heading, m)
-    elevation, azimuth = _angles((u.toward_x, u.toward_y, u.toward_z), axes, m)
+    _, azimuth = _angles((u.toward_x, u.toward_y, u.toward_z), axes, m)
     return (
         _cartesian_height(x, p, m),
-        elevation - p.steering_elevation_lower, p.steering_elevation_upper - elevation,
+        upward - m.sin(p.steering_elevation_lower), m.sin(p.steering_elevation_upper) - upward,
         azimuth - p.steering_azimuth_lower, p.steering_azimuth_upper - azimuth,
     )  # fmt: skip
 

@@ -248,6 +248,11 @@ class Form:
         """Whether the dynamics of phase k have a choice (``m.where``) in them, and so perhaps a jump."""
         return any(op[0] == "where" for op in self.expressions[k, "dynamics"].tape.instructions)
 
+    def limits_control(self, k: int) -> bool:
+        """Whether a control acts in the path conditions of phase k."""
+        path = self.expressions.get((k, "path"))
+        return path is not None and any(op[0] == "u" for op in path.tape.instructions)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Form) and self.digest == other.digest
 

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from perilune.conditions.pontryagin import Conditions
+from perilune.problem.problem import Problem
 from perilune.shooting.function import Roots, Shooting
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
@@ -56,6 +58,22 @@ class Limits:
         free &= self.lower < self.upper
         held = np.where(low, self.lower, np.where(high, self.upper, np.where(free, 0.0, held)))
         return np.hstack([((masks & ~free) | low | high).astype(float), held])
+
+
+def limits_of(problem: Problem, conditions: Conditions) -> Limits:
+    """Bounds of the free parameters and of the ranges, canonical."""
+    free = problem.free
+    ends = [c for phase in problem.phases for c in phase.end_conditions]
+    ranges = [ends[row] for row, _ in conditions.ranges]
+    size_of, p = problem.size_of, problem.parameters({})
+    both = [(size_of(f), f.lower, f.upper) for f in free] + [(size_of(v), *v.limits(p)) for v in ranges]
+    canonical = [(low / size, high / size) for size, low, high in both]
+    lower, upper = np.array(canonical, dtype=float).reshape(-1, 2).T
+    if len(problem.phases) == 1 and problem.duration_names[0] in problem.free_names:
+        # The only phase cannot vanish: a flight of no length is no flight.
+        at = problem.free_names.index(problem.duration_names[0])
+        lower[at] = -np.inf if lower[at] == 0 else lower[at]
+    return Limits(lower=lower, upper=upper)
 
 
 def settle(

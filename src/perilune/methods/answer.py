@@ -1,0 +1,67 @@
+"""The answer of a search: the roots that it found, ranked, as a `Solution`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from perilune.conditions.pontryagin import Conditions
+from perilune.methods.assemble import free_values, multipliers, objective_scale, trajectories
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
+from perilune.shooting.extremals import Found
+from perilune.words.outcome import Outcome
+
+
+def composed(
+    method: str, problem: Problem, conditions: Conditions, found: Sequence[Found], statistics: Statistics
+) -> Solution:
+    """The best of the roots as the answer, all of them listed.
+
+    Parameters
+    ----------
+    method, problem, conditions
+        Whose roots.
+    found
+        At least one.
+    statistics
+        Of the run; `rung` says whether a guess led to the root. The residual is added.
+    """
+    ranked = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
+    unit, guessed = objective_scale(problem), statistics.rung == "guess"
+    extremals = tuple(
+        Extremal(
+            free=free_values(problem, conditions, f.root.y),
+            objective=float(f.root.cost * unit),
+            nature=_nature(f, len(problem.free), best=place == 0, guessed=guessed),
+            unknowns=tuple(f.root.y.tolist()),
+        )
+        for place, f in enumerate(ranked)
+    )
+    best = ranked[0].root
+    return Solution(
+        problem=problem,
+        method=method,
+        outcome=Outcome.SOLVED,
+        objective=extremals[0].objective,
+        free=extremals[0].free,
+        trajectories=Deferred(len(problem.phases), lambda: trajectories(problem, conditions, best.y)),
+        multipliers=multipliers(problem, conditions, best.y),
+        extremals=extremals,
+        unknowns=best.y,
+        statistics=replace(statistics, residual=float(np.abs(best.residual).max())),
+    )
+
+
+def _nature(found: Found, free: int, *, best: bool, guessed: bool) -> Nature:
+    """What a root is; the one that a guess leads to was compared with no other."""
+    bound = bool(found.root.choice[:free].any())
+    if not found.minimum and not bound:
+        return Nature.WORST
+    if guessed:
+        return Nature.NEAR_GUESS_AT_BOUND if bound else Nature.NEAR_GUESS
+    if bound:
+        return Nature.BEST_AT_BOUND if best else Nature.LOCAL_OPTIMUM_AT_BOUND
+    return Nature.BEST if best else Nature.LOCAL_OPTIMUM
