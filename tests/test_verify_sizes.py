@@ -159,3 +159,19 @@ def test_scales_loosen_no_limit(hybrid: pl.Solution, scales: pl.Scales) -> None:
     of_size = replace(hybrid, problem=replace(hybrid.problem, scales=scales))
     assert pl.verify(replace(of_size, trajectories=(turned,)), level=1).level == 0
     assert pl.verify(replace(of_size, objective=hybrid.objective - 1.0), level=1).level == 0
+
+
+@pytest.mark.parametrize("late", [0.5, 1e-3])
+def test_a_clock_that_begins_late_hides_nothing_in_its_table(late: float) -> None:
+    """A clock of 1.7e9 s rounds at 2e-7 s; in a flight of 7 s it may be no more off than that."""
+    best = pl.solve(arrival(1.7e9))
+    assert best.verification.level == 3, str(best.verification)
+    assert [c.name for c in pl.verify(moved_by(best, 2, late)).failed] == ["state_t"]
+
+
+def moved_by(solution: pl.Solution, state: int, amount: float) -> pl.Solution:
+    """The same with one state of its table shifted."""
+    flown = solution.trajectories[0]
+    values = flown.state.values.copy()
+    values[:, state] += amount
+    return replace(solution, trajectories=(replace(flown, state=replace(flown.state, values=values)),))
