@@ -285,8 +285,8 @@ class Problem:
         """By what errors of the states of a flight are judged [SI], from their values along it, (n, times).
 
         That is what they reach, as far as the span that they cover bears it out, and at least their canonical units;
-        or, where a state has a scale of its own, a thousandth of that. So an answer is judged alike whatever scale it was
-        computed with, and wherever its states are counted from; what they reach still rounds.
+        or, where a state has a scale of its own, a thousandth of that. So an answer is judged alike whatever scale it
+        was computed with, and wherever its states are counted from; what they reach still rounds.
         """
         reached, spans = np.abs(values).max(axis=1).tolist(), np.ptp(values, axis=1).tolist()
         sizes = []

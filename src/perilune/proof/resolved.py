@@ -22,6 +22,8 @@ from perilune.words.outcome import PeriluneError
 Resolve = Callable[[Problem, Solution], Solution]
 
 START_SHIFT = 3e-6  # canonical; central differences err by its square: 4e-8 at most measured, J itself by 1e-13
+# Of what a state reaches: so much it rounds as a neighbour is solved, 20 times the last digit measured.
+_ROUNDS = 1e-14
 # Of the shift: a start five metres above its site bends within five metres. Rounding of J allows no smaller one.
 _SHARES = (1.0, 0.1, 0.01)
 PARAMETER_SHIFT = 2e-3
@@ -59,6 +61,8 @@ def _initial_costates(solution: Solution, bound: dict[str, float], resolve: Reso
         return
     chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names} | bound
     arc = Arc(solution=solution, index=0)
+    # J is known no better than the states are: of a place far from its origin the shift has to be larger for that.
+    known = _ROUNDS * float(np.abs(costate.values[0]) @ np.abs(arc.trajectory.state.values).max(axis=0))
     for state, of_state, lam in zip(problem.phases[0].states, arc.state_scale, costate.values[0], strict=True):
         size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
@@ -69,7 +73,7 @@ def _initial_costates(solution: Solution, bound: dict[str, float], resolve: Reso
 
         limit = COSTATE_LIMIT * max(1.0, abs(lam) * size)
         for share in _SHARES:
-            shift = share * START_SHIFT * of_state
+            shift = share * max(START_SHIFT * of_state, known * size / limit)
             change = slope(shift)
             if abs(change - lam) * size > 0.3 * limit:
                 # Long arcs bend more within a shift: Richardson's extrapolation takes out the square of it.
