@@ -1,7 +1,8 @@
 """Level 3 by solving again: what costates and free parameters promise about neighbours comes true.
 
 lam(0) = dJ*/dx0      against central differences of J over problems whose initial state is shifted; what else is
-                      free, but for durations, is held: by the envelope theorem choosing it again changes nothing
+                      free, but for durations, is held: by the envelope theorem choosing it again changes nothing.
+                      A bound of a duration that holds nothing back is left out, as neighbours may take longer
 d2J*/dp2 > 0          over problems with a free parameter held to either side of its optimum
 """
 
@@ -11,12 +12,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from perilune.problem.neighbours import held, movable, offset_of
+from perilune.problem.neighbours import held, movable, offset_of, released
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
-from perilune.proof.extremal import at_bound
+from perilune.proof.extremal import at_bound, varied
 from perilune.words.outcome import PeriluneError
 
 Resolve = Callable[[Problem, Solution], Solution]
@@ -51,23 +52,25 @@ def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
         a single value is held there.
     """
     bound = {f.name: solution.free[f.name] for f in solution.problem.free if any(at_bound(solution, f))}
-    yield from _initial_costates(solution, bound, resolve)
+    yield from _initial_costates(solution, resolve)
     yield from _parameters(solution, bound, resolve)
 
 
-def _initial_costates(solution: Solution, bound: dict[str, float], resolve: Resolve) -> Iterator[Check]:
+def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
     problem, costate = movable(solution.problem), solution.trajectories[0].costate
     if costate is None:
         return
-    chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names} | bound
-    arc = Arc(solution=solution, index=0)
+    arcs = [Arc(solution=solution, index=k) for k in range(len(problem.phases))]
+    arc = arcs[0]
+    durations = [name for name in varied(solution, arcs) if name in problem.duration_names]
+    chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in durations}
     # J is known no better than the states are: of a place far from its origin the shift has to be larger for that.
     known = _ROUNDS * float(np.abs(costate.values[0]) @ np.abs(arc.trajectory.state.values).max(axis=0))
     for state, of_state, lam in zip(problem.phases[0].states, arc.state_scale, costate.values[0], strict=True):
         size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
         def slope(shift: float, name: str = offset_of(state.name)) -> float:
-            moved = (held(problem.with_given(**{name: s}), **chosen) for s in (shift, -shift))
+            moved = (held(released(problem.with_given(**{name: s}), durations), **chosen) for s in (shift, -shift))
             ahead, behind = (_objective(resolve, neighbour, solution) for neighbour in moved)
             return (ahead - behind) / (2 * shift)
 
