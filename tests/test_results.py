@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+import perilune as pl
 from perilune.io.export import extremals_document, solution_document
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
@@ -22,7 +23,7 @@ from perilune.report.figures import label, solution_figures
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.reproductions.peng2012.case import problem, problem_of_the_paper
 from perilune.scenario import load_file
-from perilune.solve import solve
+from perilune.solve import prove, solve
 from perilune.words.outcome import Outcome, PeriluneError
 from problems.ascents import tangent_steering
 
@@ -265,3 +266,34 @@ def test_a_curve_is_not_asked_at_no_time(hybrid: Solution, t: Any) -> None:
     """NaN is a time outside; it would come out as NaN in silence."""
     with pytest.raises(PeriluneError, match=r"outside its time\s+got: nan s"):
         hybrid.trajectories[0].state(t)
+
+
+def endless(time: float) -> pl.Problem:
+    """From rest to rest with the least int (u^2 - k^2 x^2)/2: in time enough x swings without limit, and J falls."""
+    phase = pl.Phase(
+        name="swing",
+        states=tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3"))),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.L, x.v),
+        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
+    )
+    numbers = {"T": (time, "s"), "L": (1.0, "m"), "k": (1.0, "1/s^2")}
+    return pl.Problem(
+        name="endless", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0),
+        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in numbers.items()},
+        objective=lambda x, p, m: x.e, objective_unit="m^2/s^3",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("time", "nature"), [(4.0, Nature.BEST), (5.5, Nature.UNPROVED), (8.0, Nature.UNPROVED)])
+def test_what_is_not_proved_is_called_no_optimum(time: float, nature: Nature, tmp_path: Path) -> None:
+    """There is none beyond cos(kT) cosh(kT) = 1, at 4.73 s, and no search that ends has found the best of anything."""
+    solution = solve(endless(time))
+    assert (solution.outcome is Outcome.PROVED) == (nature is Nature.BEST)
+    assert [e.nature for e in solution.extremals] == [nature]
+    assert ("conjugate_point" in [c.name for c in solution.verification.failed]) == (nature is Nature.UNPROVED)
+    pl.save(solution, tmp_path / "endless")
+    again = prove(pl.load(tmp_path / "endless"), 3)
+    assert again.outcome is solution.outcome and "best" not in again.extremals[0].nature.value

@@ -10,10 +10,10 @@ import pytest
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution
+from perilune.problem.solution import Curve, Nature, Solution
 from perilune.problem.verification import Check, Verification
 from perilune.proof.crossed import agreement
-from perilune.solve import solve, verify
+from perilune.solve import prove, solve, verify
 from perilune.words.outcome import Outcome, PeriluneError
 from problems.integrators import CEILING, least_energy
 from problems.landings import meditch
@@ -89,6 +89,8 @@ def test_the_solver_itself_finds_that_a_local_optimum_is_not_the_best(landing: P
     claimed = solve(landing, guess=ordinary, level=4)
     assert claimed.outcome is Outcome.NOT_PROVED
     assert claimed.verification.level == 3
+    best = replace(claimed, extremals=(replace(claimed.extremals[0], nature=Nature.BEST_AT_BOUND),))
+    assert prove(best, 4).extremals[0].nature is Nature.LOCAL_OPTIMUM_AT_BOUND
 
 
 def test_a_worse_optimum_of_the_other_method_refutes_nothing(

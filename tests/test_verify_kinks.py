@@ -30,7 +30,7 @@ SLOPES: dict[str, Any] = {
 }
 
 
-def push(slope: Any) -> pl.Problem:
+def push(slope: Any, **numbers: tuple[float, str]) -> pl.Problem:
     """From rest to rest over 100 m in 20 s with the least int a^2/2, up a slope that begins at 30 m."""
     phase = pl.Phase(
         name="push",
@@ -44,7 +44,7 @@ def push(slope: Any) -> pl.Problem:
     )
     return pl.Problem(
         name="push", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0),
-        given=given(T=(20.0, "s"), L=(100.0, "m"), xs=(30.0, "m"), k=(0.3, "m/s^2")),
+        given=given(T=(20.0, "s"), L=(100.0, "m"), xs=(30.0, "m"), k=(0.3, "m/s^2"), **numbers),
         objective=lambda x, p, m: x.e, objective_unit="m^2/s^3", scales=pl.Scales(length=100.0, time=10.0, mass=1.0),
     )  # fmt: skip
 
@@ -216,6 +216,27 @@ def test_a_short_dip_across_a_guard_is_two_crossings(at: float) -> None:
 
 
 # --- wrong ones
+
+
+STRIPS: dict[str, Any] = {
+    "square": lambda x, p, m: (x.x - p.xs) ** 2 < p.half**2,
+    "fabs": lambda x, p, m: m.fabs(x.x - p.xs) < p.half,
+    "power": lambda x, p, m: p.L**6 * p.half**2 > (x.x - p.xs) ** 4 * (x.x + p.xs) ** 2 * x.x**2,
+    "sine": lambda x, p, m: m.sin(20 * (x.x - p.xs) / p.L) ** 2 < (p.half / p.L) ** 2,
+}
+
+
+@pytest.mark.parametrize("form", list(STRIPS))
+@pytest.mark.parametrize("half", [1.0, 1e-2, 1e-4, 1e-6])
+def test_a_narrow_strip_that_nobody_saw_is_found(half: float, form: str) -> None:
+    """The best flight on the flat, claimed to be one where a strip around 43.21 m slows it, however narrow that is."""
+    problem = push(lambda x, p, m: m.where(STRIPS[form](x, p, m), p.k, 0 * p.k), half=(half, "m"))
+    problem = problem.with_given(xs=43.21, k=0.1 / half)
+    flat = pl.solve(push(lambda x, p, m: 0 * p.k), level=0)
+    missed = pl.verify(replace(flat, problem=problem), level=1)
+    assert {"place", "stop", "state_x", "state_v"} <= {c.name for c in missed.failed}
+    meaning = next(c.meaning for c in missed.failed if c.name == "state_x")
+    assert "a choice by x changes the rates, and the table has no break" in meaning
 
 
 def test_costates_that_do_not_jump_fail(jump: Solution) -> None:

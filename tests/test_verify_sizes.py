@@ -159,3 +159,54 @@ def test_scales_loosen_no_limit(hybrid: pl.Solution, scales: pl.Scales) -> None:
     of_size = replace(hybrid, problem=replace(hybrid.problem, scales=scales))
     assert pl.verify(replace(of_size, trajectories=(turned,)), level=1).level == 0
     assert pl.verify(replace(of_size, objective=hybrid.objective - 1.0), level=1).level == 0
+
+
+@pytest.mark.parametrize("late", [0.5, 1e-3])
+def test_a_clock_that_begins_late_hides_nothing_in_its_table(late: float) -> None:
+    """A clock of 1.7e9 s rounds at 2e-7 s; in a flight of 7 s it may be no more off than that."""
+    best = pl.solve(arrival(1.7e9))
+    assert best.verification.level == 3, str(best.verification)
+    assert [c.name for c in pl.verify(moved_by(best, 2, late)).failed] == ["state_t"]
+
+
+def moved_by(solution: pl.Solution, state: int, amount: float) -> pl.Solution:
+    """The same with one state of its table shifted."""
+    flown = solution.trajectories[0]
+    values = flown.state.values.copy()
+    values[:, state] += amount
+    return replace(solution, trajectories=(replace(flown, state=replace(flown.state, values=values)),))
+
+
+def far(origin: float, length: float, gravity: float = 0.0) -> pl.Problem:
+    """10 m up from rest to rest in 5 s with least effort, the height counted from a far place."""
+    phase = pl.Phase(
+        name="rise",
+        states=tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3"))),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u - p.g * (p.x0 + p.R) ** 2 / (x.x + p.R) ** 2, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.x1, x.v),
+        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
+    )
+    numbers = {"x0": (origin, "m"), "x1": (origin + 10.0, "m"), "R": (1.7e6 - origin, "m"), "T": (5.0, "s")}
+    numbers["g"] = (gravity, "m/s^2")
+    return pl.Problem(
+        name="far",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, 0.0, 0.0),
+        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in numbers.items()},
+        objective=lambda x, p, m: x.e,
+        objective_unit="m^2/s^3",
+        scales=pl.Scales(length=length, time=5.0),
+    )
+
+
+@pytest.mark.parametrize("gravity", [0.0, 1.62])
+@pytest.mark.parametrize("length", [10.0, 1e3, 1.7e6])
+@pytest.mark.parametrize("origin", [0.0, 1.7e6])
+def test_where_a_state_is_counted_from_changes_no_proof(origin: float, length: float, gravity: float) -> None:
+    """6 d^2/T^3 and what holding against gravity takes, within 1e-4; 1e-4 m in the table is seen."""
+    best = pl.solve(far(origin, length, gravity))
+    assert best.verification.level == 3, str(best.verification)
+    assert best.objective == pytest.approx(6 * 10.0**2 / 5.0**3 + 0.5 * gravity**2 * 5.0, rel=1e-4)
+    assert "state_x" in [c.name for c in pl.verify(moved_by(best, 0, 1e-4), level=1).failed]

@@ -253,6 +253,22 @@ def test_least_time_between_rests_is_proved() -> None:
     assert verification.level == 3, str(verification)
 
 
+@pytest.mark.parametrize("spare", [1e-3, 1e-9, 0.0, -1e-12])
+def test_a_longest_time_that_is_the_least_time_is_proved(spare: float) -> None:
+    """It holds nothing back, though a neighbour that takes longer may not be flown."""
+    problem = least_time()
+    best = solve(problem, level=0).free["t_f"]
+    free = tuple(replace(f, upper=best * (1 + spare)) for f in problem.free)
+    solution = solve(replace(problem, free=free))
+    assert solution.outcome is Outcome.PROVED, str(solution.verification)
+    # The costate of another flight is none of this one, whatever the neighbours take.
+    flown = solution.trajectories[0]
+    assert flown.costate is not None
+    wrong = replace(flown.costate, values=flown.costate.values * (1 + 1e-5), rates=flown.costate.rates * (1 + 1e-5))
+    claim = replace(solution, trajectories=(replace(flown, costate=wrong),))
+    assert {"initial_costate_x", "initial_costate_v"} <= {c.name for c in verify(claim).failed}
+
+
 # --- conditions that are active --------------------------------------------------------------------------------------
 
 

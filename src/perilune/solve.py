@@ -9,7 +9,7 @@ from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.solution import Nature, Solution
 from perilune.problem.verification import LEVELS
 from perilune.words.asked import demand, demand_level, refused
 from perilune.words.outcome import Outcome
@@ -92,7 +92,8 @@ def prove(solution: Solution, level: int) -> Solution:
     -------
     Solution
         The same with its verification, and the outcome that follows. Of a solution that was loaded, the extremals that
-        its file lists are found again by Newton's method, or left out (`perilune.proof.listed`).
+        its file lists are found again by Newton's method, or left out (`perilune.proof.listed`). Where a check fails,
+        its own extremal is called an optimum no longer.
     """
     demand(solution, Solution, "a solution to prove")
     demand_level(level, (0, *LEVELS))
@@ -100,7 +101,18 @@ def prove(solution: Solution, level: int) -> Solution:
         return solution
     solution, notes = _found_again(solution)
     verification = verify(solution, level=level)
+    if not verification.passed and solution.extremals:
+        first, *others = solution.extremals
+        named = replace(first, nature=as_far_as(first.nature, verification.level))
+        solution = replace(solution, extremals=(named, *others))
     return judged(solution, replace(verification, notes=(*notes, *verification.notes)), level)
+
+
+def as_far_as(nature: Nature, level: int) -> Nature:
+    """What is left of a nature where the proof failed beyond a level: of a proved optimum not that it is the best."""
+    local = {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(nature, nature)
+    optimum = local in (Nature.LOCAL_OPTIMUM, Nature.LOCAL_OPTIMUM_AT_BOUND)
+    return local if level >= (3 if optimum else 2) else Nature.UNPROVED
 
 
 def judged(solution: Solution, verification: Verification, level: int) -> Solution:

@@ -115,7 +115,7 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
     duration = float(arc.t[-1])
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
     size = np.maximum(1.0, reached)
-    size[:n] = np.maximum(reached[:n], problem.reached_sizes(phase, reached[:n] * x_scale) / x_scale)
+    size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
     tolerance = np.concatenate([1e-10 * size[:n], 1e-9 * size[half : half + n], np.full(width, 3e-11)])
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = np.abs(arc.end.event_time[0] - 0.5 * duration) < (0.5 - _NOTHING) * duration

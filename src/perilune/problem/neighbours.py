@@ -7,7 +7,8 @@ free parameters held: all neighbours share what was derived and compiled for the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -69,6 +70,13 @@ def held(problem: Problem, **values: float) -> Problem:
     free = tuple(
         replace(f, lower=v, upper=v, typical=v) if (v := values.get(f.name)) is not None else f for f in problem.free
     )
+    same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
+    return problem.changed(free=free, **same)
+
+
+def released(problem: Problem, names: Collection[str]) -> Problem:
+    """The problem without the bounds of these free parameters."""
+    free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
     same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
     return problem.changed(free=free, **same)
 

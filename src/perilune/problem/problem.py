@@ -39,11 +39,13 @@ from perilune.problem.verification import Check
 from perilune.problem.views import Views
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import unknown_name
-from perilune.words.types import Physics, Vector
+from perilune.words.types import Matrix, Physics, Vector
 from perilune.words.units import Scales
 
 _NOTHING = 1e-18  # of a canonical unit
 BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
+# Of what a state reaches: so much rounds, some hundred times the last digit, beside limits of 3e-10 of a size.
+_ROUNDS = 1e-4
 
 
 def borne_out(scale: float, unit: float, reached: float) -> float:
@@ -279,20 +281,23 @@ class Problem:
         own = named.scale if isinstance(named, Variable) else None
         return self.scales.of(named.unit) if own is None else own
 
-    def reached_sizes(self, phase: Phase, reached: Vector) -> Vector:
-        """By what errors of the states of a flight are judged [SI], from the largest absolute values that they reach.
+    def reached_sizes(self, phase: Phase, values: Matrix) -> Vector:
+        """By what errors of the states of a flight are judged [SI], from their values along it, (n, times).
 
-        That is what they reach, and at least their canonical units; or, where a state has a scale of its own, a
-        thousandth of that: so an answer is judged alike whatever scale it was computed with.
+        That is what they reach, as far as the span that they cover bears it out, and at least their canonical units;
+        or, where a state has a scale of its own, a thousandth of that. So an answer is judged alike whatever scale it
+        was computed with, and wherever its states are counted from; what they reach still rounds.
         """
-        together = dict.fromkeys((v.unit for v in phase.states), 0.0)
-        for v, most in zip(phase.states, reached.tolist(), strict=True):
-            together[v.unit] = max(together[v.unit], most)
-        units = (likely(self.scales.of(v.unit), together[v.unit]) for v in phase.states)
-        return np.array([
-            max(most, unit if v.scale is None else borne_out(v.scale, unit, most) / BEYOND)
-            for v, unit, most in zip(phase.states, units, reached.tolist(), strict=True)
-        ])  # fmt: skip
+        reached, spans = np.abs(values).max(axis=1).tolist(), np.ptp(values, axis=1).tolist()
+        sizes = []
+        for v, most, span in zip(phase.states, reached, spans, strict=True):
+            alike = [i for i, other in enumerate(phase.states) if other.unit == v.unit]
+            # What stands still, with all states of its unit, has covered no span that would say anything.
+            together = max(spans[i] for i in alike) or max(reached[i] for i in alike)
+            unit = likely(self.scales.of(v.unit), together)
+            own = unit if v.scale is None else borne_out(v.scale, unit, span) / BEYOND
+            sizes.append(max(borne_out(most, unit, span), own, _ROUNDS * most))
+        return np.array(sizes)
 
     @property
     def objective_size(self) -> float:

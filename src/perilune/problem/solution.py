@@ -154,7 +154,7 @@ class Deferred(Sequence[Trajectory]):
 class Nature(Enum):
     """What an extremal is for the objective, in its free parameters (the control being optimal along each).
 
-    Nothing shows that the best of those found is the best there is.
+    Nothing shows that the best of those found is the best there is. An answer whose proof fails is called no optimum.
     """
 
     BEST = "best of the extremals found"
@@ -164,6 +164,7 @@ class Nature(Enum):
     WORST = "locally worst"
     NEAR_GUESS = "an extremal near the guess"
     NEAR_GUESS_AT_BOUND = "an extremal near the guess, at a bound"
+    UNPROVED = "not proved an optimum"
 
     @classmethod
     def _missing_(cls, value: object) -> Nature | None:

@@ -112,7 +112,7 @@ class Arc:
     @cached_property
     def state_scale(self) -> Vector:
         """Sizes of the states [SI]."""
-        return self.problem.reached_sizes(self.phase, np.abs(self.trajectory.state.values).max(axis=0))
+        return self.problem.reached_sizes(self.phase, self.trajectory.state.values.T)
 
     @cached_property
     def end_scale(self) -> Vector:

@@ -25,14 +25,17 @@ from perilune.problem.phase import Phase
 from perilune.problem.solution import Trajectory
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import jacobian
-from perilune.proof.pieces import Pieces, just_before, polynomial, through, turns
+from perilune.proof.pieces import ENDS, IN_HALVES, POINTS, Pieces, ends_and_turns, just_before, polynomial, through
 from perilune.words.types import Matrix, Vector
 
 # A guard this close to zero, in canonical units of the state, vanishes: by so much a table may differ from the flight.
 _SMALL = 3e-10
-_SAME = 1e-11  # of the duration: crossings that lie closer are one
+SAME_TIME = 1e-11  # of the duration: crossings that lie closer are one
 _CONTINUOUS = 1e-12  # rates that change less, against their size, do not
 _SECTIONS, _ROUNDS = 16, 14  # 16^14 is beyond the digits of a number
+_DOUBT = 4.0  # a guard may be so many times farther from its cubic elsewhere than it is where that is compared
+_HALVINGS, _MOST_OPEN = 40, 4000
+_LAST_DIGITS = 1e-15  # of a state: what a guard changes with them is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,15 +135,14 @@ class Guarded:
     def off(self, t: Vector) -> Vector:
         """Those of some times at which no guard is zero."""
         values = self.guards(self.state(t), self.control(t))[0] if self.count else np.zeros((0, len(t)))
-        small = [[self._small(time, guard) for time in t.tolist()] for guard in range(self.count)]
+        small = [self._small(t, guard) for guard in range(self.count)]
         return t[(np.abs(values) > np.array(small).reshape(values.shape)).all(axis=0)]
 
     def crossings(self, pieces: Pieces) -> tuple[Crossing, ...]:
         """All crossings in order, found inside every piece of the tables."""
         if not self.count:
             return ()
-        u = normalised(self.phase.controls, pieces.read(self.flown.control))
-        inside, _ = self.guards(pieces.read(self.flown.state), u)
+        pieces, inside = self._resolved(pieces)
         found = sorted(
             (time, guard, low, high)
             for guard, values in enumerate(inside)
@@ -149,26 +151,60 @@ class Guarded:
         )
         groups: list[list[tuple[float, int, float, float]]] = []
         for entry in found:
-            if groups and entry[0] - groups[-1][0][0] <= _SAME * self.duration:
+            if groups and entry[0] - groups[-1][0][0] <= SAME_TIME * self.duration:
                 groups[-1].append(entry)
             else:
                 groups.append([entry])
         return tuple(self._crossing(group) for group in groups)
 
+    def _resolved(self, pieces: Pieces) -> tuple[Pieces, Matrix]:
+        """Pieces so small that every guard has the signs of the cubic through its values there, and those values.
+
+        Else it may dip through zero where nobody looks, and the piece is halved: while the cubic is as close to zero as
+        it is to the guard, at the ends of the piece or at the points of both halves.
+        """
+        found, values, own = [], [], self.guards(*self._read(pieces))[0]
+        for left in range(_HALVINGS, -1, -1):
+            halves, ends = pieces.halves, self.guards(*self._read(pieces, ENDS))[0]
+            x, u = self._read(halves)
+            finer = self.guards(x, u)[0]
+            fit = through(own)[:, :, None]
+            known = np.concatenate([ends, finer.reshape(*own.shape[:2], 8)], axis=2)
+            error = np.abs(polynomial(fit, np.concatenate([ENDS, IN_HALVES])) - known).max(axis=2)
+            doubtful = np.abs(polynomial(fit, ends_and_turns(fit[:, :, 0]))).min(axis=2) < _DOUBT * error
+            again = doubtful.any(axis=0) & (left > 0) & (len(pieces) < _MOST_OPEN)
+            if again.any():
+                both = np.repeat(again, 2)
+                changes = np.abs(self._slopes(x[:, both], u[:, both]) * np.concatenate([x, u])[:, both])
+                rounding = _LAST_DIGITS * changes.sum(axis=1).reshape(len(own), -1, 8).max(axis=2)
+                again[again] = (doubtful[:, again] & (error[:, again] > rounding)).any(axis=0)
+            found.append(pieces[~again])
+            values.append(own[:, ~again])
+            if not again.any():
+                break
+            pieces, own = halves[np.repeat(again, 2)], finer[:, np.repeat(again, 2)]
+        pieces, own = Pieces.joined(found), np.concatenate(values, axis=1)
+        order = np.argsort(pieces.left, kind="stable")
+        return pieces[order], own[:, order]
+
+    def _read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix]:
+        """States and controls on pieces, (components, N, shares)."""
+        control = pieces.read(self.flown.control, shares)
+        return pieces.read(self.flown.state, shares), normalised(self.phase.controls, control)
+
     def _brackets(self, pieces: Pieces, values: Matrix, guard: int) -> Iterator[tuple[float, float]]:
-        """Neighbouring times between which a guard changes its sign; where the cubic through it turns is one too."""
-        times, fit = pieces.times(), through(values)
-        shares = turns(fit)
-        at, which = np.nonzero((polynomial(fit[:, None], shares) > 0) != (values[:, :1] > 0))
-        if len(at):
-            dips = pieces.left[at] + pieces.width[at] * shares[at, which]
-            times, values = np.append(times, dips), np.append(values, self.along(dips, guard))
-        order = np.argsort(times, axis=None, kind="stable")
-        times, values = times.ravel()[order], values.ravel()[order]
-        changed = np.nonzero((values[1:] > 0) != (values[:-1] > 0))[0]
-        if len(changed):
+        """Neighbouring times between which a guard changes its sign, at points of the pieces or extremes of cubics."""
+        fit = through(values)
+        shares = ends_and_turns(fit)
+        others = pieces.left[:, None] + pieces.width[:, None] * shares
+        others[:, 1] = just_before(np.append(pieces.left[1:], self.duration))
+        others = others[(polynomial(fit[:, None], shares) > 0) != (values[:, :1] > 0)]
+        times, values = np.append(pieces.times(), others), np.append(values, self.along(others, guard))
+        order = np.argsort(times, kind="stable")
+        times, values = times[order], values[order]
+        if ((values[1:] > 0) != (values[:-1] > 0)).any():
             # What is zero but for rounding is on no side.
-            clear = np.abs(values) > self._small(float(times[changed[0]]), guard)
+            clear = np.abs(values) > self._small(times, guard)
             times, above = times[clear], values[clear] > 0
             for k in np.nonzero(above[1:] != above[:-1])[0]:
                 yield float(times[k]), float(times[k + 1])
@@ -177,9 +213,9 @@ class Guarded:
         """The time of a change of sign: a break of the tables that it belongs to, or the zero itself."""
         for curve in (self.flown.state, self.flown.control):
             breaks = curve.time[1:][np.diff(curve.time) == 0]
-            for time in breaks[(breaks > low) & (breaks < high)]:
+            for time in breaks[(breaks > low) & (breaks <= high)]:
                 before, after = self.along(np.array([just_before(time), time]), guard)
-                if min(abs(before), abs(after)) <= self._small(float(time), guard):
+                if min(abs(before), abs(after)) <= self._small(np.array([time]), guard)[0]:
                     yield float(time)
                     return
                 if (before > 0) != (after > 0):
@@ -191,19 +227,22 @@ class Guarded:
             low, high = t[k - 1], t[k]
         yield float(high)
 
-    def _gradient(self, time: float, guard: int) -> tuple[Vector, Vector]:
-        """ds/dx by canonical units of the states, and ds/du."""
-        x, u = (at(np.array([time])) for at in (self.state, self.control))
+    def _slopes(self, x: Matrix, u: Matrix) -> Matrix:
+        """Derivatives of all guards by states and controls, (guards, n + k, ...)."""
+        n = len(x)
+        return jacobian(
+            lambda z: watched_rates(self.phase, z[:n], z[n:], self.p)[1], np.concatenate([x, u]), np.ones(n + len(u))
+        )
 
-        def along(z: Any) -> Any:
-            return watched_rates(self.phase, z[: len(x)], z[len(x) :], self.p)[1][guard][None]
+    def _gradient(self, t: Vector, guard: int) -> tuple[Matrix, Matrix]:
+        """ds/dx by canonical units of the states, (n, times), and ds/du."""
+        slopes = self._slopes(self.state(t), self.control(t))[guard]
+        n = len(self.scale)
+        return slopes[:n] * self.scale[:, None], slopes[n:]
 
-        slopes = jacobian(along, np.concatenate([x, u]), np.append(self.scale, np.ones(len(u))))[0, :, 0]
-        return slopes[: len(x)], slopes[len(x) :]
-
-    def _small(self, time: float, guard: int) -> float:
-        """Values of a guard that are none."""
-        return float(_SMALL * np.abs(self._gradient(time, guard)[0]).max())
+    def _small(self, t: Vector, guard: int) -> Vector:
+        """Values of a guard at times that are none."""
+        return _SMALL * np.abs(self._gradient(t, guard)[0]).max(axis=0)
 
     def _crossing(self, group: list[tuple[float, int, float, float]]) -> Crossing:
         """What crosses at the zero of one guard, or of several at the same time."""
@@ -221,7 +260,7 @@ class Guarded:
         jump = rates[1] - rates[0]
         if np.abs(jump).max() <= _CONTINUOUS * np.abs(rates).max():
             jump[:] = 0.0
-        gradients = [self._gradient(time, other) for _, other, *_ in group]
+        gradients = [[part[:, 0] for part in self._gradient(np.array([time]), other)] for _, other, *_ in group]
         normals = [slope / np.abs(slope).max() for slope, _ in gradients]
         speeds = float(normals[0] @ rates[0]), float(normals[0] @ rates[1])
         # Parallel vectors have no cross products.

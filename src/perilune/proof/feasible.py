@@ -15,6 +15,7 @@ from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, end_slopes, free_size, objective_slope
+from perilune.proof.crossings import SAME_TIME
 from perilune.proof.flight import MOST_GROWTH, Flight, smooth_pieces
 from perilune.proof.pieces import ENDS, extremes, polynomial, through, turns
 from perilune.words.maths import NUMERIC
@@ -89,13 +90,13 @@ def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
 
 
 def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
-    of_states = zip(arc.phase.states, arc.state_scale, flight.difference, strict=True)
+    of_states, missed = zip(arc.phase.states, arc.state_scale, flight.difference, strict=True), _missed(arc)
     for row, (state, scale, difference) in enumerate(of_states):
         yield Check(
             name=f"{arc.prefix}state_{state.name}", level=1, value=float(difference * scale), unit=state.unit,
             limit=STATE_LIMIT * scale * float(flight.growth[row]),
             meaning=f"largest difference between {state.name} of the table and as flown again, inside every piece of "
-            "the tables",
+            f"the tables{missed}",
         )  # fmt: skip
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower) or np.isfinite(upper):
@@ -103,6 +104,17 @@ def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
             own = through(flight.inside[row])
             values = np.concatenate([polynomial(own[:, None], turns(own)).ravel(), flight.at_ends[row].ravel()])
             yield _bound(name, state.name, values, lower, upper, state.unit, scale * float(flight.growth[row]))
+
+
+def _missed(arc: Arc) -> str:
+    """The first jump of the rates at which the table of the state has no break: whoever flew it did not see it."""
+    time = arc.trajectory.state.time
+    breaks = time[1:][np.diff(time) == 0]
+    for crossing in arc.crossings:
+        if crossing.jump.any() and np.abs(breaks - crossing.time).min(initial=np.inf) > SAME_TIME * arc.duration:
+            by = " and ".join(s.name for s, slope in zip(arc.phase.states, crossing.normal, strict=True) if slope)
+            return f"; at {crossing.time:.6g} s a choice by {by} changes the rates, and the table has no break"
+    return ""
 
 
 def _bound(name: str, what: str, values: Vector, lower: float, upper: float, unit: str, scale: float) -> Check:

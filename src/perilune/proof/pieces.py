@@ -117,8 +117,12 @@ def turns(c: Matrix) -> Matrix:
     return np.where(inside, roots, 0.5)
 
 
+def ends_and_turns(c: Matrix) -> Matrix:
+    """Shares (..., 4) among which are those of the least and the largest value of cubics of coefficients (..., 4)."""
+    return np.concatenate([np.broadcast_to(ENDS, (*c.shape[:-1], 2)), turns(c)], axis=-1)
+
+
 def extremes(curve: Curve) -> Matrix:
     """Values (components, pieces, 4) among which are the least and the largest of each piece of a table."""
     found = cubics(curve, np.nonzero(np.diff(curve.time) > 0)[0])
-    shares = np.concatenate([np.broadcast_to(ENDS, (*found.shape[:2], 2)), turns(found)], axis=-1)
-    return polynomial(found[:, :, None], shares)
+    return polynomial(found[:, :, None], ends_and_turns(found))

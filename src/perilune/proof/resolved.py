@@ -1,7 +1,8 @@
 """Level 3 by solving again: what costates and free parameters promise about neighbours comes true.
 
 lam(0) = dJ*/dx0      against central differences of J over problems whose initial state is shifted; what else is
-                      free, but for durations, is held: by the envelope theorem choosing it again changes nothing
+                      free, but for durations, is held: by the envelope theorem choosing it again changes nothing.
+                      A bound of a duration that holds nothing back is left out, as neighbours may take longer
 d2J*/dp2 > 0          over problems with a free parameter held to either side of its optimum
 """
 
@@ -11,17 +12,19 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from perilune.problem.neighbours import held, movable, offset_of
+from perilune.problem.neighbours import held, movable, offset_of, released
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
-from perilune.proof.extremal import at_bound
+from perilune.proof.extremal import at_bound, varied
 from perilune.words.outcome import PeriluneError
 
 Resolve = Callable[[Problem, Solution], Solution]
 
 START_SHIFT = 3e-6  # canonical; central differences err by its square: 4e-8 at most measured, J itself by 1e-13
+# Of what a state reaches: so much it rounds as a neighbour is solved, 20 times the last digit measured.
+_ROUNDS = 1e-14
 # Of the shift: a start five metres above its site bends within five metres. Rounding of J allows no smaller one.
 _SHARES = (1.0, 0.1, 0.01)
 PARAMETER_SHIFT = 2e-3
@@ -49,27 +52,31 @@ def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
         a single value is held there.
     """
     bound = {f.name: solution.free[f.name] for f in solution.problem.free if any(at_bound(solution, f))}
-    yield from _initial_costates(solution, bound, resolve)
+    yield from _initial_costates(solution, resolve)
     yield from _parameters(solution, bound, resolve)
 
 
-def _initial_costates(solution: Solution, bound: dict[str, float], resolve: Resolve) -> Iterator[Check]:
+def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
     problem, costate = movable(solution.problem), solution.trajectories[0].costate
     if costate is None:
         return
-    chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in problem.duration_names} | bound
-    arc = Arc(solution=solution, index=0)
+    arcs = [Arc(solution=solution, index=k) for k in range(len(problem.phases))]
+    arc = arcs[0]
+    durations = [name for name in varied(solution, arcs) if name in problem.duration_names]
+    chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in durations}
+    # J is known no better than the states are: of a place far from its origin the shift has to be larger for that.
+    known = _ROUNDS * float(np.abs(costate.values[0]) @ np.abs(arc.trajectory.state.values).max(axis=0))
     for state, of_state, lam in zip(problem.phases[0].states, arc.state_scale, costate.values[0], strict=True):
         size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
         def slope(shift: float, name: str = offset_of(state.name)) -> float:
-            moved = (held(problem.with_given(**{name: s}), **chosen) for s in (shift, -shift))
+            moved = (held(released(problem.with_given(**{name: s}), durations), **chosen) for s in (shift, -shift))
             ahead, behind = (_objective(resolve, neighbour, solution) for neighbour in moved)
             return (ahead - behind) / (2 * shift)
 
         limit = COSTATE_LIMIT * max(1.0, abs(lam) * size)
         for share in _SHARES:
-            shift = share * START_SHIFT * of_state
+            shift = share * max(START_SHIFT * of_state, known * size / limit)
             change = slope(shift)
             if abs(change - lam) * size > 0.3 * limit:
                 # Long arcs bend more within a shift: Richardson's extrapolation takes out the square of it.

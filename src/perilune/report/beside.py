@@ -27,7 +27,7 @@ from perilune.problem.solution import Nature, Solution
 from perilune.problem.verification import Check
 from perilune.report import REPORT_FILE
 from perilune.report.summary import extremal_cells, quantity
-from perilune.solve import judged, prove
+from perilune.solve import as_far_as, judged, prove
 from perilune.words.bounded import bounded_text
 from perilune.words.outcome import PeriluneError
 
@@ -234,9 +234,10 @@ def _same_cell(said: str, known: str) -> bool:
 
 
 def _same_nature(said: str, known: str, count: int) -> bool:
-    """Whether an extremal is called what it is; of one alone there is no best, bounds are not always named."""
+    """Whether an extremal is called what it is, or less; of one alone there is no best, bounds are not always named."""
     try:
-        words = [Nature(word).value.partition(", at a bound")[0] for word in (said, known)]
+        named, right = Nature(said), Nature(known)
     except ValueError:
         return False
-    return words[0] == words[1] or (count == 1 and Nature.WORST.value not in words)
+    own, *allowed = (n.value.partition(", at a bound")[0] for n in (named, right, as_far_as(right, 3), Nature.UNPROVED))
+    return own in allowed or (count == 1 and Nature.WORST not in (named, right))
