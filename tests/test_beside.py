@@ -19,6 +19,7 @@ from perilune.cli import run
 from perilune.io.export import save
 from perilune.problem.solution import Nature, Solution
 from perilune.proof.crossed import agreement
+from perilune.proof.listed import found_again
 from perilune.report import REPORT_FILE
 from perilune.report.beside import proved_directory
 from perilune.report.summary import solution_markdown, solution_summary
@@ -202,6 +203,50 @@ def test_files_from_before_extremals_had_unknowns(hybrid_dir: Path) -> None:
     left = 3 - len(proved.extremals)
     assert natures(proved)[0] is (Nature.BEST if left < 2 else Nature.LOCAL_OPTIMUM)
     assert not left or f"{left} of the 3 extremals" in proved.verification.notes[0]
+
+
+def reached(solution: Solution, *said: tuple[float, Nature]) -> tuple[Solution, Callable[..., Solution]]:
+    """A solution whose file lists extremals of these objectives, and a Newton's method that reaches each of them."""
+    entries = [
+        replace(solution.extremals[0], objective=objective, nature=nature, unknowns=(float(k),))
+        for k, (objective, nature) in enumerate(said)
+    ]
+
+    def resolve(problem: Any, guess: Solution) -> Solution:
+        k = 0 if guess is listing else int(guess.unknowns[0])  # type: ignore[index]
+        return replace(solution, extremals=(entries[k],))
+
+    listing = replace(solution, extremals=(), listed=tuple(entries))
+    return listing, resolve
+
+
+def test_listed_extremals_stand_in_order_whatever_the_order_of_the_file(hybrid: Solution) -> None:
+    """The solution itself, then the better before the worse, and last what is locally worst, however good its J."""
+    itself = (hybrid.objective, Nature.LOCAL_OPTIMUM)
+    others = [(-120.0, Nature.LOCAL_OPTIMUM), (-200.0, Nature.WORST), (-140.0, Nature.LOCAL_OPTIMUM_AT_BOUND),
+              (-130.0, Nature.LOCAL_OPTIMUM), (-150.0, Nature.WORST)]  # fmt: skip
+    extremals, notes = found_again(*reached(hybrid, itself, *others))
+    assert [round(e.objective) for e in extremals] == [-161, -140, -130, -120, -200, -150]
+    assert extremals[0].nature is Nature.BEST and notes == ()  # a locally worst one is no better answer
+    extremals, notes = found_again(*reached(hybrid, itself, (-200.0, Nature.LOCAL_OPTIMUM)))
+    assert extremals[0].nature is Nature.LOCAL_OPTIMUM and len(notes) == 1
+
+
+@pytest.mark.parametrize("which", ["state", "costate"])
+def test_what_newton_reaches_is_proved_before_it_is_listed(hybrid: Solution, which: str) -> None:
+    """An entry that is reached to the last digit, by a flight or costates that are wrong by a millionth."""
+    itself, other = (hybrid.objective, Nature.LOCAL_OPTIMUM), (-150.0, Nature.LOCAL_OPTIMUM)
+    listing, resolve = reached(hybrid, itself, other)
+    assert len(found_again(listing, resolve)[0]) == 2
+    (flown,) = hybrid.trajectories
+    curve = getattr(flown, which)
+    wrong = replace(flown, **{which: replace(curve, values=curve.values * (1 + 1e-6))})
+
+    def misled(problem: Any, guess: Solution) -> Solution:
+        return replace(resolve(problem, guess), trajectories=(wrong,))
+
+    extremals, notes = found_again(listing, misled)
+    assert len(extremals) == 1 and "1 of the 2 extremals" in notes[0]
 
 
 # -- statistics, method, words --------------------------------------------------------------------------------------
@@ -438,6 +483,14 @@ def test_what_the_document_repeats_is_compared(
     code, said = told(edited(hybrid_dir, change), capsys)
     assert code == 5 and words in said, said
     assert "FAIL 1 solution.json" in said
+
+
+@pytest.mark.parametrize("value", [False, None, "0.0", "0", [], 1e-3])
+def test_what_is_no_number_is_not_nought(ordinary_dir: Path, capsys: pytest.CaptureFixture[str], value: Any) -> None:
+    """A landing without a retro burn, whose velocity change is 0."""
+    assert json.loads((ordinary_dir / "solution.json").read_text())["results"]["delta_v"]["value"] == 0.0
+    code, said = told(edited(ordinary_dir, lambda d: d["results"]["delta_v"].update(value=value)), capsys)
+    assert code == 5 and f"results.delta_v is 0, not {value!r}" in said, said
 
 
 @pytest.mark.parametrize(
