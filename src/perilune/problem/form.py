@@ -41,6 +41,7 @@ _TRACK = (("along", "m"), ("across", "m"), ("height", "m"), ("least height", "m"
 _OTHER_FUNCTIONS = {
     "start": ("p",), "links": ("x", "p"), "objective": ("x", "p"), "results": ("first", "last", "p")
 }  # fmt: skip
+_DIFFERENTIATED = {"start", "links", "dynamics", "end", "objective"}
 OWN_TEXT = "the problem's own Python functions"
 _KINDS = {"u": "control", "p": "parameter", "m": "function of m"}  # the others are states
 
@@ -111,7 +112,7 @@ class Stated:
         if isinstance(self.function, Expression):
             self._listed(self.function.tape.outputs)
             return self.function
-        recorder = Recorder()
+        recorder = Recorder(self.differentiated)
         arguments: dict[str, Any] = {
             role: [recorder.input(role, name) for name in getattr(make, "_fields", ())]
             for role, make in self.records.items()
@@ -124,6 +125,11 @@ class Stated:
         except (TypeError, ValueError) as error:
             raise self._no_numbers(values) from error
         return Expression(tape, tuple(self.records), scalar=self.key == "objective", origin="a copy")
+
+    @property
+    def differentiated(self) -> bool:
+        """Whether the proof takes derivatives of it; the others are only told or bounded."""
+        return not _DIFFERENTIATED.isdisjoint([self.key] if isinstance(self.key, str) else self.key)
 
     def told(self, k: int) -> str:
         """How one of its values is called."""
