@@ -18,6 +18,8 @@ from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from perilune.problem.tape import Expression, NotAFormula, Recorder, Symbol
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -101,7 +103,8 @@ class Stated:
 
     def numbers(self, arguments: Mapping[str, Any]) -> list[float]:
         """Values of the function at numbers."""
-        values = self.ask(arguments)
+        with np.errstate(all="ignore"):  # of values that nobody has looked at
+            values = self.ask(arguments)
         try:
             return [float(value) for value in values]
         except (TypeError, ValueError) as error:
