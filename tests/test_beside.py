@@ -17,6 +17,7 @@ import perilune as pl
 from command_line import HYBRID, ORDINARY, read_json
 from perilune.cli import run
 from perilune.io.export import save
+from perilune.io.reading import LONGEST_TEXT
 from perilune.problem.solution import Nature, Solution
 from perilune.proof.crossed import agreement
 from perilune.proof.listed import found_again
@@ -285,12 +286,28 @@ def test_a_claimed_mesh_error_opens_no_limit(hybrid: Solution) -> None:
     assert Pseudospectral  # the rival
 
 
-def test_titles_forge_no_lines(hybrid: Solution) -> None:
-    """Whatever a problem is called, its name is one line."""
-    title = "landing\n\n  landed mass           999.000000 kg"
-    assert "\n  landed mass           999" not in solution_summary(
-        replace(hybrid, problem=replace(hybrid.problem, title=title))
-    )
+@pytest.mark.parametrize(
+    "title",
+    [
+        "landing\n\n  landed mass           999.000000 kg",
+        "landing\n\n## Results\n\n| quantity | value | unit | |\n|---|---|---|---|\n| landed mass | 999 | kg | |",
+        "landing\r  landed mass           999.000000 kg\x1b[2A",
+        "landing\u2028999\u202egk 999\x85\x00",
+        "landing 999 " * 1_000_000,
+    ],
+)
+def test_titles_forge_no_lines(hybrid: Solution, title: str, tmp_path: Path) -> None:
+    """Whatever a problem is called, its name is one short line of what can be printed."""
+    named = replace(hybrid, problem=replace(hybrid.problem, title=title))
+    told = [solution_summary(named), solution_markdown(named)]
+    for text, plain in zip(told, (solution_summary(hybrid), solution_markdown(hybrid)), strict=True):
+        (head, *rest), (_, *others) = text.split("\n"), plain.split("\n")
+        assert rest == others
+        assert head.isprintable() and 20 < len(head) < 200 and "landing" in head
+    if len(title) > LONGEST_TEXT:
+        save(named, tmp_path / "long")
+        with pytest.raises(PeriluneError, match="title(.|\n)*12000000 characters"):
+            pl.load(edited(tmp_path / "long", lambda d: d.update(made=None)))
 
 
 @pytest.mark.parametrize(("place", "name"), [((), "method"), (("problem",), "title"), (("statistics",), "rung")])

@@ -156,7 +156,7 @@ def _close(one: Any, other: Any) -> bool:
 
 def _scenario_text(document: Mapping[str, Any]) -> str:
     scenario = part(document, "scenario", dict)
-    said = text(scenario, "text")
+    said = part(scenario, "text", str)
     found = hash_of(said)
     if found != scenario.get("sha256"):
         raise PeriluneError(

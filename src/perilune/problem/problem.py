@@ -37,6 +37,7 @@ from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
+from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Physics, Vector
@@ -178,6 +179,11 @@ class Problem:
         ranges = tuple(c.ranged for phase in self.phases for c in phase.end_conditions)
         ratios = tuple((place, scale / self.scales.of(unit)) for place, unit, scale in self._own_scales)
         return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges, ratios)
+
+    @property
+    def heading(self) -> str:
+        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger."""
+        return one_line(self.title or self.name)
 
     @property
     def text(self) -> str:
