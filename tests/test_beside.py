@@ -306,7 +306,7 @@ def test_titles_forge_no_lines(hybrid: Solution, title: str, tmp_path: Path) -> 
         assert head.isprintable() and 20 < len(head) < 200 and "landing" in head
     if len(title) > LONGEST_TEXT:
         save(named, tmp_path / "long")
-        with pytest.raises(PeriluneError, match="title(.|\n)*12000000 characters"):
+        with pytest.raises(PeriluneError, match=r"title(.|\n)*12000000 characters"):
             pl.load(edited(tmp_path / "long", lambda d: d.update(made=None)))
 
 
