@@ -113,7 +113,7 @@ def test_absurd_values_are_tried_without_a_warning(name: str, size: float) -> No
         return x.v, p.push * u.along + p.push * getattr(m, name)(x.x / p.distance)
 
     phase = replace(slider().phases[0], dynamics=dynamics)
-    values = slider().given | {"distance": Given(value=size, unit="m")}
+    values = {**slider().given, "distance": Given(value=size, unit="m")}
     assert slider(phases=(phase,), given=values).form == slider(phases=(phase,)).form
 
 

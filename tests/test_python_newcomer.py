@@ -138,11 +138,11 @@ def test_a_retro_burn_that_is_no_record_is_not_taken_for_none() -> None:
         (lambda s, _: s.results["landed_mas"], ("did you mean 'landed_mass'",)),
         (lambda s, _: s.free["retro"], ("no free parameter of this name", "retro_delta_v")),
         (lambda s, _: s.multipliers["altitude"], ("no multiplier of this name", "descent.touchdown_altitude")),
-        (lambda s, _: pl.save(s, None), ("not an output directory", "None", "a path")),
+        (lambda s, _: Loose.save(s, None), ("not an output directory", "None", "a path")),
         (lambda s, path: pl.save(s, f"{path}/a\0b"), ("cannot be an output directory", "null byte")),
-        (lambda s, path: pl.save(s, path / "s", 3), ("not the text of a scenario", "3")),
-        (lambda s, _: pl.verify(s, 4, other=3), ("not a method", "3")),
-        (lambda s, _: pl.verify(s, 3, resolve=3), ("not what solves again", "3")),
+        (lambda s, path: Loose.save(s, path / "s", 3), ("not the text of a scenario", "3")),
+        (lambda s, _: Loose.verify(s, 4, other=3), ("not a method", "3")),
+        (lambda s, _: Loose.verify(s, 3, resolve=3), ("not what solves again", "3")),
     ],
 )
 def test_a_slip_with_a_solution_is_refused_in_words(
