@@ -17,8 +17,10 @@ import perilune as pl
 from command_line import HYBRID, ORDINARY, read_json
 from perilune.cli import run
 from perilune.io.export import save
+from perilune.io.reading import LONGEST_TEXT
 from perilune.problem.solution import Nature, Solution
 from perilune.proof.crossed import agreement
+from perilune.proof.listed import found_again
 from perilune.report import REPORT_FILE
 from perilune.report.beside import proved_directory
 from perilune.report.summary import solution_markdown, solution_summary
@@ -204,6 +206,50 @@ def test_files_from_before_extremals_had_unknowns(hybrid_dir: Path) -> None:
     assert not left or f"{left} of the 3 extremals" in proved.verification.notes[0]
 
 
+def reached(solution: Solution, *said: tuple[float, Nature]) -> tuple[Solution, Callable[..., Solution]]:
+    """A solution whose file lists extremals of these objectives, and a Newton's method that reaches each of them."""
+    entries = [
+        replace(solution.extremals[0], objective=objective, nature=nature, unknowns=(float(k),))
+        for k, (objective, nature) in enumerate(said)
+    ]
+
+    def resolve(problem: Any, guess: Solution) -> Solution:
+        k = 0 if guess is listing else int(guess.unknowns[0])  # type: ignore[index]
+        return replace(solution, extremals=(entries[k],))
+
+    listing = replace(solution, extremals=(), listed=tuple(entries))
+    return listing, resolve
+
+
+def test_listed_extremals_stand_in_order_whatever_the_order_of_the_file(hybrid: Solution) -> None:
+    """The solution itself, then the better before the worse, and last what is locally worst, however good its J."""
+    itself = (hybrid.objective, Nature.LOCAL_OPTIMUM)
+    others = [(-120.0, Nature.LOCAL_OPTIMUM), (-200.0, Nature.WORST), (-140.0, Nature.LOCAL_OPTIMUM_AT_BOUND),
+              (-130.0, Nature.LOCAL_OPTIMUM), (-150.0, Nature.WORST)]  # fmt: skip
+    extremals, notes = found_again(*reached(hybrid, itself, *others))
+    assert [round(e.objective) for e in extremals] == [-161, -140, -130, -120, -200, -150]
+    assert extremals[0].nature is Nature.BEST and notes == ()  # a locally worst one is no better answer
+    extremals, notes = found_again(*reached(hybrid, itself, (-200.0, Nature.LOCAL_OPTIMUM)))
+    assert extremals[0].nature is Nature.LOCAL_OPTIMUM and len(notes) == 1
+
+
+@pytest.mark.parametrize("which", ["state", "costate"])
+def test_what_newton_reaches_is_proved_before_it_is_listed(hybrid: Solution, which: str) -> None:
+    """An entry that is reached to the last digit, by a flight or costates that are wrong by a millionth."""
+    itself, other = (hybrid.objective, Nature.LOCAL_OPTIMUM), (-150.0, Nature.LOCAL_OPTIMUM)
+    listing, resolve = reached(hybrid, itself, other)
+    assert len(found_again(listing, resolve)[0]) == 2
+    (flown,) = hybrid.trajectories
+    curve = getattr(flown, which)
+    wrong = replace(flown, **{which: replace(curve, values=curve.values * (1 + 1e-6))})
+
+    def misled(problem: Any, guess: Solution) -> Solution:
+        return replace(resolve(problem, guess), trajectories=(wrong,))
+
+    extremals, notes = found_again(listing, misled)
+    assert len(extremals) == 1 and "1 of the 2 extremals" in notes[0]
+
+
 # -- statistics, method, words --------------------------------------------------------------------------------------
 
 
@@ -240,12 +286,28 @@ def test_a_claimed_mesh_error_opens_no_limit(hybrid: Solution) -> None:
     assert Pseudospectral  # the rival
 
 
-def test_titles_forge_no_lines(hybrid: Solution) -> None:
-    """Whatever a problem is called, its name is one line."""
-    title = "landing\n\n  landed mass           999.000000 kg"
-    assert "\n  landed mass           999" not in solution_summary(
-        replace(hybrid, problem=replace(hybrid.problem, title=title))
-    )
+@pytest.mark.parametrize(
+    "title",
+    [
+        "landing\n\n  landed mass           999.000000 kg",
+        "landing\n\n## Results\n\n| quantity | value | unit | |\n|---|---|---|---|\n| landed mass | 999 | kg | |",
+        "landing\r  landed mass           999.000000 kg\x1b[2A",
+        "landing\u2028999\u202egk 999\x85\x00",
+        "landing 999 " * 1_000_000,
+    ],
+)
+def test_titles_forge_no_lines(hybrid: Solution, title: str, tmp_path: Path) -> None:
+    """Whatever a problem is called, its name is one short line of what can be printed."""
+    named = replace(hybrid, problem=replace(hybrid.problem, title=title))
+    told = [solution_summary(named), solution_markdown(named)]
+    for text, plain in zip(told, (solution_summary(hybrid), solution_markdown(hybrid)), strict=True):
+        (head, *rest), (_, *others) = text.split("\n"), plain.split("\n")
+        assert rest == others
+        assert head.isprintable() and 20 < len(head) < 200 and "landing" in head
+    if len(title) > LONGEST_TEXT:
+        save(named, tmp_path / "long")
+        with pytest.raises(PeriluneError, match=r"title(.|\n)*12000000 characters"):
+            pl.load(edited(tmp_path / "long", lambda d: d.update(made=None)))
 
 
 @pytest.mark.parametrize(("place", "name"), [((), "method"), (("problem",), "title"), (("statistics",), "rung")])
@@ -438,6 +500,14 @@ def test_what_the_document_repeats_is_compared(
     code, said = told(edited(hybrid_dir, change), capsys)
     assert code == 5 and words in said, said
     assert "FAIL 1 solution.json" in said
+
+
+@pytest.mark.parametrize("value", [False, None, "0.0", "0", [], 1e-3])
+def test_what_is_no_number_is_not_nought(ordinary_dir: Path, capsys: pytest.CaptureFixture[str], value: Any) -> None:
+    """A landing without a retro burn, whose velocity change is 0."""
+    assert json.loads((ordinary_dir / "solution.json").read_text())["results"]["delta_v"]["value"] == 0.0
+    code, said = told(edited(ordinary_dir, lambda d: d["results"]["delta_v"].update(value=value)), capsys)
+    assert code == 5 and f"results.delta_v is 0, not {value!r}" in said, said
 
 
 @pytest.mark.parametrize(

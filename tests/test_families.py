@@ -28,6 +28,7 @@ from perilune.problem.problem import Problem
 from perilune.report.family import family_csv
 from perilune.solve import prove, solve
 from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from problems.landings import meditch
 
 GRID = {"vehicle.thrust": [440.0, 500.0], "vehicle.mass": [290.0, 300.0, 310.0]}
 EXAMPLE = str(Path(__file__).parent.parent / "examples" / "ordinary_lander.toml")
@@ -187,6 +188,16 @@ def test_a_store_of_another_sweep_is_refused(
     options = {name: changes[name] for name in ("level", "method") if name in changes}
     with pytest.raises(PeriluneError, match=rf"cannot be used(.|\n)*sweep of other {words}"):
         sweep(problem, changes.get("over", {"vehicle.thrust": [440.0, 450.0]}), store=tmp_path, **options)
+
+
+def test_a_store_of_other_ranges_is_refused(tmp_path: Path) -> None:
+    """What a parameter may be decides on the answer: at a bound it is another."""
+    wide = meditch()
+    sweep(wide, {"h": [1.0]}, store=tmp_path)
+    (t_f,) = wide.free
+    with pytest.raises(PeriluneError, match=r"sweep of other problem"):
+        sweep(replace(wide, free=(replace(t_f, upper=1.4),)), {"h": [1.0]}, store=tmp_path)
+    assert len(sweep(meditch(), {"h": [1.0]}, store=tmp_path).points) == 1
 
 
 def test_the_problems_own_value_does_not_matter_to_the_store(fixed: Problem, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 from cho import cho_landing
 from perilune.problem.problem import Problem
 from perilune.problem.tape import Tape
-from perilune.problem.variables import Given
+from perilune.problem.variables import Given, Variable
 from perilune.proof.numerics import COMPLEX
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -164,6 +164,10 @@ def test_ranges_travel_by_name() -> None:
         (lambda x, u, p, m: (x.v, p.push * u.along * math.sin(u.across)), r"plain number(.|\n)*m\.sin"),
         (lambda x, u, p, m: (x.v, p.push * np.interp(u.along, [0, 1], [0, 1])), r"np\.interp(.|\n)*m\.table"),
         (lambda x, u, p, m: (x.v, np.where(u.along > 0, p.push, -p.push)), r"np\.where(.|\n)*m\.where"),
+        (lambda x, u, p, m: (abs(x.v), p.push * u.along), r"is no formula(.|\n)*abs, which has no deriv(.|\n)*m\.fabs"),
+        (lambda x, u, p, m: (np.abs(x.v), p.push * u.along), r"abs, which has no derivative(.|\n)*m\.fabs"),
+        (lambda x, u, p, m: (np.fabs(x.v), p.push * u.along), r"np\.abs, which has no derivative(.|\n)*m\.fabs"),
+        (lambda x, u, p, m: (x.v, p.push * np.arctan2(u.along, 2.0)), r"np\.arctan2, which has(.|\n)*m\.atan2"),
         (lambda x, u, p, m: (x.v, p.psh * u.along), r"no parameter(.|\n)*p\.psh(.|\n)*did you mean 'push'"),
         (lambda x, u, p, m: (x.vv, p.push * u.along), r"no state(.|\n)*x\.vv(.|\n)*did you mean 'v'"),
         (lambda x, u, p, m: (x.v, p.push * u.alon), r"no control(.|\n)*did you mean 'along'"),
@@ -182,11 +186,27 @@ def test_mistakes_in_the_physics_are_named(dynamics: Any, words: str) -> None:
     assert refused.match(words)
 
 
+def test_a_size_has_its_derivative_where_one_is_taken_and_may_be_told_by_any_function() -> None:
+    """Outputs are never differentiated: there `abs` is as good as `m.fabs`, whose derivative is the sign."""
+    slope = with_dynamics(lambda x, u, p, m: (m.fabs(x.v), p.push * u.along)).phases[0]
+    z = np.array([[0.0 + 0j, 0.0], [3.0 + 1e-40j, -3.0 + 1e-40j]])
+    at = (z, np.ones((2, 2)), slider().parameters({"time": 4.0}), COMPLEX)
+    assert (np.imag(slope.rates(*at)[0]) / 1e-40).tolist() == [1.0, -1.0]
+    told = replace(
+        slider().phases[0],
+        outputs=lambda x, u, p, m: (abs(x.v),),
+        output_variables=(Variable(name="pace", unit="m/s"),),
+    )
+    expression = slider(phases=(told,)).form.expressions[0, "outputs"]
+    assert [op[0] for op in expression.tape.instructions] == ["x", "fabs"]
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"start": lambda p, m: (p.distanse, 0.0)}, r"start: (.|\n)*did you mean 'distance'"),
         ({"objective": lambda x, p, m: x.tme}, r"objective: there is no state"),
+        ({"objective": lambda x, p, m: abs(p.time)}, r"objective is no formula(.|\n)*m\.fabs"),
         ({"objective": lambda x, p, m: None}, r"objective returns what is no number"),
         ({"phases": (replace(slider().phases[0], end=None),)}, r"end of slide is missing(.|\n)*2: distance, speed"),
         ({"start": lambda p, m: 0.0}, r"start returns the wrong number of values"),

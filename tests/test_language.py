@@ -122,6 +122,42 @@ def test_a_control_changes_its_regime_at_a_choice() -> None:
     assert [control(t)[0] for t in times] == pytest.approx([1.0, -1.0, 1.0])
 
 
+@pytest.mark.parametrize(("stream", "engine", "runs"), [(3.0, 2.0, 0.0), (0.5, 1.0, 1.0)])
+def test_a_regime_behind_a_choice_is_that_of_the_costate_there(stream: float, engine: float, runs: float) -> None:
+    """A ferry adds 1 m/s to a stream of 1 m/s, and other speeds beyond 1 m; 1 s of its engine costs as 1.25 s of time.
+
+    Each metre is crossed as cheaply as it can be, at (0.8 + u)/(stream + engine u). The costate before the border would
+    choose otherwise behind it.
+    """
+    phase = pl.Phase(
+        name="cross",
+        states=variables(x="m", fuel="s"),
+        controls=(pl.Bounded(name="u", lower=0.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (
+            m.where(x.x > p.border, p.stream + p.engine * u.u, p.near * (1 + u.u)), u.u,
+        ),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far,),
+        end_conditions=variables(there="m"),
+    )  # fmt: skip
+    problem = pl.Problem(
+        name="ferry",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0),
+        given=given(near=(1.0, "m/s"), stream=(stream, "m/s"), engine=(engine, "m/s"),
+                    border=(1.0, "m"), far=(2.0, "m")),
+        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=2.0),),
+        objective=lambda x, p, m: x.fuel + 0.8 * p.T,
+        objective_unit="s",
+    )  # fmt: skip
+    assert (0.8 / stream < 1.8 / (stream + engine)) == (runs == 0.0) == (1 - 0.8 * engine < 0)
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED
+    assert solution.objective == pytest.approx(0.8 + min(0.8 / stream, 1.8 / (stream + engine)), rel=1e-12)
+    control = solution.trajectories[0].control
+    assert [control(0.5)[0], control(solution.free["T"])[0]] == pytest.approx([0.0, runs])
+
+
 KNOTS = tuple(np.linspace(0.0, 1.0, 21))
 FORCES = {
     "where": lambda x, p, m: m.where(x.x > p.start, x.x - p.start, 0.0 * p.start),

@@ -158,6 +158,14 @@ def test_amplified_round_off_is_a_root_where_y_cannot_be_better(copies: int) -> 
 
 
 @pytest.mark.parametrize("copies", [1, 3])
+def test_a_root_is_as_good_as_its_step_however_small_the_residual(copies: int) -> None:
+    """1e-6 (y^2 - 2): the residual is below the tolerance while y is right to 2e-6 only."""
+    ends = run(toy(lambda y: 1e-6 * (y**2 - 2), lambda y: 2e-6 * y), *[1.0] * copies)
+    assert ends.converged.all()
+    assert ends.y == pytest.approx(np.sqrt(2), abs=1e-15)
+
+
+@pytest.mark.parametrize("copies", [1, 3])
 def test_small_steps_do_not_make_a_root_of_a_residual_above_the_tolerance(copies: int) -> None:
     """A slope stated as twice the true one halves the error in each step: the steps are small before the residual."""
     ends = run(toy(lambda y: y - 1, lambda y: np.full(y.shape, 2.0)), *[0.0] * copies)

@@ -82,6 +82,22 @@ def test_each_burn_is_charged_at_its_own_engine(main: float, retro: float) -> No
     assert left(None) == pytest.approx(300.0 * math.exp(-whole / (310.0 * g0)), rel=1e-12)
 
 
+def test_a_stated_retro_burn_is_charged_at_its_own_engine() -> None:
+    """Tsiolkovsky: 220 s take 180 kg of 300 kg away by no more than 1102.1 m/s, whatever the main engine does."""
+    vehicle = Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0, dry_mass=180.0)
+    problem = hybrid_landing(
+        vehicle,
+        Retro(specific_impulse=220.0, delta_v=1200.0),
+        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
+        MOON,
+    )
+    burn = 220.0 * 9.80665 * math.log(300.0 / 180.0)
+    assert min(f.limit for f in preflight(problem) if f.name == "retro.delta_v") == pytest.approx(burn, rel=1e-12)
+    with pytest.raises(InfeasibleError, match="more propellant than there is") as caught:
+        refuse_impossible(preflight(problem))
+    assert caught.value.expected == f"at most {burn:.6g} m/s"
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.3, 8.0), st.floats(-8.0, 8.0), st.floats(-0.02, 0.02), st.floats(0.0, 1600.0))
 def test_no_steering_law_beats_the_rocket_equation(

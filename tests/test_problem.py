@@ -104,6 +104,19 @@ def test_units_that_clash_are_named_in_links_and_ends_too() -> None:
         slider(objective=lambda x, p, m: x.x)
 
 
+@pytest.mark.parametrize("size", [1e308, 1e-4, 1e-300])
+@pytest.mark.parametrize("name", ["exp", "sinh", "cosh"])
+def test_absurd_values_are_tried_without_a_warning(name: str, size: float) -> None:
+    """They overflow where the physics is tried; that is no fault of its text."""
+
+    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return x.v, p.push * u.along + p.push * getattr(m, name)(x.x / p.distance)
+
+    phase = replace(slider().phases[0], dynamics=dynamics)
+    values = {**slider().given, "distance": Given(value=size, unit="m")}
+    assert slider(phases=(phase,), given=values).form == slider(phases=(phase,)).form
+
+
 def test_wrong_number_of_rates() -> None:
     """Named, with what is expected."""
     phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v,))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import json
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +20,7 @@ from perilune.models.bodies import MARS, MOON, Body
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import precision_landing
 from perilune.problem.solution import Solution
+from perilune.scenario import load_file
 from perilune.words.outcome import PeriluneError
 
 LANDING = cho_landing()
@@ -28,6 +31,7 @@ Loose: Any = pl
 Lander: Any = Vehicle
 hybrid_of: Any = hybrid_landing
 precision_of: Any = precision_landing
+load_any: Any = load_file
 
 
 @pytest.mark.parametrize(
@@ -43,6 +47,21 @@ precision_of: Any = precision_landing
         (lambda: Loose.verify(None), ("not a solution to verify", "None")),
         (lambda: Loose.save(LANDING, "nowhere"), ("not a solution to save", "Problem")),
         (lambda: Loose.preflight(None), ("not a problem to compare",)),
+        (lambda: Loose.solve(LANDING, watch=3), ("not a watch", "3", "a function, or None")),
+        (lambda: Loose.sweep(LANDING, {"vehicle.mass": [300.0]}, watch=3), ("not a watch",)),
+        (lambda: Loose.verify(3), ("not a solution to verify", "3", "Solution")),
+        (lambda: Loose.load(None), ("not the directory of a saved solution", "None", "a path")),
+        (lambda: Loose.load(b"out"), ("not the directory of a saved solution", "bytes", "a path")),
+        (lambda: Loose.load("a\0b"), ("cannot be the directory of a saved solution", "'a\\x00b'", "null byte")),
+        (lambda: Loose.load("a" * 5000), ("cannot be the directory of a saved solution", "File name too long")),
+        (lambda: load_any(None), ("not a scenario file", "None")),
+        (lambda: Loose.preflight(LANDING, 3), ("not what a problem can be compared at", "{name: values}")),
+        (lambda: Loose.sweep(LANDING, 3), ("can be swept over", "3", "{name: values}")),
+        (lambda: Loose.sweep(LANDING, [3]), ("not a point of a family", "3", "{name: value, ...}")),
+        (lambda: Loose.sweep(LANDING, {3: [1.0]}), ("not the name of a parameter", "3")),
+        (lambda: Loose.sweep(LANDING, {"vehicle.mass": [300.0]}, executor=3), ("not what computes", "Executor")),
+        (lambda: Loose.sweep(LANDING, {"vehicle.mass": [300.0]}, store=3), ("not the directory of a store", "3")),
+        (lambda: LANDING.given["vehicle_trust"], ("no given parameter", "did you mean 'vehicle_thrust'")),
         (lambda: Loose.preflight(LANDING, {"thrust": [1.0]}), ("no parameter of this name", "vehicle_thrust")),
         (lambda: Loose.sweep(None, {}), ("not a problem to sweep",)),
         (lambda: Loose.sweep(LANDING, None), ("can be swept over", "None", "{name: values}")),
@@ -110,6 +129,39 @@ def test_a_retro_burn_that_is_no_record_is_not_taken_for_none() -> None:
     with pytest.raises(PeriluneError, match="not a Retro"):
         hybrid_of(VEHICLE, 0, ORBIT)
     assert "retro_delta_v" in hybrid_landing(VEHICLE, Retro(specific_impulse=310.0), ORBIT).free_names
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda s, _: s.results["typo"], ("no result of this name", "'typo'", "landed_mass", "flight_time")),
+        (lambda s, _: s.results["landed_mas"], ("did you mean 'landed_mass'",)),
+        (lambda s, _: s.free["retro"], ("no free parameter of this name", "retro_delta_v")),
+        (lambda s, _: s.multipliers["altitude"], ("no multiplier of this name", "descent.touchdown_altitude")),
+        (lambda s, _: Loose.save(s, None), ("not an output directory", "None", "a path")),
+        (lambda s, path: pl.save(s, f"{path}/a\0b"), ("cannot be an output directory", "null byte")),
+        (lambda s, path: Loose.save(s, path / "s", 3), ("not the text of a scenario", "3")),
+        (lambda s, _: Loose.verify(s, 4, other=3), ("not a method", "3")),
+        (lambda s, _: Loose.verify(s, 3, resolve=3), ("not what solves again", "3")),
+    ],
+)
+def test_a_slip_with_a_solution_is_refused_in_words(
+    hybrid: Solution, tmp_path: Path, ask: Callable[[Any, Path], Any], words: tuple[str, ...]
+) -> None:
+    with pytest.raises(PeriluneError) as caught:
+        ask(hybrid, tmp_path)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_names_that_refuse_others_are_dictionaries_still(hybrid: Solution) -> None:
+    results = hybrid.results
+    assert results.get("typo") is None and "typo" not in results and "typo" not in hybrid.free
+    assert hybrid.free.get("typo", 3.0) == 3.0
+    for copied in (pickle.loads(pickle.dumps(hybrid)), pickle.loads(pickle.dumps(results))):
+        names = copied if copied == results else copied.free
+        with pytest.raises(PeriluneError, match="of this name"):
+            names["typo"]
+    assert json.loads(json.dumps({name: r.value for name, r in results.items()})).keys() == results.keys()
 
 
 def test_a_file_that_is_no_directory_is_named(hybrid: Solution, tmp_path: Path) -> None:

@@ -406,6 +406,34 @@ def test_a_kink_that_a_control_moves_without_a_jump_is_passed() -> None:
     assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
 
 
+def test_rounding_at_a_kink_is_no_jump() -> None:
+    """The same where the place of the kink is only known to 1e-13, being a difference of large numbers."""
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return p.v, p.v * m.fabs((1000 * p.L + x.x) + u.a - 1000 * p.L) / p.L
+
+    t = np.array([0.0, 0.5, 1.0])
+    xy = np.column_stack([t - 0.6, np.sign(t - 0.5) * (t - 0.5) ** 2 / 2])
+    solution = crossing_two(rates, t, xy, np.column_stack([np.ones(3), np.abs(t - 0.5)]), control=0.1)
+    assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
+
+
+@pytest.mark.parametrize("share", [1e-2, 1e-7, 1e-11])
+def test_a_small_jump_is_one(share: float) -> None:
+    """y' = v behind x = 0, and more by a share of it."""
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return p.v, m.where(x.x > p.zero, (1 + share) * p.v, p.v)
+
+    t = np.array([0.0, 0.5, 0.5, 1.0])
+    faster = np.where(np.arange(4) > 1, 1 + share, 1.0)
+    xy = np.column_stack([t - 0.5, faster * (t - 0.5)])
+    (crossing,) = arc_of(crossing_two(rates, t, xy, np.column_stack([np.ones(4), faster]))).crossings
+    # Sizes of x and y are 1 m here, and so are speeds.
+    assert crossing.jump == pytest.approx([0.0, share], rel=1e-4, abs=0)
+    assert crossing.saltation == pytest.approx(np.array([[1.0, 0.0], [share, 1.0]]), rel=1e-4, abs=0)
+
+
 def test_a_jump_that_a_control_moves_is_not_understood() -> None:
     """Where neighbours cross depends on what the control does there."""
 

@@ -11,7 +11,7 @@ from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Nature, Solution
 from perilune.problem.verification import LEVELS
-from perilune.words.asked import demand, demand_level, refused
+from perilune.words.asked import demand, demand_callable, demand_level, refused
 from perilune.words.outcome import Outcome
 from perilune.words.watch import Watch
 
@@ -59,6 +59,7 @@ def solve(
         problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
     )
     demand_level(level, (0, *LEVELS))
+    demand_callable(watch, "a watch")
     refuse_impossible(preflight(problem))
     return prove(usable(method).run(problem, guess, watch), level)
 
@@ -78,7 +79,7 @@ def usable(method: Method | None) -> Method:
     return method
 
 
-def prove(solution: Solution, level: int) -> Solution:
+def prove(solution: Solution, level: int = 3) -> Solution:
     """Prove a solution, wherever it comes from.
 
     Parameters
@@ -148,7 +149,8 @@ def verify(
     from perilune.proof.levels import examine
 
     demand(solution, Solution, "a solution to verify")
-    return examine(solution, level, resolve or _solve_again, other)
+    demand_callable(resolve, "what solves again")
+    return examine(solution, level, resolve or _solve_again, other if other is None else usable(other))
 
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:

@@ -81,6 +81,29 @@ def test_a_ball_bounces_with_its_columns(backend: str) -> None:
     np.testing.assert_allclose(arcs.columns[0], exact, atol=1e-10)
 
 
+def test_two_events_at_one_time_both_happen(backend: str) -> None:
+    """Where a stone falls below 0 its weight doubles by one event and trebles by another, in either order.
+
+    Neither is lost, however rounding places the two zeros. From h it meets them at sqrt(h), with -2 sqrt(h).
+    """
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    modes = [ca.Function("fall", [z, p], [ca.vertcat(z[1], -times * p)]) for times in (1, 2, 3, 6)]
+    double = Event(function=ca.Function("double", [z, p], [z[0]]), direction=-1, switches={0: 1, 2: 3})
+    starts = np.linspace(0.5, 1.5, 12)
+    met, left = np.sqrt(starts), 0.2 * np.sqrt(starts)
+    for share, apart in ((1 / 3, 0.0), (0.7, 0.0), (1.0, 1e-14), (1.0, -1e-14)):
+        met_too = ca.Function("treble", [z, p], [share * z[0] + apart])
+        treble = Event(function=met_too, direction=-1, switches={0: 2, 1: 3})
+        arcs = compile_arcs(modes, events=[double, treble], backend=backend).propagate(
+            np.column_stack([starts, 0 * starts]), [2.0], met + left
+        )
+        np.testing.assert_array_equal(np.sort(arcs.event_index[:, :3]), np.tile([-1, 0, 1], (12, 1)))
+        np.testing.assert_allclose(arcs.event_time[:, :2], np.stack([met, met], 1), atol=2e-12)
+        np.testing.assert_allclose(arcs.z[:, 0], -2 * met * left - 6 * left**2, atol=2e-11)
+        np.testing.assert_allclose(arcs.z[:, 1], -2 * met - 12 * left, atol=2e-11)
+        np.testing.assert_array_equal(arcs.mode, 3)
+
+
 def test_a_ball_that_bounces_for_ever_is_stopped(backend: str) -> None:
     rhs, height = fall()
     z, p = ca.SX.sym("z", 2), ca.SX.sym("p")

@@ -107,7 +107,7 @@ def _check(typed: Namespace) -> Answer:
         }
         for f in found
     ]
-    lines = [problem.title]
+    lines = [problem.heading]
     for row in rows:
         value = f"{row['value']:.6g} {row['unit']}".removesuffix(" 1")
         lines.append(f"  {row['verdict']:10} {row['name']}: {value} ({row['relation']} {row['limit']:.6g})")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -116,6 +117,10 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
     elif isinstance(over, str) or not isinstance(over, Iterable):
         raise refused(over, "{name: values} of each, or a list of {name: value, ...}", "what can be swept over")
     else:
+        over = list(over)
+        for point in over:
+            if not isinstance(point, Mapping):
+                raise refused(point, "{name: value, ...}", "a point of a family")
         points = [{_parameter(problem, name): v for name, v in point.items()} for point in over]
         names = list(points[0]) if points else []
         if any(point.keys() != set(names) for point in points):
@@ -136,8 +141,10 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
     return tuple(names), members
 
 
-def _parameter(problem: Problem, name: str) -> str:
+def _parameter(problem: Problem, name: Any) -> str:
     """The parameter of a name, in which a dot may stand for an underscore."""
+    if not isinstance(name, str):
+        raise refused(name, "a text", "the name of a parameter")
     name, known = parameter_name(name), sorted({*problem.given, *problem.free_names})
     if name not in known:
         raise unknown_name("parameter", name, known)

@@ -11,7 +11,7 @@ from perilune.methods.method import Method
 from perilune.problem.problem import Problem
 from perilune.problem.verification import LEVELS
 from perilune.solve import usable
-from perilune.words.asked import demand, demand_level
+from perilune.words.asked import demand, demand_callable, demand_level, demand_path, refused
 from perilune.words.watch import Watch, silent
 
 
@@ -64,6 +64,9 @@ def sweep(
     demand(problem, Problem, "a problem to sweep")
     demand_level(level, (0, *LEVELS))
     names, values = asked(problem, over)
+    demand_callable(watch, "a watch")
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise refused(executor, "a concurrent.futures.Executor, a Dask client or None", "what computes the members")
     say = watch or silent
     members = Members(
         problem=problem, names=names, values=values, method=usable(method), level=level, watch=say
@@ -74,7 +77,7 @@ def sweep(
         notes.append(text)
         say(text)
 
-    kept = None if store is None else Store(Path(store), members)
+    kept = None if store is None else Store(demand_path(store, "the directory of a store"), members)
     stored = {} if kept is None else kept.open(note)
     if stored:
         say(f"{len(stored)} of {len(values)} members are in the store")

@@ -28,7 +28,7 @@ from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.words.asked import demand
+from perilune.words.asked import demand, refused
 from perilune.words.maths import NUMERIC
 
 INTERPOLATION = {
@@ -152,6 +152,8 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
         If the directory cannot be written, or is not empty and `force` is false.
     """
     demand(solution, Solution, "a solution to save")
+    if not isinstance(scenario_text, str | None):
+        raise refused(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
     with fresh_directory(directory, force) as work:
         write_solution_files(solution, work, scenario_text)
 

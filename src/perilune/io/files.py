@@ -22,6 +22,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from perilune.words.asked import demand_path
 from perilune.words.outcome import PeriluneError
 
 try:
@@ -53,7 +54,7 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
     PeriluneError
         If `target` is a file, cannot be written, or holds more than a failure already and `force` is false.
     """
-    target = Path(target)
+    target = demand_path(target, "an output directory")
     if target.exists() and not target.is_dir():
         raise PeriluneError(
             "the output directory is a file", got=str(target), expected="a directory", advice="choose another name"

@@ -54,8 +54,8 @@ def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Proble
         for section, stated in kind.sections.items()
     }
     problem = kind.make(**records)
-    free, known = set(problem.free_names), {n: g.value for n, g in problem.given.items()}
-    changed = {n: g.value for n, g in given.items() if n in free or known.get(n) != g.value}
+    known = {name: g.value for name, g in problem.given.items()}
+    changed = {name: g.value for name, g in given.items() if known.get(name) != g.value}  # what is free is not known
     return problem.with_given(**changed) if changed else problem
 
 

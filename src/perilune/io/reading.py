@@ -93,8 +93,11 @@ def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
 
 
 def text(entry: Mapping[str, Any], name: str) -> str:
-    """A text."""
-    return part(entry, name, str)
+    """A text that is no longer than a name, a title or a sentence may be."""
+    found = part(entry, name, str)
+    if len(found) > LONGEST_TEXT:
+        refuse(name, f"{len(found)} characters", f"a text of at most {LONGEST_TEXT}")
+    return found
 
 
 def number(entry: Mapping[str, Any], name: str, where: str) -> float:

@@ -23,6 +23,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
 from perilune.problem.variables import Given
+from perilune.words.asked import demand_path
 from perilune.words.bounded import bounded_text
 from perilune.words.outcome import Outcome, PeriluneError
 
@@ -97,7 +98,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
 
 def read_document(directory: str | Path) -> dict[str, Any]:
     """Read the JSON tree of a file of this format; arguments and errors as of `load`."""
-    path = Path(directory)
+    path = demand_path(directory, "the directory of a saved solution")
     content = bounded_text(
         path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE,
         expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",
@@ -155,7 +156,7 @@ def _close(one: Any, other: Any) -> bool:
 
 def _scenario_text(document: Mapping[str, Any]) -> str:
     scenario = part(document, "scenario", dict)
-    said = text(scenario, "text")
+    said = part(scenario, "text", str)
     found = hash_of(said)
     if found != scenario.get("sha256"):
         raise PeriluneError(

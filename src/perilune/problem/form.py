@@ -18,6 +18,8 @@ from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from perilune.problem.tape import Expression, NotAFormula, Recorder, Symbol
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -41,6 +43,7 @@ _TRACK = (("along", "m"), ("across", "m"), ("height", "m"), ("least height", "m"
 _OTHER_FUNCTIONS = {
     "start": ("p",), "links": ("x", "p"), "objective": ("x", "p"), "results": ("first", "last", "p")
 }  # fmt: skip
+_DIFFERENTIATED = {"start", "links", "dynamics", "end", "objective"}
 OWN_TEXT = "the problem's own Python functions"
 _KINDS = {"u": "control", "p": "parameter", "m": "function of m"}  # the others are states
 
@@ -100,7 +103,8 @@ class Stated:
 
     def numbers(self, arguments: Mapping[str, Any]) -> list[float]:
         """Values of the function at numbers."""
-        values = self.ask(arguments)
+        with np.errstate(all="ignore"):  # of values that nobody has looked at
+            values = self.ask(arguments)
         try:
             return [float(value) for value in values]
         except (TypeError, ValueError) as error:
@@ -111,7 +115,7 @@ class Stated:
         if isinstance(self.function, Expression):
             self._listed(self.function.tape.outputs)
             return self.function
-        recorder = Recorder()
+        recorder = Recorder(self.differentiated)
         arguments: dict[str, Any] = {
             role: [recorder.input(role, name) for name in getattr(make, "_fields", ())]
             for role, make in self.records.items()
@@ -124,6 +128,11 @@ class Stated:
         except (TypeError, ValueError) as error:
             raise self._no_numbers(values) from error
         return Expression(tape, tuple(self.records), scalar=self.key == "objective", origin="a copy")
+
+    @property
+    def differentiated(self) -> bool:
+        """Whether the proof takes derivatives of it; the others are only told or bounded."""
+        return not _DIFFERENTIATED.isdisjoint([self.key] if isinstance(self.key, str) else self.key)
 
     def told(self, k: int) -> str:
         """How one of its values is called."""

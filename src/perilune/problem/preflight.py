@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.problem import Problem
-from perilune.words.asked import demand
+from perilune.words.asked import demand, refused
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, unknown_name
 
@@ -64,6 +64,8 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
         All comparisons, in the order in which they make sense; with arrays inside where `over` has arrays.
     """
     demand(problem, Problem, "a problem to compare with what physics allows")
+    if over is not None and not isinstance(over, Mapping):
+        raise refused(over, "{name: values} of parameters, in SI", "what a problem can be compared at")
     for name in over or ():
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))

@@ -37,8 +37,9 @@ from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
+from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import unknown_name
+from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics, Vector
 from perilune.words.units import Scales
 
@@ -141,7 +142,7 @@ class Problem:
     title: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "given", MappingProxyType(dict(self.given)))
+        object.__setattr__(self, "given", _given(self.given))
         object.__setattr__(self, "objective_scale", positive_scale("the objective", self.objective_scale))
         check_given(self)
         self._take_ranges()
@@ -180,6 +181,11 @@ class Problem:
         ranges = tuple(c.ranged for phase in self.phases for c in phase.end_conditions)
         ratios = tuple((place, scale / self.scales.of(unit)) for place, unit, scale in self._own_scales)
         return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges, ratios)
+
+    @property
+    def heading(self) -> str:
+        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger."""
+        return one_line(self.title or self.name)
 
     @property
     def text(self) -> str:
@@ -228,7 +234,7 @@ class Problem:
         return {**state, "given": dict(self.given), "form": self.form, **hooks}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, given=MappingProxyType(state["given"]))
+        self.__dict__.update(state, given=_given(state["given"]))
 
     def __deepcopy__(self, memo: Any) -> Problem:
         return self  # nothing in it can change
@@ -334,7 +340,7 @@ class Problem:
         free = tuple(f for f in self.free if f.name not in values)
         # Values do not enter it.
         same = {"structure": self.structure} if len(free) == len(self.free) and "form" in self.__dict__ else {}
-        new = self.changed(given=MappingProxyType(given), free=free, **same)
+        new = self.changed(given=_given(given), free=free, **same)
         check_given(new)
         new._take_ranges()
         check_free(new)
@@ -348,6 +354,10 @@ def _by_name(function: Any) -> Any:
     except (pickle.PicklingError, AttributeError, TypeError):
         return None
     return None if b"__main__" in name else function
+
+
+def _given(values: Mapping[str, Given]) -> Mapping[str, Given]:
+    return MappingProxyType(Named("given parameter", values))
 
 
 def _range(f: Free) -> tuple[float, float, float]:

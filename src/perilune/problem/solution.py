@@ -19,7 +19,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Verification
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.outcome import Named, Outcome, PeriluneError
 from perilune.words.same import same_fields
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration
@@ -255,8 +255,8 @@ class Solution:
     verification: Verification = field(default_factory=Verification)
 
     def __post_init__(self) -> None:
-        for name in ("free", "multipliers"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for name, kind in (("free", "free parameter"), ("multipliers", "multiplier")):
+            object.__setattr__(self, name, MappingProxyType(Named(kind, getattr(self, name))))
         if self.unknowns is not None:
             object.__setattr__(self, "unknowns", _read_only(self.unknowns))
 
@@ -303,7 +303,7 @@ class Solution:
             for name, part in _named(phase.integral_variables, self._integrals(k)).items():
                 so_far = found[name].value if name in found else 0.0
                 found[name] = replace(part, value=so_far + part.value)
-        return found
+        return Named("result", found)
 
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
         """State (states, n) and control (components, n) at times t [s], as the physics receives them.

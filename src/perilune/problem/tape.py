@@ -34,6 +34,7 @@ ARITY = {
     **{name: 2 for name in _SIGNS}, "neg": 1, "where": 3, "table": 1,
     **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES},
 }  # fmt: skip
+_REAL_ELSEWHERE = {"fabs", "atan2"}  # only those of `m` carry a complex step
 # What physics takes: states, controls, parameters, the time since the first ignition, the first and the last state.
 ROLES = ("x", "u", "p", "t", "first", "last")
 MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the largest of the models has about 200
@@ -64,7 +65,7 @@ class Symbol:
         # NumPy asks an object for its own sqrt(), arcsin()...
         for ours, numpy_name in NUMPY_NAMES.items():
             if name in (ours, numpy_name):
-                return lambda *others: self._recorder.namespace.__dict__[ours](self, *others)
+                return lambda *others: self._recorder.by_another(f"np.{numpy_name}", ours, self, *others)
         raise AttributeError(f"a single value has no attribute {name!r}", name=name, obj=self)
 
     def __bool__(self) -> bool:
@@ -94,7 +95,7 @@ class Symbol:
         return self._recorder.do("neg", self)
 
     def __abs__(self) -> Symbol:
-        return self._recorder.do("fabs", self)
+        return self._recorder.by_another("abs", "fabs", self)
 
 
 def _sign(name: str, reflected: bool = False) -> Callable[[Symbol, Any], Any]:
@@ -119,14 +120,21 @@ def _is_number(value: Any) -> bool:
 
 
 class Recorder:
-    """Writes down operations, each distinct one once."""
+    """Writes down operations, each distinct one once; of what is `differentiated` only such as take complex steps."""
 
-    def __init__(self) -> None:
+    def __init__(self, differentiated: bool = False) -> None:
+        self.differentiated = differentiated
         self.instructions: list[Instruction] = []
         self._index: dict[Instruction, int] = {}
         self.tables: dict[str, Table] = {}
         names = (*NUMPY_NAMES, "where")
         self.namespace = SimpleNamespace(**{name: self._function(name) for name in names}, table=self._table)
+
+    def by_another(self, called: str, ours: str, *operands: Any) -> Symbol:
+        """What Python's or NumPy's own function makes of symbols; refused where it loses a derivative."""
+        if self.differentiated and ours in _REAL_ELSEWHERE:
+            raise NotAFormula(f"it calls {called}, which has no derivative for the proof", f"m.{ours}, which has one")
+        return self.namespace.__dict__[ours](*operands)
 
     def _function(self, name: str) -> Callable[..., Symbol]:
         def function(*operands: Any) -> Symbol:

@@ -14,6 +14,7 @@ from perilune.report.limb import path_over_limb
 from perilune.report.optimality import optimality
 from perilune.report.style import save
 from perilune.report.track import track
+from perilune.words.bounded import one_line
 
 __all__ = ["label", "save", "solution_figures"]
 
@@ -52,7 +53,7 @@ def label(solution: Solution) -> str:
     if views.beside and all(getattr(p, name) == value for name, value in views.beside.given):
         return views.beside.label
     values = {name: result.value for name, result in solution.results.items()}
-    return views.label.format(**values) or solution.problem.title or solution.problem.name
+    return one_line(views.label.format(**values)) or solution.problem.heading
 
 
 def _generic(problem: Problem) -> tuple[History, ...]:

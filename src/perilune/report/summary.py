@@ -29,7 +29,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     Without `every_check` the checks are counted, level by level, and only those that failed are shown.
     """
     lines = [
-        f"{' '.join((solution.problem.title or solution.problem.name).split())}: {_outcome(solution)}",
+        f"{solution.problem.heading}: {_outcome(solution)}",
         f"  {solution.outcome.value}",
         "",
     ]
@@ -68,8 +68,11 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     scenario_text
         Shown at the end, so that the report says what it answers.
     """
-    title = solution.problem.title or solution.problem.name
-    parts = [f"# {title}", f"**{_outcome(solution)}.** {_sentence(solution.outcome.value)}", "## Results"]
+    parts = [
+        f"# {solution.problem.heading}",
+        f"**{_outcome(solution)}.** {_sentence(solution.outcome.value)}",
+        "## Results",
+    ]
     found = solution.results
     parts.append(
         table(

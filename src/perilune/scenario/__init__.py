@@ -22,6 +22,7 @@ from perilune.scenario.ranges import values_of
 from perilune.scenario.reader import problem_of, quantities_in
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
+from perilune.words.asked import demand_path
 from perilune.words.declared import Quantity
 
 __all__ = ["KINDS", "Scenario", "load_file", "load_text", "quantities_of", "template", "values_of"]
@@ -60,7 +61,7 @@ def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Qu
 
 
 def _document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, Any]]:
-    text = read(Path(path))
+    text = read(demand_path(path, "a scenario file"))
     document = parse(text)
     for change in changes:
         apply(document, change)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from perilune.words.outcome import PeriluneError
@@ -33,6 +36,37 @@ def demand_records(*pairs: tuple[Any, type]) -> None:
         demand(
             value, kind, f"{_article(kind.__name__)} {kind.__name__}", f"{kind.__name__}(...) with its numbers in SI"
         )
+
+
+def demand_callable(value: Any, what: str) -> None:
+    """Refuse what cannot be called, unless it is None.
+
+    Raises
+    ------
+    PeriluneError
+        If it is neither.
+    """
+    if value is not None and not callable(value):
+        raise refused(value, "a function, or None", what)
+
+
+def demand_path(value: Any, what: str) -> Path:
+    """The path that a value is; nothing needs to be there.
+
+    Raises
+    ------
+    PeriluneError
+        If it is no path, or one that cannot even be looked at.
+    """
+    if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
+        raise refused(value, "a path, as a text or a pathlib.Path", what)
+    try:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            os.stat(value)
+    except (OSError, ValueError) as error:
+        got = f"{str(value)[:60]!r}: {getattr(error, 'strerror', None) or error}"
+        raise PeriluneError(f"this cannot be {what}", got=got, expected="a path that can be looked at") from None
+    return Path(value)
 
 
 def refused(value: Any, expected: str, what: str, advice: str = "") -> PeriluneError:

@@ -1,4 +1,4 @@
-"""Reading what may come from a stranger: its size and its nesting are limited before anything is parsed."""
+"""What may come from a stranger: size and nesting are limited before it is parsed, and what is printed is one line."""
 
 from __future__ import annotations
 
@@ -66,6 +66,12 @@ def bounded_text(path: Path, what: str, largest: int, *, expected: str, advice: 
             expected=expected,
             advice=f"save it in this encoding, or {advice}",
         ) from None
+
+
+def one_line(text: str, most: int = 120) -> str:
+    """A text as it may be printed: in one line of at most so many characters, none of which moves a cursor."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(text[: 10 * most].split()))
+    return line if len(line) <= most else f"{line[: most - 1]}…"
 
 
 def refuse_nested(text: str, what: str, deepest: int, *, expected: str, advice: str) -> None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Any
+from typing import Any, NoReturn, TypeVar
+
+Kept = TypeVar("Kept")
 
 
 class Outcome(Enum):
@@ -145,6 +147,17 @@ def unknown_name(kind: str, got: str, known: Sequence[str], also: Mapping[str, s
     return PeriluneError(
         f"there is no {kind} of this name",
         got=repr(got[:60]),
-        expected="one of " + ", ".join(known),
+        expected="one of " + ", ".join(known) if known else "none: there are none",
         advice=f"did you mean {near[0]!r}?" if near else "",
     )
+
+
+class Named(dict[str, Kept]):
+    """A dictionary that says which names there are when it is asked for another; `kind` is what they are names of."""
+
+    def __init__(self, kind: str, entries: Mapping[str, Kept]) -> None:
+        super().__init__(entries)
+        self.kind = kind
+
+    def __missing__(self, name: object) -> NoReturn:
+        raise unknown_name(self.kind, str(name), list(self))
