@@ -10,13 +10,13 @@ from perilune.methods.method import Method
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.problem.verification import LEVELS
+from perilune.problem.tolerance import Tolerance
+from perilune.problem.verification import LEVELS, Verification
 from perilune.words.asked import demand, demand_level, refused
 from perilune.words.outcome import Outcome
 from perilune.words.watch import Watch
 
 if TYPE_CHECKING:
-    from perilune.problem.verification import Verification
     from perilune.proof.resolved import Resolve
 
 
@@ -26,6 +26,7 @@ def solve(
     *,
     guess: Solution | None = None,
     level: int = 3,
+    tolerance: Tolerance | None = None,
     watch: Watch | None = None,
 ) -> Solution:
     """Solve a problem and prove the answer.
@@ -40,6 +41,8 @@ def solve(
         A solution of any method for this or a similar problem. None is needed.
     level
         Verification level to prove, 0 for none; 4 solves the problem by another method too.
+    tolerance
+        Differences that do not matter to the proof, which then says so; by default only rounding does not.
     watch
         Receives each iteration, and lines of text.
 
@@ -59,8 +62,9 @@ def solve(
         problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
     )
     demand_level(level, (0, *LEVELS))
+    demand_tolerance(tolerance)
     refuse_impossible(preflight(problem))
-    return prove(usable(method).run(problem, guess, watch), level)
+    return prove(usable(method).run(problem, guess, watch), level, tolerance)
 
 
 def usable(method: Method | None) -> Method:
@@ -78,7 +82,13 @@ def usable(method: Method | None) -> Method:
     return method
 
 
-def prove(solution: Solution, level: int) -> Solution:
+def demand_tolerance(tolerance: Tolerance | None) -> None:
+    """Refuse what is no stated tolerance."""
+    if tolerance is not None:
+        demand(tolerance, Tolerance, "a tolerance of the proof", "Tolerance(position=0.001), numbers in SI")
+
+
+def prove(solution: Solution, level: int, tolerance: Tolerance | None = None) -> Solution:
     """Prove a solution, wherever it comes from.
 
     Parameters
@@ -86,7 +96,9 @@ def prove(solution: Solution, level: int) -> Solution:
     solution
         As a method or `perilune.load` gives it.
     level
-        Verification level; 0 changes nothing.
+        Verification level; 0 proves nothing.
+    tolerance
+        As for `solve`; by default that with which the solution was solved, if any: ``Tolerance()`` is none.
 
     Returns
     -------
@@ -96,6 +108,9 @@ def prove(solution: Solution, level: int) -> Solution:
     """
     demand(solution, Solution, "a solution to prove")
     demand_level(level, (0, *LEVELS))
+    demand_tolerance(tolerance)
+    if tolerance is not None:
+        solution = replace(solution, verification=Verification(tolerance=tolerance))
     if level == 0:
         return solution
     solution, notes = _found_again(solution)
@@ -120,7 +135,11 @@ def _found_again(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
 
 
 def verify(
-    solution: Solution, level: int = 3, resolve: Resolve | None = None, other: Method | None = None
+    solution: Solution,
+    level: int = 3,
+    resolve: Resolve | None = None,
+    other: Method | None = None,
+    tolerance: Tolerance | None = None,
 ) -> Verification:
     """Check what a solution claims; see `perilune.proof.levels.examine`.
 
@@ -132,11 +151,14 @@ def verify(
         Solves the neighbouring problems of level 3; by default ``Indirect()``, from the solution.
     other
         The other method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
+    tolerance
+        As for `prove`.
     """
     from perilune.proof.levels import examine
 
     demand(solution, Solution, "a solution to verify")
-    return examine(solution, level, resolve or _solve_again, other)
+    demand_tolerance(tolerance)
+    return examine(solution, level, resolve or _solve_again, other, tolerance)
 
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:
