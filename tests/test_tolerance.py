@@ -13,7 +13,9 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
@@ -139,6 +141,27 @@ def raised_by_radius(solution: Solution, millimetres: float) -> Solution:
     return with_curve(solution, "state", shifted_values(0, 1e-3 * millimetres))
 
 
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    off=st.floats(-8.0, 3.0).map(lambda e: 10.0**e),
+    stated=st.floats(-9.0, 6.0).map(lambda e: 10.0**e),
+    column=st.sampled_from(range(7)),
+)
+def test_however_much_is_stated(precise: Solution, off: float, stated: float, column: int) -> None:
+    """What passes is off by no more than is stated, a thousandth of the flight at most, and says so."""
+    units = [state.unit for state in precise.problem.phases[0].states]
+    name, alike = quantity_in(units[column]), [unit == units[column] for unit in units]
+    most = 1e-3 * np.ptp(precise.trajectories[0].state.values[:, alike], axis=0).max()
+    wrong = with_curve(precise, "state", shifted_values(column, off))
+    strict = pl.verify(wrong, level=1)
+    found = pl.verify(wrong, level=1, tolerance=pl.Tolerance(**{name: stated}))
+    if found.passed:
+        assert stated <= most and (strict.passed or off <= 1.001 * stated)
+    if strict.passed and stated < 0.999 * most:
+        assert found.passed
+    assert bool(found.within) == (found.passed and not strict.passed)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -205,6 +228,40 @@ def test_a_spike_in_the_table_makes_no_room_for_a_tolerance(precise: Solution) -
 def test_a_tolerance_of_what_no_state_is_measured_in() -> None:
     found = pl.solve(transfer(), level=1, tolerance=pl.Tolerance(mass=1e-9))
     assert [check.name for check in found.verification.failed] == ["stated_mass"]
+
+
+def turned(slip: float) -> Solution:
+    """Numbers of the size 1e-6 that are called angles: one that turns to where it should be, but for a slip."""
+    phase = pl.Phase(
+        name="turn",
+        states=(pl.Variable(name="x", unit="rad"),),
+        controls=(),
+        dynamics=lambda x, u, p, m: (p.rate,),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.target,),
+        end_conditions=(pl.Variable(name="there", unit="rad"),),
+    )
+    problem = pl.Problem(
+        name="turn", phases=(phase,), start=lambda p, m: (0.0,),
+        given={"rate": pl.Given(value=1e-6, unit="rad/s"), "T": pl.Given(value=1.0, unit="s"),
+               "target": pl.Given(value=1e-6 + slip, unit="rad")},
+        objective=lambda x, p, m: x.x, objective_unit="rad",
+    )  # fmt: skip
+    time, flat = np.array([0.0, 1.0]), np.zeros((2, 0))
+    state = pl.Curve(time=time, values=1e-6 * time[:, None], rates=np.full((2, 1), 1e-6))
+    flown = pl.Trajectory(phase="turn", state=state, control=pl.Curve(time=time, values=flat, rates=flat))
+    return Solution(
+        problem=problem, method="by hand", outcome=Outcome.SOLVED, objective=1e-6, free={}, trajectories=(flown,)
+    )
+
+
+def test_an_angle_is_no_larger_than_what_turns() -> None:
+    """A thousandth of a radian is all there is of a flight that turns by a millionth."""
+    assert pl.verify(turned(0.0), level=1).passed
+    assert pl.verify(turned(5e-10), level=1).level == 0
+    assert pl.verify(turned(5e-10), level=1, tolerance=pl.Tolerance(angle=9e-10)).level == 1
+    for slip, stated in ((5e-7, 1e-3), (5e-7, 9e-10), (0.0, 2e-9)):
+        assert pl.verify(turned(slip), level=1, tolerance=pl.Tolerance(angle=stated)).level == 0
 
 
 @pytest.mark.parametrize("value", [0.0, -1e-3, math.nan, math.inf, "1 mm", object(), 1e40, 1e-40])

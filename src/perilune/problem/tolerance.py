@@ -14,7 +14,7 @@ from perilune.words.units import dimension_text, unit
 
 _NO_PROOF = "is no tolerance but no proof"
 LARGEST = 1e-3  # of what the flight changes in a quantity
-SIZED = ("angle", "optimality")  # which have a size without a flight, 1
+SIZED = ("angle", "optimality")  # which have a size where no state is measured in them, 1
 _SPOKEN = {"m": ("km", "m", "mm"), "m/s": ("m/s", "mm/s"), "kg": ("kg", "g"), "rad": ("deg",), "s": ("s", "ms")}
 
 
@@ -28,8 +28,8 @@ class Tolerance:
     Parameters
     ----------
     position, speed, mass, angle, time
-        In m, m/s, kg, rad, s. Nothing is proved with more than a thousandth of what the flight changes in it (of a
-        radian).
+        In m, m/s, kg, rad, s. Nothing is proved with more than a thousandth of what the flight changes in it; more than
+        a thousandth of a radian is refused.
     optimality
         Of costates, H and its derivatives, relative to their sizes in the problem: at most 1e-3.
     """
