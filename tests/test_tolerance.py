@@ -95,7 +95,7 @@ def test_only_limits_of_the_quantity_are_raised_and_none_is_lowered(precise: Sol
         (pl.Tolerance(speed=1e-3), {"m/s"}),
         (pl.Tolerance(mass=1e-3), {"kg"}),
         (pl.Tolerance(time=1e-3), {"s"}),
-        (pl.Tolerance(optimality=1e-6), {"1"}),
+        (pl.Tolerance(optimality=1e-5), {"1"}),
         (pl.Tolerance(position=1e-9), set()),  # less than the limits' own
     ):
         found = pl.verify(precise, tolerance=tolerance)
@@ -113,6 +113,17 @@ def test_only_limits_of_the_quantity_are_raised_and_none_is_lowered(precise: Sol
             assert {"site_up", "state_east", "path_height_above_glide_slope"} <= changed
         if units == {"1"}:  # all of level 2, and none of the others that have no unit
             assert changed == {n for n, check in plain.items() if check.level == 2}
+
+
+def test_what_failed_needed_nothing_and_what_counts_is_not_raised(precise: Solution) -> None:
+    flown = precise.trajectories[0]
+    found = pl.verify(
+        raised_by(replace(precise, trajectories=(replace(flown, costate=None),)), 3.0),
+        level=2, tolerance=pl.Tolerance(position=1e-3, optimality=1e-3),
+    )  # fmt: skip
+    checks = {check.name: check for check in found.checks}
+    assert checks["costates"].limit == 0.0 and checks["costates"].own_limit is None
+    assert checks["state_up"].own_limit is not None and not checks["state_up"].lenient
 
 
 def test_a_time_stored_twice_is_one_time(precise: Solution) -> None:
@@ -488,6 +499,12 @@ def test_a_sweep_and_its_store(precise: Solution, tmp_path: Path, elsewhere: boo
     assert [point.solution.verification.title for point in again.points] == [f"level 1: feasible, {WITHIN}"] * 2
     with pytest.raises(PeriluneError, match="a sweep of other tolerance"):
         swept(pl.Tolerance())
+
+
+def test_a_sweep_from_neighbour_to_neighbour(precise: Solution) -> None:
+    (point,) = pl.sweep(precise.problem, {"vehicle.thrust": [8e3]}, level=1, tolerance=MILLIMETRE).points
+    assert point.solution is not None and point.solution.verification.tolerance == MILLIMETRE
+    assert point.outcome is Outcome.PROVED and point.within == ""
 
 
 def test_a_stored_member_states_nothing_for_a_sweep(precise: Solution, tmp_path: Path) -> None:
