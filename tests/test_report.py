@@ -102,6 +102,7 @@ def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
         "title",
         "method",
         "outcome",
+        "within",
         "results",
         "extremals",
         "verification",
@@ -185,6 +186,7 @@ def test_a_saved_solution_explains_itself(hybrid: Solution, tmp_path) -> None:
         *document,
         *(f"phases.{key}" for key in document["phases"][0]),
         *(f"problem.{key}" for key in document["problem"]),
+        *(f"verification.{key}" for key in document["verification"]),
     }
     assert document["phases"][0]["interpolation"]["control of kind direction"] == "cubic Hermite, then normalised"
     assert document["scenario"] == {"text": SCENARIO, "sha256": hash_of(SCENARIO)}

@@ -77,9 +77,9 @@ def test_the_template_names_every_key() -> None:
     # The template with every comment sign before a key removed holds all keys of all sections of its kind.
     for kind in KINDS.values():
         written = re.findall(r"^(?:# )?(\w+) +?= |^(?:# )?\[(\w+)\]", template(kind.name), re.MULTILINE)
-        known = [(key, "") for name, section in kind.sections.items() for key in names_of(name, section)]
+        known = [(key, "") for name, section in kind.in_file.items() for key in names_of(name, section)]
         assert sorted(pair for pair in written if pair[0]) == sorted(known)
-        assert [section for key, section in written if section] == list(kind.sections)
+        assert [section for key, section in written if section] == list(kind.in_file)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -24,6 +24,7 @@ _EXPORTS = {
     "Solution": "perilune.problem.solution",
     "Trajectory": "perilune.problem.solution",
     "Curve": "perilune.problem.solution",
+    "Tolerance": "perilune.problem.tolerance",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
     "Outcome": "perilune.words.outcome",
@@ -67,6 +68,7 @@ __all__ = [
     "Scales",
     "Solution",
     "Table",
+    "Tolerance",
     "Trajectory",
     "Variable",
     "Verification",
@@ -95,6 +97,7 @@ if TYPE_CHECKING:
     from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Problem
     from perilune.problem.solution import Curve, Solution, Trajectory
+    from perilune.problem.tolerance import Tolerance
     from perilune.problem.variables import Free, Given, Variable
     from perilune.problem.verification import Check, Verification
     from perilune.solve import prove, solve, verify

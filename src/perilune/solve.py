@@ -10,13 +10,13 @@ from perilune.methods.method import Method
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Nature, Solution
-from perilune.problem.verification import LEVELS
+from perilune.problem.tolerance import Tolerance
+from perilune.problem.verification import LEVELS, Verification
 from perilune.words.asked import demand, demand_callable, demand_level, refused
 from perilune.words.outcome import Outcome
 from perilune.words.watch import Watch
 
 if TYPE_CHECKING:
-    from perilune.problem.verification import Verification
     from perilune.proof.resolved import Resolve
 
 
@@ -26,6 +26,7 @@ def solve(
     *,
     guess: Solution | None = None,
     level: int = 3,
+    tolerance: Tolerance | None = None,
     watch: Watch | None = None,
 ) -> Solution:
     """Solve a problem and prove the answer.
@@ -40,6 +41,8 @@ def solve(
         A solution of any method for this or a similar problem. None is needed.
     level
         Verification level to prove, 0 for none; 4 solves the problem by another method too.
+    tolerance
+        Differences that do not matter to the proof, which then says so; by default only rounding does not.
     watch
         Receives each iteration, and lines of text.
 
@@ -60,8 +63,9 @@ def solve(
     )
     demand_level(level, (0, *LEVELS))
     demand_callable(watch, "a watch")
+    demand_tolerance(tolerance)
     refuse_impossible(preflight(problem))
-    return prove(usable(method).run(problem, guess, watch), level)
+    return prove(usable(method).run(problem, guess, watch), level, tolerance)
 
 
 def usable(method: Method | None) -> Method:
@@ -79,7 +83,13 @@ def usable(method: Method | None) -> Method:
     return method
 
 
-def prove(solution: Solution, level: int = 3) -> Solution:
+def demand_tolerance(tolerance: Tolerance | None) -> None:
+    """Refuse what is no stated tolerance."""
+    if tolerance is not None:
+        demand(tolerance, Tolerance, "a tolerance of the proof", "Tolerance(position=0.001), numbers in SI")
+
+
+def prove(solution: Solution, level: int = 3, tolerance: Tolerance | None = None) -> Solution:
     """Prove a solution, wherever it comes from.
 
     Parameters
@@ -87,7 +97,9 @@ def prove(solution: Solution, level: int = 3) -> Solution:
     solution
         As a method or `perilune.load` gives it.
     level
-        Verification level; 0 changes nothing.
+        Verification level; 0 proves nothing.
+    tolerance
+        As for `solve`; by default that with which the solution was solved, if any: ``Tolerance()`` is none.
 
     Returns
     -------
@@ -98,6 +110,9 @@ def prove(solution: Solution, level: int = 3) -> Solution:
     """
     demand(solution, Solution, "a solution to prove")
     demand_level(level, (0, *LEVELS))
+    demand_tolerance(tolerance)
+    if tolerance is not None:
+        solution = replace(solution, verification=Verification(tolerance=tolerance))
     if level == 0:
         return solution
     solution, notes = _found_again(solution)
@@ -133,7 +148,11 @@ def _found_again(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
 
 
 def verify(
-    solution: Solution, level: int = 3, resolve: Resolve | None = None, other: Method | None = None
+    solution: Solution,
+    level: int = 3,
+    resolve: Resolve | None = None,
+    other: Method | None = None,
+    tolerance: Tolerance | None = None,
 ) -> Verification:
     """Check what a solution claims; see `perilune.proof.levels.examine`.
 
@@ -145,12 +164,15 @@ def verify(
         Solves the neighbouring problems of level 3; by default ``Indirect()``, from the solution.
     other
         The other method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
+    tolerance
+        As for `prove`.
     """
     from perilune.proof.levels import examine
 
     demand(solution, Solution, "a solution to verify")
     demand_callable(resolve, "what solves again")
-    return examine(solution, level, resolve or _solve_again, other if other is None else usable(other))
+    demand_tolerance(tolerance)
+    return examine(solution, level, resolve or _solve_again, other if other is None else usable(other), tolerance)
 
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:

@@ -50,7 +50,7 @@ def _solve(typed: Namespace) -> Answer:
 
     log: deque[str] = deque(maxlen=LONGEST_LOG)
     with progress(typed.verbose, log) as watch, failure_kept(scenario, out, typed.force, log):
-        solution = solve_problem(scenario.problem, chosen, level=typed.level, watch=watch)
+        solution = solve_problem(scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch)
         if out is not None:
             from perilune.report import write_all
 

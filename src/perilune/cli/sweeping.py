@@ -18,7 +18,7 @@ from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from perilune.problem.problem import Problem
+    from perilune.scenario import Scenario
 
 MEMBERS = "members"  # in the output directory: what a sweep goes on from
 
@@ -29,7 +29,7 @@ def sweep_answer(order: Namespace) -> Answer:
         raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
     method = method_of(order.method)
     over = _ranges(order)
-    problem = _varied(order.file, order.changes, over)
+    scenario = _varied(order.file, order.changes, over)
     options: dict[str, Any] = {} if order.method == "indirect" else {"method": method}
     if order.out is not None:
         _refuse_used(order)
@@ -42,7 +42,15 @@ def sweep_answer(order: Namespace) -> Answer:
     from perilune.report.family import family_csv, family_document, write_family
 
     with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, _workers(order.workers) as executor:
-        family = sweep(problem, over, level=order.level, watch=watch, executor=executor, **options)
+        family = sweep(
+            scenario.problem,
+            over,
+            level=order.level,
+            watch=watch,
+            executor=executor,
+            tolerance=scenario.tolerance,
+            **options,
+        )
     if family.points and all(p.outcome is Outcome.INFEASIBLE for p in family.points):
         first, names = family.points[0].message, " and ".join(family.parameters)
         raise InfeasibleError(f"no value of {names} is possible", got=first, advice="try another range")
@@ -124,13 +132,13 @@ def _refuse_used(order: Namespace) -> None:
     refuse_used(order.out, order.force or order.resume)
 
 
-def _varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Problem:
-    """The problem with the keys in it; both ends of the ranges are checked as the file itself is."""
+def _varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
+    """The scenario with the keys in it; both ends of the ranges are checked as the file itself is."""
     from perilune.scenario import load_file, quantities_of
 
     known, found = quantities_of(file, changes), None
     for end in (-1, 0):
         with suppress(InfeasibleError):  # the table will say so
             ends = [f"{key}={values[end]!r} {known[key].unit}" for key, values in over.items()]
-            found = load_file(file, [*changes, *ends]).problem
-    return found or load_file(file, changes).problem
+            found = load_file(file, [*changes, *ends])
+    return found or load_file(file, changes)

@@ -51,6 +51,11 @@ class FamilyPoint:
         assert self.failure is not None  # seen to when it was made
         return self.failure
 
+    @property
+    def within(self) -> str:
+        """What of a stated tolerance the proof needed, in words; empty for nothing."""
+        return "" if self.solution is None else self.solution.verification.within
+
 
 def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
     """The member that an error stands in for: it cannot be flown, or the search for it failed."""

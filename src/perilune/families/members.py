@@ -22,6 +22,7 @@ from perilune.methods.method import Method
 from perilune.problem.preflight import Finding, member, preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import Verification
 from perilune.solve import judged, prove, solve, verify
 from perilune.words.outcome import Outcome, PeriluneError
@@ -49,8 +50,8 @@ class Members:
     ----------
     problem, names, values
         What is varied, the parameters, and their values [SI] of each member.
-    method, level
-        How each is solved, and to which verification level it is proved.
+    method, level, tolerance
+        How each is solved, to which verification level it is proved, and what differences do not matter to that.
     watch
         Receives a line of text for each member, and the iterations of those that are solved here.
     """
@@ -60,6 +61,7 @@ class Members:
     values: Sequence[tuple[float, ...]]
     method: Method
     level: int
+    tolerance: Tolerance
     watch: Watch
 
     def solved(self, todo: Sequence[int], executor: Submits | None) -> Found:
@@ -135,7 +137,9 @@ class Members:
         for i in todo:
             self._say(i)
             try:
-                solution = solve(self._gate(i), self.method, level=self.level, watch=self.watch)
+                solution = solve(
+                    self._gate(i), self.method, level=self.level, tolerance=self.tolerance, watch=self.watch
+                )
                 yield i, FamilyPoint(values=self.values[i], solution=solution)
             except PeriluneError as error:
                 yield i, failed_point(self.values[i], error)
@@ -145,7 +149,7 @@ class Members:
         for i in todo:
             self._say(i)
             try:
-                solution = prove(walk.solve(self._gate(i)), self.level)
+                solution = prove(walk.solve(self._gate(i)), self.level, self.tolerance)
                 yield i, FamilyPoint(values=self.values[i], solution=solution)
             except PeriluneError as error:
                 walk.forget()
@@ -158,7 +162,7 @@ class Members:
         def calls() -> Iterator[tuple[int, Call]]:
             for i in todo:
                 try:
-                    yield i, (solved_member, self._gate(i), self.method, self.level, self.values[i])
+                    yield i, (solved_member, self._gate(i), self.method, self.level, self.tolerance, self.values[i])
                 except PeriluneError as error:
                     refused.append((i, failed_point(self.values[i], error)))
 
@@ -167,7 +171,8 @@ class Members:
             back = [] if found is None else [(found[0], self._own(*found))]
             for i, point in (*refused, *back):
                 done += 1
-                self._say(i, f": {point.outcome.name}, {done} of {len(self.values)} done")
+                said = " ".join(text for text in (point.outcome.name, point.within) if text)
+                self._say(i, f": {said}, {done} of {len(self.values)} done")
                 yield i, point
             refused.clear()
 
@@ -217,10 +222,12 @@ def _told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
         ) from error
 
 
-def solved_member(problem: Problem, method: Method, level: int, values: tuple[float, ...]) -> FamilyPoint:
+def solved_member(
+    problem: Problem, method: Method, level: int, tolerance: Tolerance, values: tuple[float, ...]
+) -> FamilyPoint:
     """One member, in whichever process; what is refused comes back as a member with its reason."""
     try:
-        return FamilyPoint(values=values, solution=solve(problem, method, level=level))
+        return FamilyPoint(values=values, solution=solve(problem, method, level=level, tolerance=tolerance))
     except PeriluneError as error:
         return failed_point(values, error)
 

@@ -1,9 +1,9 @@
 """A family on disk, member by member, so that a sweep that was broken off goes on where it stood.
 
-``sweep.json`` says which sweep it is: the problem's digest and numbers, the members asked for, method and level. Each
-member is ``000042.json`` (outcome, checks, what was chosen) and ``000042.npz`` (its curves, read when looked at). A
-file appears whole or not at all, the first after the second, so what is there is done; a kill at any time costs the
-member that was being computed.
+``sweep.json`` says which sweep it is: the problem's digest and numbers, the members asked for, method, level and
+tolerance. Each member is ``000042.json`` (outcome, checks, what was chosen) and ``000042.npz`` (its curves, read when
+looked at). A file appears whole or not at all, the first after the second, so what is there is done; a kill at any time
+costs the member that was being computed.
 
 A store is read as any saved solution is: what a member says of its outcome and its proof is not taken over
 (`perilune.families.members.Members.taken_over` proves it again), and one that cannot be read is solved again.
@@ -31,6 +31,7 @@ from perilune.io.reading import array, member, part, refuse, text, tree
 from perilune.io.reload import LARGEST_FILE, read_answer, read_trajectories
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Trajectory
+from perilune.problem.verification import Verification
 from perilune.words.bounded import bounded_bytes, bounded_text
 from perilune.words.outcome import Outcome, PeriluneError
 
@@ -109,6 +110,7 @@ class Store:
             "members": {"names": list(members.names), "values": [list(v) for v in members.values]},
             "method": repr(members.method),
             "level": members.level,
+            "tolerance": members.tolerance.stated or None,  # None: as in the record of a sweep that knew of none
         }
 
     def _manifest(self) -> dict[str, Any]:
@@ -139,7 +141,8 @@ class Store:
         if not self.members.level:  # no proof will look at them
             _read_curves(curves, problem, document)
         made = Deferred(len(problem.phases), lambda: _read_curves(curves, problem, document))
-        return replace(read_answer(document, problem, made), outcome=Outcome.SOLVED)
+        unverified = Verification(tolerance=self.members.tolerance)
+        return replace(read_answer(document, problem, made), outcome=Outcome.SOLVED, verification=unverified)
 
 
 def clear(directory: Path) -> None:

@@ -9,8 +9,9 @@ from perilune.families.members import Members, Submits
 from perilune.families.store import Store
 from perilune.methods.method import Method
 from perilune.problem.problem import Problem
+from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS
-from perilune.solve import usable
+from perilune.solve import demand_tolerance, usable
 from perilune.words.asked import demand, demand_callable, demand_level, demand_path, refused
 from perilune.words.watch import Watch, silent
 
@@ -21,6 +22,7 @@ def sweep(
     method: Method | None = None,
     *,
     level: int = 0,
+    tolerance: Tolerance | None = None,
     executor: Submits | None = None,
     store: str | Path | None = None,
     watch: Watch | None = None,
@@ -41,6 +43,8 @@ def sweep(
         ``Indirect()`` unless another is given.
     level
         Verification level of each member, 0 for none.
+    tolerance
+        Differences that do not matter to the proof of any member, as of `perilune.solve.solve`.
     executor
         Where the members are computed: a `concurrent.futures.Executor` (a process pool, say) or a Dask client.
     store
@@ -63,13 +67,15 @@ def sweep(
     """
     demand(problem, Problem, "a problem to sweep")
     demand_level(level, (0, *LEVELS))
+    demand_tolerance(tolerance)
     names, values = asked(problem, over)
     demand_callable(watch, "a watch")
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise refused(executor, "a concurrent.futures.Executor, a Dask client or None", "what computes the members")
     say = watch or silent
     members = Members(
-        problem=problem, names=names, values=values, method=usable(method), level=level, watch=say
+        problem=problem, names=names, values=values, method=usable(method), level=level,
+        tolerance=tolerance or Tolerance(), watch=say,
     )  # fmt: skip
     notes: list[str] = []
 

@@ -28,6 +28,8 @@ from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.tolerance import unit_of
+from perilune.problem.verification import Check, Verification
 from perilune.words.asked import demand, refused
 from perilune.words.maths import NUMERIC
 
@@ -57,6 +59,9 @@ _FIELDS = {
     "extremals": "every root of the necessary conditions found, best first; the first is this solution. Only a claim: "
     "`perilune verify` finds each again from its unknowns",
     "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
+    "verification.tolerance": "what was stated of differences that do not matter, {} for nothing; the proof that "
+    "`perilune verify` makes has it too. A limit that it raised has `own_limit` and `raised_by` beside it",
+    "verification.within": "what of it the level needed, in words; empty where it would be reached without",
     "unknowns": "the method's own unknowns, from which it can start again",
     "null": "stands for a number that is not known or not finite",
 }  # fmt: skip
@@ -79,25 +84,10 @@ def solution_document(solution: Solution) -> dict[str, Any]:
         "title": solution.problem.title,
         "method": solution.method,
         "outcome": solution.outcome.name,
+        "within": solution.verification.within,
         "results": results(solution),
         "extremals": extremals_document(solution),
-        "verification": {
-            "level": solution.verification.level,
-            "text": solution.verification.text,
-            "notes": list(solution.verification.notes),
-            "checks": [
-                {
-                    "name": c.name,
-                    "level": c.level,
-                    "value": float(c.value),
-                    "limit": float(c.limit),
-                    "unit": c.unit,
-                    "passed": c.passed,
-                    "meaning": c.meaning,
-                }
-                for c in solution.verification.checks
-            ],
-        },
+        "verification": _verification_document(solution.verification),
         "statistics": {
             "rung": statistics.rung,
             "tried": list(statistics.tried),
@@ -108,6 +98,32 @@ def solution_document(solution: Solution) -> dict[str, Any]:
         },
     }
     return finite(document | claims)
+
+
+def _verification_document(verification: Verification) -> dict[str, Any]:
+    stated = verification.tolerance.stated
+    return {
+        "level": verification.level,
+        "within": verification.within,
+        "text": verification.text,
+        "notes": list(verification.notes),
+        "tolerance": _with_units(stated, {name: unit_of(name) for name in stated}),
+        "checks": [_check_document(check) for check in verification.checks],
+    }
+
+
+def _check_document(check: Check) -> dict[str, Any]:
+    raised = {} if check.own_limit is None else {"own_limit": float(check.own_limit), "raised_by": check.raised_by}
+    return {
+        "name": check.name,
+        "level": check.level,
+        "value": float(check.value),
+        "limit": float(check.limit),
+        **raised,
+        "unit": check.unit,
+        "passed": check.passed,
+        "meaning": check.meaning,
+    }
 
 
 def extremals_document(solution: Solution) -> list[dict[str, Any]]:
@@ -203,7 +219,7 @@ def answer_document(solution: Solution) -> dict[str, Any]:
     problem, short = solution.problem, solution_document(solution)
     return {
         "method": solution.method,
-        "outcome": {"name": solution.outcome.name, "advice": solution.outcome.value},
+        "outcome": {"name": solution.outcome.name, "within": short["within"], "advice": solution.outcome.value},
         "objective": {"value": float(solution.objective), "unit": problem.objective_unit},
         "free": _with_units(solution.free, {f.name: f.unit for f in problem.free}),
         "results": short["results"],

@@ -22,9 +22,12 @@ from perilune.problem.controls import directions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
+from perilune.problem.tolerance import Tolerance, unit_of
 from perilune.problem.variables import Given
+from perilune.problem.verification import Verification
 from perilune.words.asked import demand_path
 from perilune.words.bounded import bounded_text
+from perilune.words.declared import keys_of, made_of
 from perilune.words.outcome import Outcome, PeriluneError
 
 FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 2, "solution.json"
@@ -55,10 +58,10 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     Returns
     -------
     Solution
-        Unverified: a file's own claims are not taken over. Its problem is that of the scenario or the model where the
-        file has one (the model's own functions and checks), else that of the expressions in the file; `problem.text`
-        says which. The extremals that the file lists stand in `listed`, for `perilune.prove` to find again;
-        `statistics` are `claimed`.
+        Unverified: a file's own claims are not taken over; the tolerance that was stated for its proof is, for the
+        next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
+        checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
+        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`.
 
     Raises
     ------
@@ -93,7 +96,21 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         listed=_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
+        verification=Verification(tolerance=_tolerance(document.get("verification"))),
     )
+
+
+def _tolerance(said: Any) -> Tolerance:
+    """What the file's proof was asked with. It proves nothing, and a new proof says what it needed of it."""
+    if not isinstance(said, Mapping) or not said.get("tolerance"):
+        return Tolerance()
+    values, known = numbers(said, "tolerance"), keys_of(Tolerance)
+    for name in values:
+        if name not in known:
+            refuse(f"tolerance.{name}"[:80], "a quantity that is not known", ", ".join(known))
+        if (unit := text(said["tolerance"][name], "unit")) != unit_of(name):
+            refuse(f"tolerance.{name}.unit", unit[:40], unit_of(name))
+    return made_of(Tolerance, values)
 
 
 def read_document(directory: str | Path) -> dict[str, Any]:

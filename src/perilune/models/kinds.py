@@ -15,7 +15,10 @@ from perilune.models.landing import LandingSite, Orbit, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Retro, Throttle, Vehicle
 from perilune.problem.problem import Problem
+from perilune.problem.tolerance import Tolerance
 from perilune.words.declared import record
+
+PROOF = "proof"  # the section that is no part of the problem
 
 
 @record("problem")
@@ -54,7 +57,7 @@ class Kind:
     name, about
         ``problem.kind``, and what it is.
     sections
-        By name, in the order of a file.
+        Those of the problem by name, in the order of a file.
     make
         Called with the record of each section by the section's name.
     example
@@ -67,6 +70,11 @@ class Kind:
     sections: Mapping[str, Section]
     make: Callable[..., Problem]
     example: Mapping[str, str]
+
+    @property
+    def in_file(self) -> Mapping[str, Section]:
+        """All sections of a file: those of the problem, and that of its proof."""
+        return {**self.sections, PROOF: Section(record=Tolerance, required=False, otherwise=Tolerance())}
 
 
 def _hybrid(

@@ -6,7 +6,9 @@ when every check of it and of the levels below passed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from perilune.problem.tolerance import Tolerance
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked")
 LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # that may be asked for
@@ -26,6 +28,10 @@ class Check:
         The check passes when ``value <= limit`` (a NaN fails).
     unit
         Unit of both.
+    exact
+        Whether one number is compared with its copy, so that no stated tolerance applies.
+    own_limit, raised_by
+        Where a stated tolerance raised the limit: what it would be without, and the quantity that was stated.
     """
 
     name: str
@@ -34,11 +40,24 @@ class Check:
     limit: float
     unit: str
     meaning: str
+    exact: bool = False
+    own_limit: float | None = None
+    raised_by: str = ""
 
     @property
     def passed(self) -> bool:
         """Whether the value is within the limit; NaN never is."""
         return bool(self.value <= self.limit)
+
+    @property
+    def lenient(self) -> bool:
+        """Whether it passed by what was stated alone."""
+        return self.own_limit is not None and self.passed and not self.value <= self.own_limit
+
+    def limit_told(self, digits: int = 3) -> str:
+        """The limit in words; one that was raised with its own."""
+        own = "" if self.own_limit is None else f" stated, its own {self.own_limit:.{digits}g}"
+        return f"limit {self.limit:.{digits}g}{own}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +73,14 @@ class Verification:
         from (`Problem.text`).
     notes
         What was not checked, and what was left out as it could not be, in sentences.
+    tolerance
+        What was stated of differences that do not matter. Of a solution without checks, with what it is to be proved.
     """
 
     checks: tuple[Check, ...] = ()
     text: str = ""
     notes: tuple[str, ...] = ()
+    tolerance: Tolerance = field(default_factory=Tolerance)
 
     @property
     def level(self) -> int:
@@ -73,8 +95,24 @@ class Verification:
 
     @property
     def title(self) -> str:
-        """The level and its name, as it stands beside every outcome."""
-        return f"level {self.level}: {LEVEL_NAMES[self.level]}"
+        """The level and its name, as it stands beside every outcome, with what of the stated tolerance it needed."""
+        return f"level {self.level}: {LEVEL_NAMES[self.level]}{self._qualified}"
+
+    @property
+    def headline(self) -> str:
+        """The same as the first line of a list of checks."""
+        return f"level {self.level} ({LEVEL_NAMES[self.level]}){self._qualified}"
+
+    @property
+    def within(self) -> str:
+        """``within the stated tolerance (position 1 mm)``, if the level would not be reached without; else empty."""
+        level = self.level
+        needed = {c.raised_by for c in self.checks if c.lenient and c.level <= level}
+        return f"within the stated tolerance ({self.tolerance.told(needed)})" if needed else ""
+
+    @property
+    def _qualified(self) -> str:
+        return f", {within}" if (within := self.within) else ""
 
     @property
     def passed(self) -> bool:
@@ -87,8 +125,8 @@ class Verification:
         return tuple(c for c in self.checks if not c.passed)
 
     def __str__(self) -> str:
-        lines = [f"level {self.level} ({LEVEL_NAMES[self.level]})" + (f", flown: {self.text}" if self.text else "")]
+        lines = [self.headline + (f", flown: {self.text}" if self.text else "")]
         for c in self.checks:
             mark = "ok  " if c.passed else "FAIL"
-            lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} (limit {c.limit:.3g}) {c.unit}")
+            lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} ({c.limit_told()}) {c.unit}")
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])

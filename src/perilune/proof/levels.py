@@ -8,7 +8,7 @@ error of a good answer, so that it can fail, and a meaning; a NaN fails.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from perilune.methods.method import Method
 from perilune.problem.form import OWN_TEXT
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, Check, Verification
 from perilune.proof.crossed import agreement
 from perilune.proof.extremal import extremality
@@ -23,11 +24,14 @@ from perilune.proof.feasible import feasibility, tables
 from perilune.proof.flight import flights
 from perilune.proof.resolved import Resolve, neighbours
 from perilune.proof.second_order import local_optimality
+from perilune.proof.stated import raised, sensible
 from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
 
 
-def examine(solution: Solution, level: int, resolve: Resolve, other: Method | None = None) -> Verification:
+def examine(
+    solution: Solution, level: int, resolve: Resolve, other: Method | None = None, tolerance: Tolerance | None = None
+) -> Verification:
     """Check what a solution claims.
 
     Parameters
@@ -41,6 +45,8 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
         checks of level 3 that need it.
     other
         The method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
+    tolerance
+        Differences that do not matter; None takes what the solution was stated with (`Verification.tolerance`).
 
     Returns
     -------
@@ -54,6 +60,7 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
         If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase.
     """
     demand_level(level, LEVELS)
+    tolerance = solution.verification.tolerance if tolerance is None else tolerance
     if len(solution.trajectories) != len(solution.problem.phases):
         raise PeriluneError(
             "the solution lacks trajectories",
@@ -64,20 +71,24 @@ def examine(solution: Solution, level: int, resolve: Resolve, other: Method | No
     try:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
         with np.errstate(all="ignore"):
-            for check in _checks(solution, level, resolve, other):
-                checks.append(check)
+            for check in _checks(solution, level, resolve, other, tolerance):
+                checks.append(raised(check, tolerance))
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         meaning = f"the physics can be computed where the tables lead: {error}"
         checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
-    return Verification(checks=tuple(checks), text=solution.problem.text, notes=_unchecked(solution.problem))
+    notes = (*_unneeded(checks, tolerance), *_unchecked(solution.problem))
+    return Verification(checks=tuple(checks), text=solution.problem.text, notes=notes, tolerance=tolerance)
 
 
-def _checks(solution: Solution, level: int, resolve: Resolve, other: Method | None) -> Iterator[Check]:
+def _checks(
+    solution: Solution, level: int, resolve: Resolve, other: Method | None, tolerance: Tolerance
+) -> Iterator[Check]:
     """Every check in order; those of tables that cannot be read end there."""
     readable = tables(solution)
     yield readable
     if not readable.passed:
         return
+    yield from sensible(tolerance, solution)
     flown = flights(solution)
     yield from feasibility(solution, flown)
     if level >= 2:
@@ -87,6 +98,13 @@ def _checks(solution: Solution, level: int, resolve: Resolve, other: Method | No
         yield from neighbours(solution, resolve)
     if level >= 4:
         yield from agreement(solution, other)
+
+
+def _unneeded(checks: Sequence[Check], tolerance: Tolerance) -> tuple[str, ...]:
+    """What is said where a tolerance was stated and everything would have passed without."""
+    if not tolerance.stated or not all(check.passed and not check.lenient for check in checks):
+        return ()
+    return (f"nothing of the stated tolerance ({tolerance.told()}) was needed",)
 
 
 def _unchecked(problem: Problem) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ FAMILY_NAME = "family"
 def family_document(family: Family) -> dict[str, Any]:
     """Make the tree: parameter, unit, whether Ctrl-C cut it short; of each point value, outcome, results, message.
 
+    `within` is what of a stated tolerance its proof needed.
     Of a family along several parameters ``parameters`` and ``values`` stand in their place, in one order.
     """
     shown = [spoken(unit) for unit in family.units]
@@ -41,6 +42,7 @@ def family_document(family: Family) -> dict[str, Any]:
                 **({"value": values[0]} if len(values) == 1 else {"values": values}),
                 "outcome": point.outcome.name,
                 "verification_level": solution.verification.level if solution else 0,
+                "within": point.within,
                 "results": results(solution) if solution else {},
                 "message": point.message,
             }
@@ -62,9 +64,8 @@ def family_csv(family: Family) -> str:
     for point in document["points"]:
         found = [point["results"].get(name, {}).get("value") for name in names]
         cells = ["" if v is None else repr(v) for v in (*point.get("values", [point.get("value")]), *found)]
-        writer.writerow(
-            [*cells, point["outcome"], point["verification_level"], " ".join(str(point["message"] or "").split())]
-        )
+        said = "; ".join(text for text in (point["within"], str(point["message"] or "")) if text)
+        writer.writerow([*cells, point["outcome"], point["verification_level"], " ".join(said.split())])
     return text.getvalue()
 
 

@@ -41,14 +41,14 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         lines += ["", head + (f" ({_AGAIN})" if solution.statistics.claimed else "")]
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
     verification = solution.verification
-    lines += ["", f"verification: level {verification.level} ({LEVEL_NAMES[verification.level]})"]
+    lines += ["", f"verification: {verification.headline}"]
     if solution.statistics.claimed and verification.text:
         lines.append(f"  flown: {verification.text}")
     if not every_check:
         lines += _counted(verification)
     for c in verification.checks if every_check else verification.failed:
         mark, unit = "ok  " if c.passed else "FAIL", "" if c.unit == "1" else f" {c.unit}"
-        lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g}{unit} (limit {c.limit:.2g})")
+        lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g}{unit} ({c.limit_told(2)})")
         if not c.passed:
             lines.append(f"         {c.meaning}")
     lines += ["", *(f"note: {note}" for note in verification.notes)] if verification.notes else []
@@ -166,7 +166,7 @@ def _counted(verification: Verification) -> list[str]:
 
 def _proof(solution: Solution) -> str:
     verification = solution.verification
-    lines = [f"Level {verification.level}: {LEVEL_NAMES[verification.level]}. A check passes within its limit."]
+    lines = [f"{_sentence(verification.title)} A check passes within its limit."]
     if not verification.checks:
         return "Not verified. `perilune verify` proves a saved solution."
     rows = [
@@ -174,7 +174,7 @@ def _proof(solution: Solution) -> str:
             c.level,
             c.name,
             f"{c.value:.3g}",
-            f"{c.limit:.3g}",
+            c.limit_told().removeprefix("limit "),
             c.unit,
             "passed" if c.passed else "**FAILED**",
             c.meaning,

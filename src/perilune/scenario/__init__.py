@@ -18,8 +18,9 @@ from typing import Any
 
 from perilune.models.kinds import KINDS
 from perilune.problem.problem import Problem
+from perilune.problem.tolerance import Tolerance
 from perilune.scenario.ranges import values_of
-from perilune.scenario.reader import problem_of, quantities_in
+from perilune.scenario.reader import problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
 from perilune.words.asked import demand_path
@@ -30,10 +31,11 @@ __all__ = ["KINDS", "Scenario", "load_file", "load_text", "quantities_of", "temp
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """A problem and the text it was made of, with every change made to it."""
+    """A problem, the tolerance stated for its proof, and the text they were made of, with every change made to it."""
 
     text: str
     problem: Problem
+    tolerance: Tolerance
 
 
 def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
@@ -52,7 +54,11 @@ def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
         If the file cannot be read, is no scenario, or a value is wrong or looks wrong.
     """
     text, document = _document(path, changes)
-    return Scenario(text=written(document, changes) if changes else text, problem=problem_of(document))
+    return Scenario(
+        text=written(document, changes) if changes else text,
+        problem=problem_of(document),
+        tolerance=tolerance_of(document),
+    )
 
 
 def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Quantity]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from perilune.models.kinds import HYBRID, KINDS, Kind, Section
+from perilune.models.kinds import HYBRID, KINDS, PROOF, Kind, Section
 from perilune.problem.problem import Problem
+from perilune.problem.tolerance import Tolerance
 from perilune.scenario.plausible import recognised, refuse_slips
 from perilune.words.declared import Key, Quantity, Words, keys_of, made_of, named
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -30,6 +31,12 @@ def problem_of(document: Mapping[str, Any]) -> Problem:
         records["body"] = recognised(records["body"])
     refuse_slips(records)
     return kind.make(**records)
+
+
+def tolerance_of(document: Mapping[str, Any]) -> Tolerance:
+    """The tolerance that a file states for the proof; errors as `problem_of`."""
+    section = _kind_of(document).in_file[PROOF]
+    return _record(_kind_of(document), PROOF, section, document.get(PROOF))
 
 
 def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
@@ -65,7 +72,8 @@ def _kind_of(document: Mapping[str, Any]) -> Kind:
 
 
 def _check_names(kind: Kind, name: str, table: Any) -> None:
-    if name not in kind.sections:
+    sections = kind.in_file
+    if name not in sections:
         elsewhere = [other.name for other in KINDS.values() if name in other.sections]
         if elsewhere:
             raise PeriluneError(
@@ -74,8 +82,8 @@ def _check_names(kind: Kind, name: str, table: Any) -> None:
                 expected="sections of the problem.kind that the file states",
                 advice="or ".join(f'kind = "{other}" ' for other in elsewhere).strip() + " in a section [problem]",
             )
-        raise unknown_name("section", name[:60], list(kind.sections))
-    known = names_of(name, kind.sections[name])
+        raise unknown_name("section", name[:60], list(sections))
+    known = names_of(name, sections[name])
     for key in table if isinstance(table, Mapping) else ():
         if key not in known:
             also = {other: k for k, found in known.items() for other in getattr(found.declared, "also", ())}

@@ -29,7 +29,7 @@ def template(kind: str = "hybrid_landing") -> str:
     if kind not in KINDS:
         raise unknown_name("kind of problem", kind[:60], list(KINDS))
     found = KINDS[kind]
-    sections = ("\n".join(_section(found, name, section)) for name, section in found.sections.items())
+    sections = ("\n".join(_section(found, name, section)) for name, section in found.in_file.items())
     return "\n\n".join([_HEAD.format(about=found.about).rstrip("\n"), *sections]) + "\n"
 
 
@@ -63,11 +63,12 @@ def reference() -> str:
         "Written by `python docs/make_reference.py` from the declarations in `perilune.models`. A quantity is a number",
         'and a unit of its dimension in quotes, `"15 km"`; what has no unit may stand without quotes. The parameter of',
         "the problem, for `p.`, `with_given` and `pl.sweep`, is section and key with `_` for the dot: `vehicle.thrust`",
-        "is `vehicle_thrust`. `perilune new KIND` writes a file to start from.",
+        "is `vehicle_thrust`. `[proof]` is no part of the problem: it states what differences do not matter to the",
+        "[proof](verification.md#a-stated-tolerance). `perilune new KIND` writes a file to start from.",
     ]
     for kind in KINDS.values():
         lines += ["", f"## {kind.name}", "", kind.about]
-        for name, section in kind.sections.items():
+        for name, section in kind.in_file.items():
             left_out = "" if section.required else ", may be left out"
             lines += ["", f"### [{name}]{left_out}", ""]
             lines += ["| key | unit | range | default | for example | what it is |", "|---|---|---|---|---|---|"]

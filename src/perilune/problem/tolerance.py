@@ -1,0 +1,79 @@
+"""The engineering tolerance that may be stated for a proof: what a flight may really be off by, by quantity.
+
+The limits of a proof follow from the problem, and lie where rounding does. Who asks for less says how much less; the
+proof then says so wherever it says what it proved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from perilune.words.declared import keys_of, quantity, record, values_of
+from perilune.words.units import dimension_text, unit
+
+_NO_PROOF = "is no tolerance but no proof"
+LARGEST = 1e-3  # of what the flight changes in a quantity
+SIZED = ("angle", "optimality")  # which have a size where no state is measured in them, 1
+_SPOKEN = {"m": ("km", "m", "mm"), "m/s": ("m/s", "mm/s"), "kg": ("kg", "g"), "rad": ("deg",), "s": ("s", "ms")}
+
+
+@record("proof")
+class Tolerance:
+    """Differences that do not matter, each in SI (angles in radians) and each left out unless it is stated.
+
+    A limit of level 1 that compares quantities in m, m/s, kg, rad or s is raised to what is stated of them, a relative
+    limit of level 2 to `optimality`. None is lowered, and what has another unit, or none, keeps its limit.
+
+    Parameters
+    ----------
+    position, speed, mass, angle, time
+        In m, m/s, kg, rad, s. Nothing is proved with more than a thousandth of what the flight changes in it; more than
+        a thousandth of a radian is refused.
+    optimality
+        Of costates, H and its derivatives, relative to their sizes in the problem: at most 1e-3.
+    """
+
+    position: float | None = quantity("m", "1 mm", default=None, above=0.0, about="by which lengths may be off")
+    speed: float | None = quantity("m/s", "1 mm/s", default=None, above=0.0, about="by which speeds may be off")
+    mass: float | None = quantity("kg", "1 g", default=None, above=0.0, about="by which masses may be off")
+    angle: float | None = quantity(
+        "rad", "1e-4 deg", default=None, above=0.0, most=LARGEST, outside=_NO_PROOF, about="by which angles may be off"
+    )
+    time: float | None = quantity("s", "1 ms", default=None, above=0.0, about="by which times may be off")
+    optimality: float | None = quantity(
+        "1", "1e-6", default=None, above=0.0, most=LARGEST, outside=_NO_PROOF,
+        about="of the conditions of optimality, relative",
+    )  # fmt: skip
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """What is stated, in SI, by its name."""
+        return {name: float(value) for name, value in values_of(self).items() if value is not None}
+
+    def told(self, names: Iterable[str] = ()) -> str:
+        """What is stated of these (of all, if none is named), in words: ``position 1 mm, mass 1 g``."""
+        shown = {name: value for name, value in self.stated.items() if name in (tuple(names) or self.stated)}
+        return ", ".join(f"{name} {told(name, value)}" for name, value in shown.items())
+
+
+def unit_of(name: str) -> str:
+    """SI unit of a quantity of the tolerance."""
+    declared: Any = keys_of(Tolerance)[name].declared
+    return declared.unit
+
+
+def told(name: str, value: float) -> str:
+    """A value in the unit in which it is best read, the same however it was stated."""
+    choices = _SPOKEN.get(unit_of(name), ("1",))
+    best = next((text for text in choices if value >= unit(text)[0]), choices[-1])
+    return f"{value / unit(best)[0]:.6g} {best}".removesuffix(" 1")
+
+
+def quantity_in(unit_text: str) -> str:
+    """Name of the quantity that is measured in a unit; empty of one for which nothing can be stated.
+
+    An angle is what is in radians: a number without a unit is none.
+    """
+    spoken = unit_text if unit_text == "rad" else dimension_text(unit(unit_text)[1])
+    return next((name for name in keys_of(Tolerance) if unit_of(name) == spoken != "1"), "")
