@@ -231,7 +231,7 @@ def _best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> ca.SX:
         across = gradient - ca.dot(gradient, axis) * axis
         return share * axis - ca.sqrt(1 - share * share) * across / ca.norm_2(across)
     A = ca.horzcat(*axes)
-    base, normal = ca.mtimes(A, ca.solve(ca.mtimes(A.T, A), shares)), ca.cross(*axes)
+    base, normal = ca.mtimes(A, ca.solve(ca.mtimes(A.T, A), shares)), ca.cross(axes[0], axes[1])
     down = ca.if_else(ca.dot(gradient, normal) > 0, -normal, normal) / ca.norm_2(normal)
     return base + ca.sqrt(1 - ca.sumsqr(base)) * down
 
