@@ -32,7 +32,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution
     """A solver that knows the two landings of the paper already; the list of what it was asked."""
     asked: list[Problem] = []
 
-    def solve(problem: Problem, method: Any = None, *, level: int = 3, watch: Any = None) -> Solution:
+    def solve(problem: Problem, method: Any = None, *, watch: Any = None, **_: Any) -> Solution:
         asked.append(problem)
         if watch is not None:
             watch("rung: known")
@@ -104,7 +104,7 @@ def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_solve_that_fails_says_and_saves_what_was_tried(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fails(problem: Problem, method: Any, *, level: int, watch: Any) -> Solution:
+    def fails(problem: Problem, method: Any, *, watch: Any, **_: Any) -> Solution:
         watch("rung: one")
         raise NotConvergedError(
             "no solution found",

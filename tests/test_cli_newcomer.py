@@ -31,7 +31,7 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/dev/fu
 def solved(monkeypatch: pytest.MonkeyPatch, ordinary: Solution) -> None:
     """A solver that answers every problem of one form with the paper's landing."""
 
-    def solve(problem: Problem, method: Any = None, *, level: int = 3, watch: Any = None) -> Solution:
+    def solve(problem: Problem, method: Any = None, *, watch: Any = None, **_: Any) -> Solution:
         return replace(ordinary, problem=problem)
 
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
