@@ -206,8 +206,8 @@ def test_checks(hybrid: Solution, ordinary: Solution) -> None:
             else:
                 assert check.limit == pytest.approx(limit, rel=1e-9), check.name
             met.add(pattern)
-    # A landing of constant thrust has no bounded control, so nothing that could switch.
-    assert {pattern for pattern, *_ in shown} - met == {"switching_*"}
+    # A landing of constant thrust has no bounded control, so nothing that could switch, and holds nothing on the way.
+    assert {pattern for pattern, *_ in shown} - met == {"switching_*", "held_*"}
 
 
 def documentation_script(name: str) -> ModuleType:

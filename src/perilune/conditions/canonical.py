@@ -140,8 +140,16 @@ def canonical_equations(
     Raises
     ------
     PeriluneError
-        If a control's minimum of H is not known, or the dynamics depend on the phase's own duration.
+        If a control's minimum of H is not known, the dynamics depend on the phase's own duration, or something is held
+        along the phase.
     """
+    if phase.held_conditions:
+        raise PeriluneError(
+            f"the control that minimises H is not known where something is held along {phase.name}",
+            got=", ".join(c.name for c in phase.held_conditions),
+            expected="a phase without held conditions",
+            advice="Pseudospectral() holds them",
+        )
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
     dynamics, kept = trace_sides(phase, x, u, p.record), _kept(phase, x, u, p, keep)

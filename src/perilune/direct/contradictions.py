@@ -129,6 +129,6 @@ def _row_names(problem: Problem, phase: Phase, kind: str) -> tuple[list[tuple[st
         return [(f"{word} {s.name} in {phase.name}", s.unit) for s in phase.states], state_scales(problem, phase)
     if kind == "direction":
         return [(f"unit length of a direction in {phase.name}", "1")], np.ones(1)
-    conditions = phase.path_conditions if kind == "path" else phase.end_conditions
+    conditions = getattr(phase, f"{kind}_conditions")
     names = [(f"the {kind} condition {phase.name}.{c.name}", c.unit) for c in conditions]
     return names, np.array([problem.size_of(c) for c in conditions])

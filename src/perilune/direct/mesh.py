@@ -3,7 +3,7 @@
 Each segment is flown again from its own start, by SciPy's DOP853 on the user's numpy dynamics under the
 control that the solution exports. The largest difference from the state polynomial is the error of the
 segment, for each state, relative to 1 + max|x| in canonical units (Patterson, Rao 2014, section 4, but by
-simulation instead of quadrature). What bounds of states and path conditions are exceeded by *between* the
+simulation instead of quadrature). What bounds of states and path and held conditions are exceeded by *between* the
 points counts as an error as well.
 
 A segment that is not accurate enough is split where a bounded control switches, and where a bound of a control
@@ -44,24 +44,29 @@ SWITCH = 0.4
 AT_BOUND = 0.02
 # The same for a state, which the program holds to its bound far more closely.
 STATE_AT_BOUND = 1e-5
+# Of its canonical unit: a state that stays as small is simulated no more closely than one of this size.
+NOTHING = 1e-3
 # Distance to the next joint that a free joint may use up.
 REACH = 0.45
 
 
-def segment_error(phase: Phase, segment: Segment, p: Any, tolerance: float) -> Vector:
-    """Error of each state and excess of each path condition [SI], shape (states + path conditions,).
+def segment_error(phase: Phase, segment: Segment, p: Any, tolerance: float, sizes: Vector) -> Vector:
+    """Error of each state and excess of each path and held condition [SI], shape (states + conditions,).
 
-    NaN where the simulation could not be flown to the end.
+    `sizes` are the canonical units of the states. NaN where the simulation could not be flown to the end.
     """
     at = np.union1d(segment.state.points, np.linspace(-1.0, 1.0, 3 * len(segment.state.points)))
     x, u = segment.state(at), admissible(phase.controls, segment.control(at).T, p).T
     lower, upper = np.array([s.limits(p) for s in phase.states]).T
     outside = np.maximum(0.0, np.maximum(lower - x, x - upper)).max(axis=0)
     path = [np.maximum(0.0, -np.asarray(value)).max() for value in phase.evaluate("path", list(x.T), list(u.T), p)]
-    return np.concatenate([np.maximum(_simulated(phase, segment, p, tolerance, at, x), outside), path])
+    held = [np.abs(value).max() for value in phase.evaluate("held", list(x.T), list(u.T), p)]
+    return np.concatenate([np.maximum(_simulated(phase, segment, p, tolerance, at, x, sizes), outside), path, held])
 
 
-def _simulated(phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vector, expected: Matrix) -> Vector:
+def _simulated(
+    phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vector, expected: Matrix, sizes: Vector
+) -> Vector:
     from scipy.integrate import solve_ivp
 
     def flow(t: float, x: Vector) -> Vector:
@@ -71,7 +76,7 @@ def _simulated(phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vec
     flown = solve_ivp(
         flow, (segment.begin, segment.end), expected[0], "DOP853",
         np.clip(segment.time(at), segment.begin, segment.end),
-        rtol=tolerance, atol=tolerance * np.maximum(np.abs(expected).max(axis=0), 1e-30),
+        rtol=tolerance, atol=tolerance * np.maximum(np.abs(expected).max(axis=0), NOTHING * sizes),
     )  # fmt: skip
     if flown.y.shape[1] != len(at):
         return np.full(expected.shape[1], math.nan)
@@ -79,13 +84,13 @@ def _simulated(phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vec
 
 
 def mesh_errors(problem: Problem, segments: Sequence[Sequence[Segment]], p: Any, tolerance: float) -> list[Matrix]:
-    """Error of every segment [SI], for each phase an array (segments, states + path conditions).
+    """Error of every segment [SI], for each phase an array (segments, states + conditions on the way).
 
     `tolerance` is the relative accuracy that is asked of the mesh.
     """
     fine = min(1e-8, max(1e-12, 1e-2 * tolerance))
     return [
-        np.array([segment_error(phase, segment, p, fine) for segment in flown])
+        np.array([segment_error(phase, segment, p, fine, state_scales(problem, phase)) for segment in flown])
         for phase, flown in zip(problem.phases, segments, strict=True)
     ]
 
@@ -95,18 +100,20 @@ def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], err
     found = []
     for phase, flown, error in zip(problem.phases, segments, errors, strict=True):
         largest = np.max([np.abs(s.state.values).max(axis=0) for s in flown], axis=0)
-        path = [problem.size_of(c) for c in phase.path_conditions]
-        relative = error / np.concatenate([state_scales(problem, phase) + largest, path])
+        along = [problem.size_of(c) for c in (*phase.path_conditions, *phase.held_conditions)]
+        relative = error / np.concatenate([state_scales(problem, phase) + largest, along])
         found.append(np.where(np.isnan(relative), math.inf, relative))
     return found
 
 
 def error_text(problem: Problem, errors: Sequence[Matrix]) -> str:
-    """The largest error of each state and path condition of each phase, in SI, as one line."""
+    """The largest error of each state and condition on the way of each phase, in SI, as one line."""
     return "; ".join(
         f"{phase.name}: " + ", ".join(
             f"{named.name} {value:.1e} {named.unit}".removesuffix(" 1")
-            for named, value in zip((*phase.states, *phase.path_conditions), error.max(axis=0), strict=True)
+            for named, value in zip(
+                (*phase.states, *phase.path_conditions, *phase.held_conditions), error.max(axis=0), strict=True
+            )
         )
         for phase, error in zip(problem.phases, errors, strict=True)
     )  # fmt: skip

@@ -4,8 +4,8 @@ On each segment of width h the state polynomial X (see `perilune.direct.collocat
 
     D X - (h/2) F(X, U) = 0,    X_end - X_start - (h/2) w.F = 0   (gauss only: Peng et al. 2012, (12), (13)),
 
-with the phase's start and end conditions, unit directions, path conditions at the collocation points and
-bounds. All in the problem's canonical units, with exact sparse first and second derivatives.
+with the phase's start and end conditions, unit directions, path and held conditions at the collocation points
+and bounds. All in the problem's canonical units, with exact sparse first and second derivatives.
 
 Given values are parameters of the program, so that one program serves every problem of the same physics and
 mesh.
@@ -49,6 +49,7 @@ class Layout(NamedTuple):
     states: int
     controls: int
     directions: tuple[tuple[int, int], ...]
+    held: int
     path: int
     end: int
 
@@ -86,6 +87,7 @@ class Layout(NamedTuple):
             "defect": self.states * self.nodes,
             "quadrature": gauss,
             "direction": len(self.directions) * self.nodes,
+            "held": self.held * self.nodes,
             "path": self.path * self.nodes,
             "end": self.end,
         }
@@ -265,8 +267,7 @@ def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
 def _layout(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
     return Layout(
         scheme, mesh.degrees, len(phase.states), len(phase.control_names), directions(phase.controls),
-        len(phase.path_conditions),
-        len(phase.end_conditions),
+        len(phase.held_conditions), len(phase.path_conditions), len(phase.end_conditions),
     )  # fmt: skip
 
 
@@ -292,7 +293,7 @@ def _pack(values: PhaseValues) -> Vector:
 
 
 def _traced(problem: Problem) -> tuple[list[tuple[ca.Function, ...]], ca.Function]:
-    """Start, rates, path, end and duration of each phase in canonical units, and the objective."""
+    """Start, rates, held, path, end and duration of each phase in canonical units, and the objective."""
     p = trace_parameters(problem)
     phases: list[tuple[ca.Function, ...]] = []
     arguments = [p.free, p.given]
@@ -304,10 +305,13 @@ def _traced(problem: Problem) -> tuple[list[tuple[ca.Function, ...]], ca.Functio
         before, x = x, ca.SX.sym("x", len(phase.states))
         u = ca.SX.sym("u", len(phase.control_names))
         duration = ca.SX(getattr(p.record, phase.duration))
-        path = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
+        held, path = (
+            column(phase.evaluate(name, elements(x), elements(u), p.record, SYMBOLIC)) for name in ("held", "path")
+        )
         phases.append((
             ca.Function("start", [before, *arguments], [column(start)]),
             ca.Function("rates", [x, u, *arguments], [trace_rates(phase, x, u, p.record)]),
+            ca.Function("held", [x, u, *arguments], [held]),
             ca.Function("path", [x, u, *arguments], [path]),
             ca.Function("end", [x, *arguments], [trace_at_end(phase, x, p.record)]),
             ca.Function("duration", arguments, [duration]),
@@ -367,7 +371,7 @@ def _phase(
     functions: tuple[ca.Function, ...], layout: Layout, before: ca.MX, free: ca.MX, given: ca.MX
 ) -> tuple[list[ca.MX], list[ca.MX], ca.MX]:
     """Unknowns, rows (in the order of `Layout.rows`) and end state of one phase."""
-    start, rates, path, end, duration = functions
+    start, rates, held, path, end, duration = functions
     joints = ca.MX.sym("joints", len(layout.degrees) - 1)
     states = ca.MX.sym("x", layout.states, layout.starts[-1] + 1)
     controls = ca.MX.sym("u", layout.controls, layout.nodes)
@@ -386,8 +390,9 @@ def _phase(
         node += r.degree
     norms = [ca.sum1(controls[a:b, :] ** 2).T - 1 for a, b in layout.directions]
     rows = [states[:, 0] - start(before, free, given), *defects, *quadratures, *norms]
-    if layout.path:
-        rows.append(ca.vec(path.map(layout.nodes)(at_nodes, controls, *shared)))
+    for along, count in ((held, layout.held), (path, layout.path)):
+        if count:
+            rows.append(ca.vec(along.map(layout.nodes)(at_nodes, controls, *shared)))
     if layout.end:
         rows.append(end(states[:, -1], free, given))
     return [joints, ca.vec(states), ca.vec(controls)], rows, states[:, -1]

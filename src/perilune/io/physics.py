@@ -26,6 +26,7 @@ from perilune.words.units import Scales
 _CONTROLS = {kind.kind: kind for kind in (Direction, Bounded)}
 # Of a phase and of a problem, the fields that are tuples of variables.
 _VARIABLES = [f.name for f in fields(Phase) if f.name == "states" or f.name.endswith(("_conditions", "_variables"))]
+_ALWAYS = set(_VARIABLES) - {"held_conditions"}  # that every file names; what came later is left out where it is empty
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,80}", re.ASCII)  # what becomes part of a file's name
 _SPEC = re.compile(r"(\.\d{1,2})?[efg]?", re.ASCII)
 
@@ -55,7 +56,7 @@ def _written(key: Any) -> str:
 
 
 def _phase_document(phase: Phase) -> dict[str, Any]:
-    variables = {name: plain(getattr(phase, name)) for name in _VARIABLES}
+    variables = {name: plain(rows) for name in _VARIABLES if (rows := getattr(phase, name)) or name in _ALWAYS}
     controls = [{"kind": c.kind, **plain(c)} for c in phase.controls]
     return {"name": phase.name, "duration": phase.duration, "controls": controls, **variables}
 
@@ -124,7 +125,8 @@ def _phase(entry: Any, where: str) -> Phase:
         if kind is None:
             refuse(f"{where}.controls[{i}]", str(control)[:40], "a control of kind " + " or ".join(_CONTROLS))
         controls.append(record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]"))
-    variables: dict[str, Any] = {field: _rows(entry, field, Variable) for field in _VARIABLES}
+    named = [field for field in _VARIABLES if field in entry or field in _ALWAYS]
+    variables: dict[str, Any] = {field: _rows(entry, field, Variable) for field in named}
     return Phase(
         name=name, duration=text(entry, "duration"), controls=tuple(controls), dynamics=_nothing, **variables
     )  # fmt: skip

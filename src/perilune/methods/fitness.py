@@ -7,7 +7,7 @@ cheap.
 nodes, linear between them. Flown forward by classical Runge-Kutta steps of the user's own functions from the
 start, so that the dynamics hold and only J and the missed conditions are left:
 
-    fitness = J + price (|end conditions| + rms of broken path conditions and state bounds).
+    fitness = J + price (|end conditions| + rms of broken path and held conditions and state bounds).
 
 *Costates* (for the indirect method): genes are the free parameters and the direction of all initial costates.
 The flight depends on that direction only; the length s of the costates and the multipliers nu enter the
@@ -157,11 +157,10 @@ class ControlFitness:
         size = states.shape[2]
         end = _stacked(phase.evaluate("end", list(states[-1]), (), p), size)
         end = _missed(self.problem, phase.end_conditions, end)
-        broken = []
-        if phase.path is not None:
-            along = list(np.moveaxis(states[1:], 0, 1)), list(np.moveaxis(controls[2::2], 0, 1))
-            for value in phase.evaluate("path", *along, p):
-                broken.append(np.maximum(-np.broadcast_to(np.asarray(value, dtype=float), (STEPS, size)), 0.0))
+        broken, along = [], (list(np.moveaxis(states[1:], 0, 1)), list(np.moveaxis(controls[2::2], 0, 1)))
+        for name, amiss in (("path", lambda value: np.maximum(-value, 0.0)), ("held", np.abs)):
+            for value in phase.evaluate(name, *along, p):
+                broken.append(amiss(np.broadcast_to(np.asarray(value, dtype=float), (STEPS, size))))
         scales = state_scales(self.problem, phase)
         for i, (state, scale) in enumerate(zip(phase.states, scales, strict=True)):
             x = states[1:, i]

@@ -86,7 +86,7 @@ def _check_scales(problem: Any) -> None:
             raise PeriluneError(
                 f"{variable.name} has a scale, and is only told of an answer",
                 got=f"scale={variable.scale:g}",
-                expected="scales of states, end conditions and path conditions; objective_scale of the problem",
+                expected="scales of states and of end, path and held conditions; objective_scale of the problem",
             )
 
 

@@ -29,6 +29,7 @@ PHASE_FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "dynamics": (("x", "u", "p"), "states"),
     "end": (("x", "p"), "end_conditions"),
     "path": (("x", "u", "p"), "path_conditions"),
+    "held": (("x", "u", "p"), "held_conditions"),
     "outputs": (("x", "u", "p"), "output_variables"),
     "integrals": (("x", "u", "p"), "integral_variables"),
     "inertial": (("x", "u", "t", "p"), ""),

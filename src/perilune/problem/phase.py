@@ -33,6 +33,9 @@ class Phase:
         condition has bounds has to lie between them instead.
     path, path_conditions
         ``path(x, u, p, m)`` returns values that must not be negative on the phase.
+    held, held_conditions
+        ``held(x, u, p, m)`` returns values that vanish all along the phase: they say what the control does there, such
+        as to follow a glide slope. As many components of the control as there are values have to act in them.
     outputs, output_variables
         ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
     integrals, integral_variables
@@ -57,6 +60,8 @@ class Phase:
     end_conditions: tuple[Variable, ...] = ()
     path: Physics | None = None
     path_conditions: tuple[Variable, ...] = ()
+    held: Physics | None = None
+    held_conditions: tuple[Variable, ...] = ()
     outputs: Physics | None = None
     output_variables: tuple[Variable, ...] = ()
     integrals: Physics | None = None
@@ -78,7 +83,7 @@ class Phase:
     @property
     def sized(self) -> tuple[Variable, ...]:
         """What methods compute with in canonical units: states and conditions."""
-        return (*self.states, *self.end_conditions, *self.path_conditions)
+        return (*self.states, *self.end_conditions, *self.path_conditions, *self.held_conditions)
 
     @cached_property
     def state_record(self) -> Callable[..., Any]:
@@ -98,7 +103,7 @@ class Phase:
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``path``, ``outputs``, ``integrals``, or of ``end`` and ``track``, which take no control.
+        """Values of ``path``, ``held``, ``outputs``, ``integrals``, or of ``end`` and ``track``, which take no control.
 
         Empty where the phase has none.
         """

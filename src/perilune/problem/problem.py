@@ -6,7 +6,7 @@ A `Problem` holds the user's functions and nothing of any method. In SI units th
     subject to  x' = dynamics(x, u, p)                on each phase, time from the phase's ignition
                 x(0) = start(p)                       first phase
                 x(0) = link(x(end of phase before), p)   later phases
-                end(x(T), p) = 0,  path(x, u, p) >= 0
+                end(x(T), p) = 0,  path(x, u, p) >= 0,  held(x, u, p) = 0
 
 A *free initial state* is a `start` that depends on free parameters; a free duration is a free parameter named by the
 phase. Running costs are states of their own. Every number that may be varied is a named parameter, *given* or *free*,

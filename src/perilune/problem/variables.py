@@ -49,7 +49,7 @@ def _in_si(name: str, text: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """A named component with its unit: a state, an end condition, a path condition or an output.
+    """A named component with its unit: a state, a condition at the end or on the way, or an output.
 
     `lower` and `upper` bound a state, in SI: a number, or the name of the given parameter that is the bound. An end
     condition with one of them is a range: its value has to lie between the bounds, and not to vanish. `label` is its

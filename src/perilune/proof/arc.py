@@ -124,11 +124,24 @@ class Arc:
         """Sizes of the path conditions [SI]."""
         return self._condition_sizes("path", self.phase.path_conditions)
 
+    @cached_property
+    def held_scale(self) -> Vector:
+        """Sizes of the held conditions [SI]; what they go through are their terms, as together these vanish."""
+        t, n = self.trajectory.state.time, len(self.phase.states)
+        size = np.concatenate([self.state_scale, self.control_scale])
+        slopes = jacobian(
+            lambda z: stacked(self.phase.evaluate("held", z[:n], z[n:], self.p, COMPLEX), np.shape(z)[1:]),
+            np.concatenate([self.state(t), self.control(t)]), size,
+        )  # fmt: skip
+        return self._sizes(self.phase.held_conditions, np.abs(slopes).sum(axis=1).max(axis=1))
+
     def _condition_sizes(self, function: str, conditions: Sequence[Variable]) -> Vector:
-        """Canonical units, or scales of their own; no more than what the conditions go through bears out."""
         t = self.trajectory.state.time
         values = self.phase.evaluate(function, list(self.state(t)), list(self.control(t)), self.p)
-        reached = np.abs(stacked(values, t.shape, float)).max(axis=1)
+        return self._sizes(conditions, np.abs(stacked(values, t.shape, float)).max(axis=1))
+
+    def _sizes(self, conditions: Sequence[Variable], reached: Vector) -> Vector:
+        """Canonical units, or scales of their own; no more than what the conditions go through bears out."""
         units = [likely(self.problem.scales.of(c.unit), most) for c, most in zip(conditions, reached, strict=True)]
         return np.array([
             unit if c.scale is None else borne_out(c.scale, unit, float(most))
@@ -238,7 +251,14 @@ class Arc:
 
     def path(self, x: Any, u: Any) -> Matrix:
         """Path conditions, (conditions, ...), for x (n, ...) and u (k, ...)."""
-        values = self.phase.evaluate("path", list(x), list(u), self.p)
+        return self._along("path", x, u)
+
+    def held(self, x: Any, u: Any) -> Matrix:
+        """Held conditions, (conditions, ...), for x (n, ...) and u (k, ...)."""
+        return self._along("held", x, u)
+
+    def _along(self, function: str, x: Any, u: Any) -> Matrix:
+        values = self.phase.evaluate(function, list(x), list(u), self.p)
         return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]), float)
 
     def read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix, Matrix]:

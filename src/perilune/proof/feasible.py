@@ -7,7 +7,8 @@ piece of every table (`pieces`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from perilune.proof.flight import MOST_GROWTH, Flight, smooth_pieces
 from perilune.proof.pieces import ENDS, extremes, polynomial, through, turns
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 
 # Of the size of each quantity, times the growth of errors along the flight. Measured on good answers: end conditions
 # 2e-11, states along the arc 4e-11.
@@ -60,7 +61,7 @@ def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         yield from _ends(arc, flight)
         yield from _states(arc, flight)
         yield from _controls(arc)
-        yield from _paths(arc, flight)
+        yield from _on_the_way(arc, flight)
     yield from _free_parameters(solution)
     yield _objective(solution, *flown[-1])
     yield from _bookkeeping(solution)
@@ -142,23 +143,35 @@ def _controls(arc: Arc) -> Iterator[Check]:
             yield _bound(f"{arc.prefix}bounds_{name}", name, values, *limits, control.unit, scale)
 
 
-def _paths(arc: Arc, flight: Flight) -> Iterator[Check]:
-    """Values inside every piece and at its ends; and where the cubic through those of a piece turns, that one too."""
-    if not arc.phase.path_conditions:
-        return
+def _on_the_way(arc: Arc, flight: Flight) -> Iterator[Check]:
+    phase, count = arc.phase, len(arc.looked_at[0])
+    if phase.path_conditions:
+        rows = zip(phase.path_conditions, arc.path_scale, _everywhere(arc, flight, arc.path), strict=True)
+        for condition, size, values in rows:
+            yield Check(
+                name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
+                value=float(np.max(np.maximum(-values, 0.0))), limit=END_LIMIT * float(size),
+                meaning=f"largest violation of {condition.name} >= 0 inside {count} pieces of the new flight",
+            )  # fmt: skip
+    if phase.held_conditions:
+        rows = zip(phase.held_conditions, arc.held_scale, _everywhere(arc, flight, arc.held), strict=True)
+        for condition, size, values in rows:
+            yield Check(
+                name=f"{arc.prefix}held_{condition.name}", level=1, unit=condition.unit,
+                value=float(np.max(np.abs(values))), limit=END_LIMIT * float(size),
+                meaning=f"largest difference of {condition.name} from 0 inside {count} pieces of the new flight",
+            )  # fmt: skip
+
+
+def _everywhere(arc: Arc, flight: Flight, conditions: Callable[[Any, Any], Matrix]) -> Iterator[Vector]:
+    """Values of each condition inside every piece, at its ends, and where the cubic through those of a piece turns."""
     pieces = arc.looked_at[0]
-    inside = arc.path(flight.inside, arc.read(pieces)[1])
-    at_ends = arc.path(flight.at_ends, arc.read(pieces, ENDS)[1])
-    for row, condition in enumerate(arc.phase.path_conditions):
+    inside = conditions(flight.inside, arc.read(pieces)[1])
+    at_ends = conditions(flight.at_ends, arc.read(pieces, ENDS)[1])
+    for row in range(len(inside)):
         shares = turns(through(inside[row]))
-        dips = arc.path(polynomial(through(flight.inside)[:, :, None], shares), arc.read(pieces, shares)[1])[row]
-        values = np.concatenate([part.ravel() for part in (inside[row], at_ends[row], dips)])
-        yield Check(
-            name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
-            value=float(np.max(np.maximum(-values, 0.0))),
-            limit=END_LIMIT * float(arc.path_scale[row]),
-            meaning=f"largest violation of {condition.name} >= 0 inside {len(pieces)} pieces of the new flight",
-        )  # fmt: skip
+        dips = conditions(polynomial(through(flight.inside)[:, :, None], shares), arc.read(pieces, shares)[1])[row]
+        yield np.concatenate([part.ravel() for part in (inside[row], at_ends[row], dips)])
 
 
 def _free_parameters(solution: Solution) -> Iterator[Check]:

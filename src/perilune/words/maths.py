@@ -133,7 +133,16 @@ class Table:
         if side is not None:
             inner = self.kind == "smooth"
             first, last = [(0, 0), (1, last - 1), (last, last)][side] if inner else (side, side)
-        rows = [[float(v) for v in row] for row in (self.knots, *self.pieces)]
+        return self._chosen(self.pieces, value, choose, first, last)
+
+    def slope(self, value: Any, choose: Choose) -> Any:
+        """The derivative, by choices between pieces; at a knot where it jumps, that of the piece above."""
+        powers = np.arange(len(self.pieces))[::-1, None]
+        return self._chosen((powers * self.pieces)[:-1], value, choose, 0, len(self.x))
+
+    def _chosen(self, pieces: Any, value: Any, choose: Choose, first: int, last: int) -> Any:
+        """The piece of coefficients `pieces` in which a value lies, of the pieces from `first` to `last`."""
+        rows = [[float(v) for v in row] for row in (self.knots, *pieces)]
         found = [row[first] for row in rows]
         for k in range(first + 1, last + 1):
             beyond = value >= self.x[k - 1]

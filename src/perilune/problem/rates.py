@@ -1,0 +1,191 @@
+"""How a function of the state changes along the flight: total derivatives of tapes, exact.
+
+Of S(x, p) and the dynamics x' = f(x, u, p) forward differentiation through the operations of S makes
+
+    S'(x, u, p) = sum of dS/dx_i f_i
+
+as a tape like any other, and of that S'' and so on until a control appears: the *order* of S is how often that takes.
+What does not change is left out and not multiplied by zero, so that a control is in S^(q) only where one may act.
+
+Source: Bryson, Denham, Dreyfus, *Optimal programming problems with inequality constraints*, AIAA Journal 1 (11), 1963;
+differentiation of a list of operations: Griewank, Walther, *Evaluating Derivatives*, 2008, chapter 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+from perilune.problem.tape import ROLES, Expression, Recorder, Symbol, operands
+from perilune.words.outcome import PeriluneError
+
+MOST_ORDER = 4  # derivatives that are looked at; states are coupled more directly than that
+Inputs = Mapping[tuple[str, str], Any]  # by (role, component)
+
+# What a rate is made of: the value of the operation, its operands and their rates (None where they do not change).
+_UNARY: dict[str, Callable[[Any, Any, Any, Any], Any]] = {
+    "neg": lambda m, v, a, da: -da,
+    "sqrt": lambda m, v, a, da: da / (2.0 * v),
+    "sin": lambda m, v, a, da: m.cos(a) * da,
+    "cos": lambda m, v, a, da: -(m.sin(a) * da),
+    "tan": lambda m, v, a, da: (1.0 + v * v) * da,
+    "asin": lambda m, v, a, da: da / m.sqrt(1.0 - a * a),
+    "acos": lambda m, v, a, da: -(da / m.sqrt(1.0 - a * a)),
+    "atan": lambda m, v, a, da: da / (1.0 + a * a),
+    "sinh": lambda m, v, a, da: m.cosh(a) * da,
+    "cosh": lambda m, v, a, da: m.sinh(a) * da,
+    "tanh": lambda m, v, a, da: (1.0 - v * v) * da,
+    "exp": lambda m, v, a, da: v * da,
+    "log": lambda m, v, a, da: da / a,
+    "fabs": lambda m, v, a, da: m.where(a < 0.0, -da, da),
+}
+
+
+def _sum(one: Any, other: Any) -> Any:
+    return other if one is None else one if other is None else one + other
+
+
+def _minus(one: Any) -> Any:
+    return None if one is None else -one
+
+
+def _times(one: Any, factor: Any) -> Any:
+    return None if one is None else one * factor
+
+
+def _power(m: Any, v: Any, a: Any, b: Any, da: Any, db: Any) -> Any:
+    """d(a^b) = b a^(b-1) da + a^b log(a) db; of no term that does not change is a logarithm taken."""
+    first = None
+    if da is not None:
+        first = 2.0 * a * da if isinstance(b, float) and b == 2.0 else b * a ** (b - 1.0) * da
+    return first if db is None else _sum(first, v * m.log(a) * db)
+
+
+def _either(m: Any, condition: Any, da: Any, db: Any) -> Any:
+    return m.where(condition, 0.0 if da is None else da, 0.0 if db is None else db)
+
+
+_BINARY: dict[str, Callable[[Any, Any, Any, Any, Any, Any], Any]] = {
+    "add": lambda m, v, a, b, da, db: _sum(da, db),
+    "sub": lambda m, v, a, b, da, db: _minus(db) if da is None else da if db is None else da - db,
+    "mul": lambda m, v, a, b, da, db: _sum(_times(da, b), _times(db, a)),
+    "div": lambda m, v, a, b, da, db: (da if db is None else _sum(da, -(v * db))) / b,
+    "pow": _power,
+    "atan2": lambda m, v, a, b, da, db: _sum(_times(da, b), _minus(_times(db, a))) / (a * a + b * b),
+    "fmin": lambda m, v, a, b, da, db: _either(m, a <= b, da, db),
+    "fmax": lambda m, v, a, b, da, db: _either(m, a >= b, da, db),
+}
+
+
+def _rate_of(m: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[Any], table: Any) -> Any:
+    """Rate of one operation; a comparison has none, and of a choice the side that is taken counts."""
+    if all(rate is None for rate in rates) or name in ("lt", "le", "eq", "ne"):
+        return None
+    if name == "where":
+        return None if rates[1] is None and rates[2] is None else _either(m, of[0], *rates[1:])
+    if name == "table":
+        return table.slope(of[0], m.where) * rates[0]
+    if name in _UNARY:
+        return _UNARY[name](m, value, of[0], rates[0])
+    return _BINARY[name](m, value, *of, *rates)
+
+
+def run(expression: Expression, recorder: Recorder, inputs: Inputs | None = None) -> list[Any]:
+    """The values of an expression as symbols of a recorder, with `inputs` in place of those of these names."""
+    records: dict[str, Any] = {role: SimpleNamespace() for role in expression.roles}
+    for role, name in (op for op in expression.tape.instructions if op[0] in ROLES):
+        symbol = inputs[role, name] if inputs and (role, name) in inputs else recorder.input(role, name)
+        if name:
+            setattr(records[role], name, symbol)
+        else:
+            records[role] = symbol
+    found = expression(*records.values(), recorder.namespace)
+    return [found] if expression.scalar else list(found)
+
+
+def gathered(parts: Sequence[Expression], roles: tuple[str, ...]) -> Expression:
+    """All values of several expressions as those of one, which takes the records `roles`."""
+    recorder = Recorder()
+    values = [value for part in parts for value in run(part, recorder)]
+    return Expression(recorder.tape(values), roles, origin=parts[0].origin if parts else "")
+
+
+def component(expression: Expression, k: int) -> Expression:
+    """One value of an expression."""
+    recorder = Recorder()
+    tape = recorder.tape([run(expression, recorder)[k]])
+    return Expression(tape, expression.roles, origin=expression.origin)
+
+
+def acts(expression: Expression) -> bool:
+    """Whether a control is in it."""
+    return any(op[0] == "u" for op in expression.tape.instructions)
+
+
+def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> Expression:
+    """The total derivatives of a function's values along the flight.
+
+    Parameters
+    ----------
+    function
+        Of states and parameters, ``f(x, p)`` or ``f(x, u, p)`` without a control in it.
+    dynamics
+        ``f(x, u, p)``.
+    states
+        Names of the states, in the order of the rates.
+    """
+    recorder = Recorder()
+    m = recorder.namespace
+    rates = dict(zip(states, run(dynamics, recorder), strict=True))
+    tables = {table.digest: table for table in function.tape.tables}
+    values, found = list[Any](), list[Any]()
+    for operation in function.tape.instructions:
+        name, *rest = operation
+        at = operands(operation)
+        if name in ROLES:
+            values.append(recorder.input(name, rest[0]))
+            found.append(_changing(rates[rest[0]]) if name == "x" else None)
+        elif name == "const":
+            values.append(float(rest[0]))
+            found.append(None)
+        else:
+            of = [values[i] for i in at]
+            table = tables[rest[1]] if name == "table" else None
+            value = m.table(table, of[0]) if table is not None else recorder.do(name, *of)
+            values.append(value)
+            found.append(_rate_of(m, name, value, of, [found[i] for i in at], table))
+    outputs = [0.0 if found[k] is None else found[k] for k in function.tape.outputs]
+    return Expression(recorder.tape(outputs), ("x", "u", "p"), origin=function.origin)
+
+
+def _changing(value: Any) -> Any:
+    """A rate that may be other than zero."""
+    return value if isinstance(value, Symbol) or value != 0 else None
+
+
+def derivatives(function: Expression, dynamics: Expression, states: Sequence[str], what: str) -> tuple[Expression, ...]:
+    """(S, S', ..., S^(q)), the last being the first with a control in it: q is the order of S.
+
+    Parameters
+    ----------
+    function, dynamics, states
+        As of `rate`; a function with a control in it is of order 0.
+    what
+        What it is called in a message.
+
+    Raises
+    ------
+    PeriluneError
+        If no control appears.
+    """
+    found = [function]
+    while not acts(found[-1]):
+        if len(found) > MOST_ORDER:
+            raise PeriluneError(
+                f"no control acts on {what}",
+                got=f"none in its first {MOST_ORDER} derivatives along the flight",
+                expected="a quantity that a control moves",
+            )
+        found.append(rate(found[-1], dynamics, states))
+    return tuple(found)
