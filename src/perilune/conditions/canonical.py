@@ -17,7 +17,8 @@ from itertools import accumulate
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.control_law import ControlLaw, Held, keepable, minimising_control
+from perilune.conditions.control_law import ControlLaw, minimising_control
+from perilune.conditions.held import Held, held_back, keepable
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.neighbours import offsets, unmoved
@@ -140,21 +141,17 @@ def canonical_equations(
     Raises
     ------
     PeriluneError
-        If a control's minimum of H is not known, the dynamics depend on the phase's own duration, or something is held
-        along the phase.
+        If a control's minimum of H is not known, or the dynamics depend on the phase's own duration.
     """
-    if phase.held_conditions:
-        raise PeriluneError(
-            f"the control that minimises H is not known where something is held along {phase.name}",
-            got=", ".join(c.name for c in phase.held_conditions),
-            expected="a phase without held conditions",
-            advice="Pseudospectral() holds them",
-        )
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
-    dynamics, kept = trace_sides(phase, x, u, p.record), _kept(phase, x, u, p, keep)
+    dynamics = trace_sides(phase, x, u, p.record)
+    kept = {name: c for name, c in _along("path", phase, x, u, p).items() if name in keep and keepable(phase, c, u)}
+    always = _along("held", phase, x, u, p)
     bounds = ca.vertcat(ca.SX(0, 1), *(limit for pair in limits.values() for limit in pair))
-    acting = ca.vertcat(*dynamics.rates, *(c.argument for c in dynamics.choices), bounds, *kept.values())
+    acting = ca.vertcat(
+        *dynamics.rates, *(c.argument for c in dynamics.choices), bounds, *kept.values(), *always.values()
+    )
     constants = tuple(
         i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(acting, p.free[i])
     )
@@ -175,12 +172,15 @@ def canonical_equations(
     laws, flows, solved, reports = [], [], [], []
     for f in dynamics.rates:
         hamiltonian = ca.dot(lam[:n], f)
-        law = minimising_control(phase, hamiltonian, u, limits, kept)
+        law = minimising_control(phase, hamiltonian, u, limits, kept, always)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
         gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
         for control, found, held in zip(law.control, law.solved, law.held, strict=True):
-            bounding = ca.vertcat(bounds, *(kept[name] for name in held))
-            pull = _through_bounds(hamiltonian, u, control, bounding, ca.vertcat(x, q))
+            # A limit that is a free parameter moves the control with it.
+            pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, bounds, q))
+            pull -= held_back(
+                phase, hamiltonian, u, [*always.values(), *(kept[name] for name in held)], ca.vertcat(x, q)
+            )
             whole = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
@@ -310,19 +310,18 @@ def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], leas
     return ca.vertcat(x, at), ca.substitute(least, lam, at)
 
 
-def _kept(phase: Phase, x: ca.SX, u: ca.SX, p: Parameters, keep: Held) -> dict[str, ca.SX]:
-    """Those of the conditions that the control law can hold."""
-    conditions = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
-    named = {c.name: conditions[i] for i, c in enumerate(phase.path_conditions) if c.name in keep}
-    return {name: condition for name, condition in named.items() if keepable(phase, condition, u)}
+def _along(function: str, phase: Phase, x: ca.SX, u: ca.SX, p: Parameters) -> dict[str, ca.SX]:
+    """Path or held conditions by name."""
+    values = column(phase.evaluate(function, elements(x), elements(u), p.record, SYMBOLIC))
+    return {c.name: values[i] for i, c in enumerate(getattr(phase, f"{function}_conditions"))}
 
 
-def _through_bounds(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounding: ca.SX, z: ca.SX) -> ca.SX:
-    """dH/dz through a control that sits at a limit, or on a condition of the path, which depends on z."""
-    if not ca.depends_on(bounding, z):
-        return ca.SX.zeros(z.numel(), 1)
+def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX, q: ca.SX) -> ca.SX:
+    """dH/dq through a control that sits at a limit which depends on the free parameters q."""
+    if not ca.depends_on(bounds, q):
+        return ca.SX.zeros(q.numel(), 1)
     # On a bound dH/du is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
-    return ca.mtimes(ca.jacobian(control, z).T, ca.gradient(hamiltonian, u))
+    return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
 
 
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:

@@ -6,9 +6,7 @@ function of the scalars alone, whose slopes S = dH/du are the same with d in pla
 which H is linear sits at a bound, at the upper one where S < 0. One in which H bends sits at a bound, or between them
 where S = 0: in closed form where H is quadratic, else by Newton's method.
 
-A condition of the path that is linear in a direction, c = a . d - b >= 0, leaves a cap of the sphere. Where -g/|g| lies
-outside, the least H is on its rim, d = b/|a| a/|a| - sqrt(1 - (b/|a|)^2) h/|h| with h the part of g across a; where two
-of them hold, in a corner.
+Conditions of the path that are linear in a direction are held where H asks for more (`perilune.conditions.held`).
 
 A *mode* names the regime of every scalar and the conditions that are held; its control is smooth in (x, lambda). Zeros
 of S, a control between its bounds that reaches one, and zeros of c with the control that leaves it out are the events
@@ -19,12 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
 from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 
+from perilune.conditions.held import Held, best_direction, together, told_scalar
 from perilune.problem.controls import Bounded, Regime, directions, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
@@ -34,9 +33,6 @@ from perilune.words.outcome import PeriluneError
 _GRID = {1: 17, 2: 9}
 _STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
-
-
-Held = tuple[str, ...]  # conditions of the path by name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +80,7 @@ def minimising_control(
     u: ca.SX,
     limits: dict[str, tuple[ca.SX, ca.SX]],
     kept: Mapping[str, ca.SX] = MappingProxyType({}),
+    always: Mapping[str, ca.SX] = MappingProxyType({}),
 ) -> ControlLaw:
     """The control that minimises H.
 
@@ -97,17 +94,24 @@ def minimising_control(
         Lower and upper limit of each scalar by name; infinite where there is none.
     kept
         Conditions of the path by name, expressions of u that must not become negative; each must be `keepable`.
+    always
+        Expressions of u by name that vanish all along the phase: linear in a direction, or in one scalar alone.
 
     Raises
     ------
     PeriluneError
         If H is linear in a scalar without bounds, or in a direction not linear, or a direction depends on a scalar.
     """
+    told = {name: told_scalar(phase, name, value, u) for name, value in always.items()}
+    scalar_told = dict(found for found in told.values() if found is not None)
+    turning = {name: value for name, value in always.items() if told[name] is None}
     modes, controls, stepped, values = list[_Mode](), list[ca.SX](), list[tuple[ca.SX, ca.SX, ca.SX]](), list[ca.SX]()
-    for held in _sets(phase, u, kept):
-        reduced, law = _directions_eliminated(phase, hamiltonian, u, limits, {name: kept[name] for name in held})
+    for held in together(phase, u, kept):
+        here = {**turning, **{name: kept[name] for name in held}}
+        reduced, law = _directions_eliminated(phase, hamiltonian, u, limits, here)
         kinds = [
-            _Scalar(phase, at, control, reduced, u, limits[control.name]) for at, control in scalars(phase.controls)
+            _Scalar(phase, at, control, reduced, u, limits[control.name], scalar_told.get(at))
+            for at, control in scalars(phase.controls)
         ]
         for regimes in product(*(kind.regimes for kind in kinds)):
             step = _control(phase, reduced, law, u, kinds, regimes)
@@ -135,63 +139,34 @@ class _Mode:
     kinds: list[_Scalar]
 
 
-def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
-    """Whether a condition of the path is linear in one direction and knows no other control."""
-    return _direction_of(phase, condition, u) is not None
-
-
-def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] | None:
-    """First and last place of the direction in which a condition is linear; None where it is not."""
-    for first, last in directions(phase.controls):
-        part, others = u[first:last], ca.vertcat(ca.SX(0, 1), u[:first], u[last:])
-        if ca.depends_on(condition, part):
-            linear = not ca.depends_on(ca.gradient(condition, part), part)
-            return (first, last) if linear and not ca.depends_on(condition, others) else None
-    return None
-
-
-def _sets(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
-    """Which conditions may be held together: none, each, and two of one direction in space."""
-    of = {name: _direction_of(phase, condition, u) for name, condition in kept.items()}
-    pairs = [
-        (a, b)
-        for a, b in combinations(kept, 2)
-        if (at := of[a]) is not None and at == of[b] and at[1] - at[0] == 3 and not _parallel(kept[a], kept[b], u)
-    ]
-    return [(), *((name,) for name in kept), *pairs]
-
-
-def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
-    """Whether two conditions have one axis: seen at a few points."""
-    turn = ca.vertcat(ca.gradient(one, u), ca.gradient(other, u))
-    symbols = ca.symvar(turn)
-    evaluate = ca.Function("axes", [ca.vertcat(ca.SX(0, 1), *symbols)], [turn])
-    rng = np.random.default_rng(0)
-    for _ in range(3):
-        a, b = np.array(evaluate(rng.uniform(0.5, 1.5, len(symbols)))).reshape(2, -1)
-        if np.linalg.norm(a) * np.linalg.norm(b) - abs(a @ b) > 1e-9 * np.linalg.norm(a) * np.linalg.norm(b):
-            return False
-    return True
-
-
 class _Scalar:
     """A scalar control with the slope S of H in it, directions in place."""
 
     def __init__(
-        self, phase: Phase, at: int, control: Bounded, reduced: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX]
+        self,
+        phase: Phase,
+        at: int,
+        control: Bounded,
+        reduced: ca.SX,
+        u: ca.SX,
+        limits: tuple[ca.SX, ca.SX],
+        told: ca.SX | None,
     ) -> None:
-        self.at, self.control, self.limits = at, control, limits
+        self.at, self.control, self.limits, self.told = at, control, limits, told
+        if told is not None:
+            self.regimes: tuple[Regime, ...] = ("held",)
+            return
         self.slope = ca.gradient(reduced, u[at])
         self.linear = not ca.depends_on(self.slope, u[at])
         lower, upper = (not (limit.is_constant() and np.isinf(float(limit))) for limit in limits)
         if self.linear and not (lower and upper):
             raise _no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
         between: tuple[Regime, ...] = () if self.linear else ("interior",)
-        self.regimes: tuple[Regime, ...] = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
+        self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
 
     def value(self, regime: Regime) -> ca.SX:
-        """The control at a bound."""
-        return self.limits[regime == "upper"]
+        """The control at a bound, or as a held condition says."""
+        return self.limits[regime == "upper"] if self.told is None else self.told
 
 
 def _directions_eliminated(
@@ -212,28 +187,11 @@ def _directions_eliminated(
                 if (isinstance(control.lower, float | int) and control.lower < 0) or not _factor(gradient, u[at]):
                     raise _no_law(phase, names, f"a direction that depends on {control.name}")
                 gradient = ca.substitute(gradient, u[at], reference)
-        own = [c for c in held.values() if _direction_of(phase, c, u) == (first, last)]
-        law[first:last] = elements(_best_direction(gradient, part, own))
+        own = [c for c in held.values() if ca.depends_on(c, part)]
+        law[first:last] = elements(best_direction(gradient, part, own))
     places = [i for first, last in directions(phase.controls) for i in range(first, last)]
     best = ca.vertcat(ca.SX(0, 1), *(law[i] for i in places))
     return ca.substitute(hamiltonian, ca.vertcat(ca.SX(0, 1), *(u[i] for i in places)), best), law
-
-
-def _best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> ca.SX:
-    """Where gradient . d is least on the sphere, with up to two linear conditions held."""
-    if not held:
-        return -gradient / ca.norm_2(gradient)
-    axes = [ca.gradient(c, d) for c in held]
-    shares = ca.vertcat(*(-ca.substitute(c, d, ca.SX.zeros(d.numel(), 1)) for c in held))
-    if len(held) == 1:
-        size = ca.norm_2(axes[0])
-        axis, share = axes[0] / size, shares / size
-        across = gradient - ca.dot(gradient, axis) * axis
-        return share * axis - ca.sqrt(1 - share * share) * across / ca.norm_2(across)
-    A = ca.horzcat(*axes)
-    base, normal = ca.mtimes(A, ca.solve(ca.mtimes(A.T, A), shares)), ca.cross(axes[0], axes[1])
-    down = ca.if_else(ca.dot(gradient, normal) > 0, -normal, normal) / ca.norm_2(normal)
-    return base + ca.sqrt(1 - ca.sumsqr(base)) * down
 
 
 def _factor(gradient: ca.SX, scalar: ca.SX) -> bool:
@@ -344,6 +302,8 @@ def _transitions(u: ca.SX, modes: list[_Mode], controls: list[ca.SX], kept: Mapp
 
 def _ways(kind: _Scalar, regime: Regime, control: ca.SX, u: ca.SX) -> list[tuple[Regime, ca.SX, int]]:
     """(regime after, function, direction) of what leads a scalar out of a regime."""
+    if regime == "held":
+        return []
     if regime == "interior":
         value, out = control[kind.at], list[tuple[Regime, ca.SX, int]]()
         if "upper" in kind.regimes:

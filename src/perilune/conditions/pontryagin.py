@@ -28,7 +28,7 @@ from functools import lru_cache
 import casadi as ca
 
 from perilune.conditions.canonical import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
-from perilune.conditions.control_law import Held, keepable
+from perilune.conditions.held import Held, keepable
 from perilune.problem.neighbours import unmoved
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (

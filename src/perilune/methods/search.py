@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from perilune.conditions.canonical import extremal_parameters
-from perilune.conditions.control_law import Held
+from perilune.conditions.held import Held
 from perilune.conditions.pontryagin import Conditions, derive, keepable_conditions
 from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, joints_from, unknowns_from

@@ -21,7 +21,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales
 
-Regime = Literal["lower", "interior", "upper", "direction"]
+Regime = Literal["lower", "interior", "upper", "held", "direction"]
 # A limit: a number in SI, or the name of the parameter that holds it.
 Limit = float | str
 

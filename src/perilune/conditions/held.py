@@ -1,0 +1,123 @@
+"""What conditions of the control say of it: which can be held, the direction that holds them, their multipliers.
+
+A condition of the path that is linear in a direction, c = a . d - b >= 0, leaves a cap of the sphere. Where -g/|g| lies
+outside, the least of g . d is on its rim, d = b/|a| a/|a| - sqrt(1 - (b/|a|)^2) h/|h| with h the part of g across a;
+where two of them hold, in a corner. One that is held all along a phase may be linear in a scalar instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+
+from perilune.problem.controls import directions, scalars
+from perilune.problem.phase import Phase
+from perilune.words.outcome import PeriluneError
+
+Held = tuple[str, ...]  # conditions of the path by name
+
+
+def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
+    """Whether a condition of the path is linear in one direction and knows no other control."""
+    return _direction_of(phase, condition, u) is not None
+
+
+def held_back(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX) -> ca.SX:
+    """What holding conditions c = 0 adds to -dH/dz: their multipliers mu times dc/dz, as functions of the control u.
+
+    H - mu.c is stationary in the control: mu of a direction's conditions from the tangents of the sphere, that of a
+    scalar's from its slope.
+    """
+    total = ca.SX.zeros(z.numel(), 1)
+    if not any(ca.depends_on(c, z) for c in held):
+        return total
+    slopes, rest = ca.gradient(hamiltonian, u), list(held)
+    for first, last in directions(phase.controls):
+        own = [c for c in rest if ca.depends_on(c, u[first:last])]
+        if own:
+            d, c = u[first:last], ca.vertcat(*own)
+            sphere = ca.SX.eye(d.numel()) - ca.mtimes(d, d.T)
+            G = ca.mtimes(ca.jacobian(c, d), sphere)
+            mu = ca.solve(ca.mtimes(G, G.T), ca.mtimes(G, slopes[first:last]))
+            total += ca.jtimes(c, z, mu, True)
+            slopes -= ca.jtimes(c, u, mu, True)
+            rest = [c for c in rest if not any(ca.is_equal(c, other) for other in own)]
+    for c in rest:
+        at = next(at for at, _ in scalars(phase.controls) if ca.depends_on(c, u[at]))
+        total += slopes[at] / ca.gradient(c, u[at]) * ca.gradient(c, z)
+    return total
+
+
+def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] | None:
+    """First and last place of the direction in which a condition is linear; None where it is not."""
+    for first, last in directions(phase.controls):
+        part, others = u[first:last], ca.vertcat(ca.SX(0, 1), u[:first], u[last:])
+        if ca.depends_on(condition, part):
+            linear = not ca.depends_on(ca.gradient(condition, part), part)
+            return (first, last) if linear and not ca.depends_on(condition, others) else None
+    return None
+
+
+def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
+    """Which conditions may be held together: none, each, and two of one direction in space."""
+    of = {name: _direction_of(phase, condition, u) for name, condition in kept.items()}
+    pairs = [
+        (a, b)
+        for a, b in combinations(kept, 2)
+        if (at := of[a]) is not None and at == of[b] and at[1] - at[0] == 3 and not _parallel(kept[a], kept[b], u)
+    ]
+    return [(), *((name,) for name in kept), *pairs]
+
+
+def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
+    """Whether two conditions have one axis: seen at a few points."""
+    turn = ca.vertcat(ca.gradient(one, u), ca.gradient(other, u))
+    symbols = ca.symvar(turn)
+    evaluate = ca.Function("axes", [ca.vertcat(ca.SX(0, 1), *symbols)], [turn])
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        a, b = np.array(evaluate(rng.uniform(0.5, 1.5, len(symbols)))).reshape(2, -1)
+        if np.linalg.norm(a) * np.linalg.norm(b) - abs(a @ b) > 1e-9 * np.linalg.norm(a) * np.linalg.norm(b):
+            return False
+    return True
+
+
+def told_scalar(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> tuple[int, ca.SX] | None:
+    """Place and value of the scalar that a held condition determines; None where it is a direction's."""
+    first_last = next((at for at in directions(phase.controls) if ca.depends_on(condition, u[at[0] : at[1]])), None)
+    if first_last is not None:
+        part = u[first_last[0] : first_last[1]]
+        if not ca.depends_on(ca.gradient(condition, part), part):
+            return None
+    else:
+        acting = [at for at, _ in scalars(phase.controls) if ca.depends_on(condition, u[at])]
+        if len(acting) == 1:
+            slope = ca.gradient(condition, u[acting[0]])
+            if not ca.depends_on(slope, u[acting[0]]):
+                return acting[0], -ca.substitute(condition, u[acting[0]], 0) / slope
+    raise PeriluneError(
+        f"the indirect method cannot hold {name} along {phase.name}",
+        got="a condition that is not linear in one direction, or in one scalar alone",
+        expected="a held condition that says what the control does",
+        advice="use the direct method: solve(problem, Pseudospectral())",
+    )
+
+
+def best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> ca.SX:
+    """Where gradient . d is least on the sphere, with up to two linear conditions held."""
+    if not held:
+        return -gradient / ca.norm_2(gradient)
+    axes = [ca.gradient(c, d) for c in held]
+    shares = ca.vertcat(*(-ca.substitute(c, d, ca.SX.zeros(d.numel(), 1)) for c in held))
+    if len(held) == 1:
+        size = ca.norm_2(axes[0])
+        axis, share = axes[0] / size, shares / size
+        across = gradient - ca.dot(gradient, axis) * axis
+        return share * axis - ca.sqrt(1 - share * share) * across / ca.norm_2(across)
+    A = ca.horzcat(*axes)
+    base, normal = ca.mtimes(A, ca.solve(ca.mtimes(A.T, A), shares)), ca.cross(axes[0], axes[1])
+    down = ca.if_else(ca.dot(gradient, normal) > 0, -normal, normal) / ca.norm_2(normal)
+    return base + ca.sqrt(1 - ca.sumsqr(base)) * down
