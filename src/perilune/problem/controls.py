@@ -269,6 +269,20 @@ def control_scales(controls: Sequence[Control], scales: Scales) -> Vector:
     return np.array([scales.of(control.unit) for control in controls for _ in control.names])
 
 
+def tangents(controls: Sequence[Control], scales: Vector, u: Matrix) -> Any:
+    """Where controls u (components, N) can move, (components, k, N): a sphere's tangents, a scalar's axis.
+
+    Those of a scalar are one size of it long, of `scales` (components,).
+    """
+    columns = []
+    for here, control in placed(controls):
+        for vectors in control.tangents(u[here], float(scales[here.start])):
+            column = np.zeros(u.shape)
+            column[here] = vectors
+            columns.append(column)
+    return np.stack(columns, axis=1)
+
+
 def directions(controls: Sequence[Control]) -> tuple[tuple[int, int], ...]:
     """First and last place of the components of each direction."""
     return tuple((here.start, here.stop) for here, control in placed(controls) if not control.scalar)

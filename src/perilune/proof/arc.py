@@ -15,17 +15,18 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import BEYOND, Problem, borne_out, likely
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Variable
+from perilune.proof.allowed import ON_BOUND, Allowed
 from perilune.proof.crossings import Crossing, Guarded
 from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
 from perilune.proof.pieces import BLOCK, IN_HALVES, POINTS, WEIGHTS, Pieces, just_before, polynomial, through
 from perilune.words.types import Matrix, Vector
 
-ON_BOUND = 1e-7  # a control this close to its bound, in canonical units, lies on it
 # Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they
 # still do is no error that is forgotten, but part of every difference that is reported.
 _SETTLED = 1e-13
 _BENT = 1e-10  # rates times the width of a piece, scaled: how far they may be from a cubic
 _HALVINGS, _MOST_OPEN = 60, 4000
+_TRIED = 100  # of the pieces: whether a condition depends on the control
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +36,8 @@ class Slopes:
     Attributes
     ----------
     state, costate
-        f and -dH/dx, shape (n, N, 4); the costate's are empty where there is none.
+        f, and -dH/dx with what active conditions add to it (`allowed`), shape (n, N, 4); the costate's are empty where
+        there is none.
     matrix
         df/dx, shape (N, 4, n, n).
     """
@@ -122,7 +124,10 @@ class Arc:
     @cached_property
     def path_scale(self) -> Vector:
         """Sizes of the path conditions [SI]."""
-        return self._condition_sizes("path", self.phase.path_conditions)
+        by_control = np.zeros(len(self.phase.path_conditions))
+        if self.allowed:  # one that is met all along goes through nothing
+            by_control[list(self.allowed.places)] = self.allowed.sizes
+        return self._condition_sizes("path", self.phase.path_conditions, by_control)
 
     @cached_property
     def held_scale(self) -> Vector:
@@ -135,10 +140,11 @@ class Arc:
         )  # fmt: skip
         return self._sizes(self.phase.held_conditions, np.abs(slopes).sum(axis=1).max(axis=1))
 
-    def _condition_sizes(self, function: str, conditions: Sequence[Variable]) -> Vector:
+    def _condition_sizes(self, function: str, conditions: Sequence[Variable], least: Any = 0.0) -> Vector:
+        """`least` is what a condition goes through at least."""
         t = self.trajectory.state.time
         values = self.phase.evaluate(function, list(self.state(t)), list(self.control(t)), self.p)
-        return self._sizes(conditions, np.abs(stacked(values, t.shape, float)).max(axis=1))
+        return self._sizes(conditions, np.maximum(np.abs(stacked(values, t.shape, float)).max(axis=1), least))
 
     def _sizes(self, conditions: Sequence[Variable], reached: Vector) -> Vector:
         """Canonical units, or scales of their own; no more than what the conditions go through bears out."""
@@ -261,6 +267,15 @@ class Arc:
         values = self.phase.evaluate(function, list(x), list(u), self.p)
         return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]), float)
 
+    @cached_property
+    def allowed(self) -> Allowed | None:
+        """The path conditions in which the control appears, if there are any."""
+        if not self.phase.path_conditions or not self.phase.controls:
+            return None
+        t = self.cut.left[:: len(self.cut) // _TRIED + 1]
+        scales = self.state_scale, self.control_scale
+        return Allowed.along(self.phase, self.p, scales, self.state(t), self.control(t))
+
     def read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix, Matrix]:
         """State, control (directions normalised) and costate on pieces, (components, N, shares)."""
         x, u, *lam = (pieces.read(curve, shares) for curve in self.curves)
@@ -275,9 +290,11 @@ class Arc:
         f = self.rates(x[:, None] + (1j * STEP * np.diag(scale))[:, :, None], u)
         matrix = f.imag / STEP / scale[:, None, None]
         known = self.trajectory.costate is not None
-        costate = -(lam[:, None] / self.costate_scale[:, None, None] * matrix).sum(axis=0).reshape(shape)
+        costate = -(lam[:, None] / self.costate_scale[:, None, None] * matrix).sum(axis=0)
+        if known and self.allowed:
+            costate = costate + self.allowed.push(x, u, lam) / self.objective_scale
         return Slopes(
-            state=(f[:, 0].real / scale[:, None]).reshape(shape), costate=costate if known else costate[:0],
+            state=(f[:, 0].real / scale[:, None]).reshape(shape), costate=costate.reshape(shape)[: n * known],
             matrix=np.moveaxis(matrix.reshape(n, n, count, -1), (2, 3), (0, 1)),
         )  # fmt: skip
 

@@ -7,8 +7,9 @@ With H = lam.f (running costs are states) and Phi = phi + nu.psi at each phase's
             + int lam.df/dp dt = 0 for each free p,
     u minimises H at each time.
 
-A path condition or bound of a state that is kept without being listed here has multiplier 0. One that holds the flight
-back has a multiplier of its own, which no method here returns: it shows in lam', or in dH/du, and that check fails.
+A path condition in which the control appears has the multiplier that `allowed` finds, and H - mu.c the place of H in
+lam' and dJ/dp. Any other, or a bound of a state, that is kept has multiplier 0. One that holds the flight back has
+a multiplier that no table holds: it shows in lam', or in dH/du, and that check fails.
 
 A duration T is a parameter too, T H being the rate per unit of normalised time: its condition gives H its
 required value, which is 0 where nothing but the dynamics depends on T. For the free initial state of Cho et
@@ -193,8 +194,13 @@ def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> 
             total += slope([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
         total += sum(nu * slope([1.0], [s]) for nu, s in _guards(arc, stepped))
         inside = arc.sampled
-        f = arc.rates(inside.x, inside.u + 1j * STEP * unit * with_limits(arc, inside.u, name), stepped)
-        total += float((inside.lam * f.imag).sum(axis=0) @ inside.weights) / (STEP * unit)
+        u = inside.u + 1j * STEP * unit * with_limits(arc, inside.u, name)
+        f = arc.rates(inside.x, u, stepped)
+        changes = (inside.lam * f.imag).sum(axis=0)
+        if arc.allowed:
+            mu = arc.allowed.multipliers(inside.x, inside.u, inside.lam).mu
+            changes = changes - (mu * arc.allowed.values(inside.x, u, stepped).imag).sum(axis=0)
+        total += float(changes @ inside.weights) / (STEP * unit)
         if arc.phase.duration == name:
             total += float((inside.lam * f.real).sum(axis=0) @ inside.weights) / arc.duration
     return total
@@ -255,6 +261,11 @@ def _active(arc: Arc, flight: Flight) -> str:
     x = flight.inside.reshape(len(arc.phase.states), -1)
     paths = zip(arc.phase.path_conditions, arc.path_scale, arc.path(x, inside.u), strict=True)
     margins = [(f"{condition.name} >= 0", size, value) for condition, size, value in paths]
+    if arc.allowed:  # whose multipliers are known where the control lies on it
+        known = zip(arc.allowed.places, arc.allowed.active(inside.x, inside.u), strict=True)
+        for place, active in known:
+            name, size, value = margins[place]
+            margins[place] = name, size, np.where(active, np.inf, value)
     for state, size, value in zip(arc.phase.states, arc.state_scale, x, strict=True):
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower):

@@ -38,7 +38,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, normalised, placed, scalars
+from perilune.problem.controls import Bounded, normalised, placed, scalars, tangents
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
@@ -52,7 +52,6 @@ from perilune.proof.switching import (
     crossings,
     on_bounds,
     strictness,
-    tangents,
     with_limits,
 )
 from perilune.words.types import Matrix, Vector
@@ -209,7 +208,8 @@ class _Piece:
 
 def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
     """Tangents along which the control may vary, (components, k, N), and whether a bound holds a scalar for a part."""
-    basis, varying, partly, row = tangents(arc, u) if len(u) else np.zeros((0, 0, u.shape[1])), [], False, 0
+    basis = tangents(arc.phase.controls, arc.control_scale, u) if len(u) else np.zeros((0, 0, u.shape[1]))
+    varying, partly, row = [], False, 0
     f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
     effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)
     for here, control in placed(arc.phase.controls):

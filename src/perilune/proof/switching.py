@@ -1,12 +1,13 @@
 """The control minimises H: all over its set, in its slope, and where it switches.
 
 For a scalar u between bounds S = dH/du is its switching function: 0 between the bounds, >= 0 on the lower, <= 0
-on the upper; where u jumps S is 0. That much is necessary (level 2). The strict form of the same, the
+on the upper; where u jumps S is 0. Where a path condition is active that the control appears in, L = H - mu.c has the
+place of H in it (`allowed`), and mu >= 0. That much is necessary (level 2). The strict form of the same, the
 Legendre condition of bang-bang controls, is one of the two sufficient conditions of level 3:
 
     |S| > 0 on a bound, up to both ends of the flight, and dS/dt != 0 where u jumps.
 
-There f+, H_x+ belong to the control after the jump, f-, H_x- to the one before, and with lam' = -H_x
+There f+, H_x+ belong to the control after the jump, f-, H_x- to the one before (L_x likewise), and with lam' = -H_x
 
     D = -d(H+ - H-)/dt = f+.H_x- - f-.H_x+ = -dS/dt (u+ - u-) > 0.
 
@@ -22,9 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars
+from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars, tangents
 from perilune.problem.verification import Check
-from perilune.proof.arc import ON_BOUND, Arc
+from perilune.proof.allowed import ON_BOUND, Allowed, Multipliers
+from perilune.proof.arc import Arc
 from perilune.proof.numerics import STEP, jacobian
 from perilune.proof.pieces import just_before
 from perilune.words.types import Matrix, Vector
@@ -34,13 +36,16 @@ HAMILTONIAN_LIMIT = 1e-9
 SLOPE_LIMIT = 1e-9
 STRICT_LIMIT = -1e-4
 _AT_ONCE = 100_000  # samples of the control, so that they stay in the processor's cache
+_EVERY = 4  # of the samples, moved onto each condition that is active
 ADMISSIBLE = 1e-9  # by how much, in canonical units, a sampled control may leave a path condition
 
 
 def minimality(arc: Arc) -> Iterator[Check]:
     """Checks of level 2 of one phase with controls."""
     yield _minimum(arc)
-    _, u, gradient = gradient_along(arc)
+    _, u, gradient, found = gradient_along(arc)
+    if arc.allowed and found:
+        yield from _signs(arc, arc.allowed, found)
     row = 0
     for here, control in placed(arc.phase.controls):
         rows, name = slice(row, row + control.freedom), "_".join(control.names)
@@ -61,6 +66,16 @@ def minimality(arc: Arc) -> Iterator[Check]:
             limit=SLOPE_LIMIT, meaning=meaning,
         )  # fmt: skip
     yield from _zeros(arc)
+
+
+def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
+    for condition, falls in zip(allowed.conditions, found.falls, strict=True):
+        yield Check(
+            name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
+            value=float(np.maximum(-falls, 0.0).max()) * arc.time_scale / arc.objective_scale,
+            meaning=f"most that the Hamiltonian falls as the control leaves {condition.name} = 0 for the inside: a "
+            "multiplier of the wrong sign (scaled)",
+        )  # fmt: skip
 
 
 def on_bounds(arc: Arc, at: int, control: Bounded, u: Matrix) -> tuple[Vector, Vector]:
@@ -85,7 +100,7 @@ def _zeros(arc: Arc) -> Iterator[Check]:
         if len(times):
             row = _row(arc, control)
             t = np.concatenate([just_before(times), times])
-            S = control_gradient(arc, arc.state(t), arc.control(t), arc.costate(t))[row]
+            S = control_gradient(arc, arc.state(t), arc.control(t), arc.costate(t))[0][row]
             yield Check(
                 name=f"{arc.prefix}switch_{control.name}", level=2, value=float(np.abs(S).max()), unit="1",
                 limit=SLOPE_LIMIT,
@@ -98,7 +113,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
     """Checks of level 3: each scalar on a bound is there strictly, and leaves it by a jump at a finite slope of S."""
     if not any(control.scalar for control in arc.phase.controls):
         return
-    t, u, gradient = gradient_along(arc)
+    t, u, gradient, _ = gradient_along(arc)
     # S may vanish at a break, and at a joint of phases, whose times are chosen too; nowhere else.
     joints = [0.0] * (arc.index > 0) + [arc.duration] * (arc.index < len(arc.problem.phases) - 1)
     zeros = np.array([*arc.breaks, *joints])
@@ -126,9 +141,10 @@ def crossings(arc: Arc) -> Vector:
     lam, x, scale = arc.costate(times), arc.state(times), arc.state_scale
 
     def side(u: Matrix) -> tuple[Matrix, Matrix]:
-        """Rates, and dH/dx."""
+        """Rates, and dL/dx."""
         f_x = jacobian(lambda z: arc.rates(z, u.reshape(len(u), *(1,) * (z.ndim - 2), len(times))), x, scale)
-        return arc.rates(x, u).real, (lam[:, None] * f_x).sum(axis=0) / scale[:, None]
+        pushed = arc.allowed.push(x, u, lam) if arc.allowed else 0.0
+        return arc.rates(x, u).real, ((lam[:, None] * f_x).sum(axis=0) - pushed) / scale[:, None]
 
     (f_before, h_before), (f_after, h_after) = side(arc.control(before)), side(arc.control(times))
     D = (f_after * h_before - f_before * h_after).sum(axis=0)
@@ -154,6 +170,10 @@ def _minimum(arc: Arc) -> Check:
         control.samples(u[here, :, 0], float(arc.control_scale[here.start]), arc.p)
         for here, control in placed(arc.phase.controls)
     ]
+    if arc.allowed:
+        parts, joint = _on_surfaces(arc.allowed, x[:, :, 0], u[:, :, 0], parts)
+        for tried in joint:
+            worst = max(worst, _gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0]))
     samples = math.prod(len(part) for part in parts)
     width = max(1, _AT_ONCE // samples)
     for k in range(0, count, width):
@@ -165,6 +185,27 @@ def _minimum(arc: Arc) -> Check:
         value=worst * arc.time_scale / arc.objective_scale,
         meaning=f"most that any of {samples} controls inside each of {count} pieces lowers the Hamiltonian (scaled)",
     )  # fmt: skip
+
+
+def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix]]) -> tuple[list[list[Matrix]], Any]:
+    """Samples of each control with some more on every active condition that it changes alone; and those of several."""
+    controls, active = allowed.phase.controls, allowed.active(x, u)
+    slopes, joint = np.abs(allowed.slopes(x, u)).max(axis=2), []
+    more = [list(part) for part in parts]
+    owner = np.repeat(np.arange(len(controls)), [control.freedom for control in controls])
+    for row in np.nonzero(active.any(axis=1))[0].tolist():
+        changes, at = {int(i) for i in owner[slopes[row] > 0]}, active[row]
+        thinned = [np.stack(part[::_EVERY] if i in changes else part[:1], axis=1) for i, part in enumerate(parts)]
+        tried = _product([part[:, :, at] for part in thinned])
+        moved, reached = allowed.onto(row, x[:, at], tried, np.isin(owner, list(changes)).astype(float))
+        tried = np.repeat(u[:, None], tried.shape[1], axis=1)
+        tried[:, :, at] = np.where(reached, moved, tried[:, :, at])
+        if len(changes) == 1:
+            (i,) = changes
+            more[i] += list(tried[[here for here, _ in placed(controls)][i]].swapaxes(0, 1))
+        else:
+            joint.append(tried)
+    return more, joint
 
 
 def _product(parts: Sequence[Any]) -> Any:
@@ -185,17 +226,6 @@ def _gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix) -> float:
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 
-def tangents(arc: Arc, u: Matrix) -> Any:
-    """Where the control can move, shape (components, k, N): a sphere's tangents, a scalar's axis."""
-    columns = []
-    for here, control in placed(arc.phase.controls):
-        for vectors in control.tangents(u[here], float(arc.control_scale[here.start])):
-            column = np.zeros(u.shape)
-            column[here] = vectors
-            columns.append(column)
-    return np.stack(columns, axis=1)
-
-
 def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
     """Derivatives of the dynamics as the control moves along `tangents`, (n, k, N), in SI."""
     moved = u[:, None, :] + 1j * STEP * moves
@@ -203,14 +233,18 @@ def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
     return arc.rates(x_many, normalised(arc.phase.controls, moved)).imag / STEP
 
 
-def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
-    """dH/d(control) along `tangents`, scaled, shape (k, N)."""
-    f = control_rates(arc, x, u, tangents(arc, u))
-    return (lam[:, None, :] * f).sum(axis=0) * arc.time_scale / arc.objective_scale
+def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matrix, Multipliers | None]:
+    """dL/d(control) along the tangents, scaled, shape (k, N); multipliers where conditions have the control in them."""
+    f = control_rates(arc, x, u, tangents(arc.phase.controls, arc.control_scale, u))
+    gradient, found = (lam[:, None, :] * f).sum(axis=0), None
+    if arc.allowed:
+        found = arc.allowed.multipliers(x, u, lam)
+        gradient = gradient - found.pull
+    return gradient * arc.time_scale / arc.objective_scale, found
 
 
-def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix]:
-    """Times inside all pieces, at its ends and on both sides of breaks; control and gradient there."""
+def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:
+    """Times inside all pieces, at its ends and on both sides of breaks; control and `control_gradient` there."""
     breaks = np.setdiff1d(arc.breaks, arc.crossed)
     t = np.concatenate([just_before(breaks), breaks, arc.ends])
     inside = arc.sampled
@@ -218,4 +252,4 @@ def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix]:
         np.hstack([inside_, at(t)])
         for inside_, at in ((inside.x, arc.state), (inside.u, arc.control), (inside.lam, arc.costate))
     )
-    return np.append(inside.t, t), u, control_gradient(arc, x, u, lam)
+    return np.append(inside.t, t), u, *control_gradient(arc, x, u, lam)

@@ -1,0 +1,200 @@
+"""What the path conditions allow in which the control appears, and the multipliers of those that hold the flight back.
+
+Where such a condition c(x, u, p) >= 0 is met it is *active*: u minimises H among the controls that keep it. Along the
+tangents of the control, and at an active condition only (Karush-Kuhn-Tucker),
+
+    dH/du = sum of mu_i dc_i/du,   mu_i >= 0,
+
+and L = H - mu.c has H's place: lam' = -dL/dx, and a parameter's derivative of J is that of L. No table holds the mu.
+They are read off dH/du at each time, by least squares; what they leave of it is another check's, as is their sign. A
+scalar on its bound has a multiplier of its own, so that its row says nothing of the mu. Source: Bryson and Ho (1975),
+section 3.10; Hartl, Sethi, Vickson (1995), A survey of the maximum principles for problems with state constraints,
+section 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.controls import Bounded, admissible, normalised, placed, tangents
+from perilune.problem.phase import Phase
+from perilune.problem.variables import Variable
+from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
+from perilune.words.types import Matrix, Vector
+
+ON_BOUND = 1e-7  # a control this close to its bound or to a condition, in canonical units, lies on it
+_DEPENDENT = 1e-10  # of the largest: conditions whose slopes differ by less leave their multipliers open
+_ROUNDS, _FARTHEST = 10, 0.5  # of Newton's method, and of each of its steps in canonical units
+_REACHED = 1e-12  # how far from a condition's surface it may end
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multipliers:
+    """Of r conditions at N points.
+
+    Attributes
+    ----------
+    mu
+        J per second and unit of the condition, (r, N); 0 where it is not active.
+    slopes
+        Derivatives of the conditions along the control's tangents, (r, k, N); 0 where none is active.
+    """
+
+    mu: Matrix
+    slopes: Any
+
+    @property
+    def pull(self) -> Matrix:
+        """What of dH/du they explain, (k, N)."""
+        return (self.mu[:, None] * self.slopes).sum(axis=0)
+
+    @property
+    def falls(self) -> Matrix:
+        """By how much H falls, or rises where negative, as the control leaves each condition the steepest way."""
+        return self.mu * np.sqrt((self.slopes**2).sum(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Allowed:
+    """The conditions of one phase in which its control appears; `along` makes it.
+
+    Attributes
+    ----------
+    phase, p
+        The phase, and all parameters in SI.
+    state_scale, control_scale
+        Sizes of the components [SI].
+    places
+        Of the conditions among those of the path.
+    sizes
+        The most that each condition changes with the control, per canonical unit of it, (r,).
+    """
+
+    phase: Phase
+    p: Any
+    state_scale: Vector
+    control_scale: Vector
+    places: tuple[int, ...]
+    sizes: Vector
+
+    @classmethod
+    def along(cls, phase: Phase, p: Any, scales: tuple[Vector, Vector], x: Matrix, u: Matrix) -> Allowed | None:
+        """None where no condition depends on the control at any of the points x (n, N), u (k, N) of the tables."""
+        count = len(phase.path_conditions)
+        every = cls(
+            phase=phase, p=p, state_scale=scales[0], control_scale=scales[1], places=tuple(range(count)),
+            sizes=np.ones(count),
+        )  # fmt: skip
+        sizes = np.nan_to_num(np.sqrt((every.slopes(x, u) ** 2).sum(axis=1)), posinf=0.0).max(axis=1)
+        places = np.nonzero(sizes)[0]
+        return replace(every, places=tuple(places.tolist()), sizes=sizes[places]) if len(places) else None
+
+    @property
+    def conditions(self) -> tuple[Variable, ...]:
+        """The conditions, in order."""
+        return tuple(self.phase.path_conditions[place] for place in self.places)
+
+    def values(self, x: Any, u: Any, p: Any = None) -> Any:
+        """The conditions, complex-safe, (r, ...), for x (n, ...) and u (k, ...)."""
+        values = self.phase.evaluate("path", list(x), list(u), self.p if p is None else p, COMPLEX)
+        shape = np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:])
+        return stacked([values[place] for place in self.places], shape)
+
+    def slopes(self, x: Matrix, u: Matrix, moves: Any = None) -> Any:
+        """Derivatives (r, k, N) as the control moves along `moves` (components, k, N), by default its tangents."""
+        return self._moved(lambda x, u: self.values(x, u), x, u, moves)
+
+    def _moved(self, function: Any, x: Matrix, u: Matrix, moves: Any = None) -> Any:
+        moves = tangents(self.phase.controls, self.control_scale, u) if moves is None else moves
+        moved = normalised(self.phase.controls, u[:, None] + 1j * STEP * moves)
+        return function(np.broadcast_to(x[:, None], (len(x), *moved.shape[1:])), moved).imag / STEP
+
+    def by_state(self, x: Matrix, u: Matrix) -> Any:
+        """Derivatives (r, n, N) in the states, each over its size."""
+        return jacobian(lambda z: self.values(z, u.reshape(len(u), *(1,) * (z.ndim - 2), -1)), x, self.state_scale)
+
+    def active(self, x: Matrix, u: Matrix) -> Any:
+        """Where each condition is met, (r, N)."""
+        values = self.phase.evaluate("path", list(x), list(u), self.p)
+        rows = stacked([values[place] for place in self.places], x.shape[1:], float)
+        return np.abs(rows) <= ON_BOUND * self.sizes[:, None]
+
+    def multipliers(self, x: Matrix, u: Matrix, lam: Matrix) -> Multipliers:
+        """Multipliers at points x, lam (n, N) and u (components, N), directions normalised."""
+        active = self.active(x, u)
+        freedom = sum(control.freedom for control in self.phase.controls)
+        mu, slopes = np.zeros(active.shape), np.zeros((len(active), freedom, active.shape[1]))
+        at = np.nonzero(active.any(axis=0))[0]
+        if len(at):
+            x, u, lam = x[:, at], u[:, at], lam[:, at]
+            slopes[:, :, at] = C = self.slopes(x, u) * active[:, None, at]
+            g = self._moved(lambda x, u: (lam[:, None] * self._rates(x, u)).sum(axis=0), x, u)
+            mu[:, at] = _least(C / self.sizes[:, None, None] * self._open(u), g * self._open(u)) / self.sizes[:, None]
+        return Multipliers(mu=mu, slopes=slopes)
+
+    def _rates(self, x: Any, u: Any) -> Any:
+        return stacked(self.phase.rates(x, u, self.p, COMPLEX), np.shape(u)[1:])
+
+    def _open(self, u: Matrix) -> Matrix:
+        """Tangents (k, N) along which no bound of a scalar holds: 1 or 0."""
+        rows = []
+        for here, control in placed(self.phase.controls):
+            held = np.zeros(u.shape[1], dtype=bool)
+            if isinstance(control, Bounded):
+                near = ON_BOUND * float(self.control_scale[here.start])
+                held = np.logical_or(*control.on_bounds(u[here.start], near, self.p))
+            rows += [~held] * control.freedom
+        return np.array(rows, dtype=float)
+
+    def onto(self, row: int, x: Matrix, tried: Any, along: Vector) -> tuple[Any, Any]:
+        """Controls `tried` (components, S, N) moved onto the surface c = 0 of one condition, and where they get there.
+
+        By Newton's method, each of its steps the shortest `along` some tangents (k,): 1 or 0; x is (n, N).
+        """
+        controls, size, shape = self.phase.controls, self.sizes[row], tried.shape
+        u = np.array(tried).reshape(len(tried), -1)
+        x = np.broadcast_to(x[:, None], (len(x), *shape[1:])).reshape(len(x), -1)
+        far = np.arange(u.shape[1])
+        for _ in range(_ROUNDS):
+            c = self.values(x[:, far], u[:, far])[row].real / size
+            far, c = far[np.abs(c) > _REACHED], c[np.abs(c) > _REACHED]
+            if not len(far):
+                break
+            C = self.slopes(x[:, far], u[:, far])[row] * along[:, None] / size
+            square = (C**2).sum(axis=0)
+            step = np.divide(-c * C, square, out=np.zeros(C.shape), where=square > 0)
+            long = np.sqrt((step**2).sum(axis=0)) / _FARTHEST
+            moves = tangents(controls, self.control_scale, u[:, far])
+            moved = u[:, far] + (moves * (step / np.maximum(long, 1.0))).sum(axis=1)
+            u[:, far] = admissible(controls, moved, self.p)
+        return u.reshape(shape), (np.abs(self.values(x, u)[row].real) <= _REACHED * size).reshape(shape[1:])
+
+    def push(self, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
+        """sum of mu dc/dx, which lam' has beside -dH/dx: J per second and canonical unit of each state, (n, N)."""
+        mu = self.multipliers(x, u, lam).mu
+        out, at = np.zeros(x.shape), np.nonzero(mu.any(axis=0))[0]
+        if len(at):
+            out[:, at] = (mu[:, None, at] * self.by_state(x[:, at], u[:, at])).sum(axis=0)
+        return out
+
+
+def _least(C: Any, g: Matrix) -> Matrix:
+    """mu (r, N) with g = sum of mu C in the sense of least squares: C (r, k, N), g (k, N).
+
+    Where conditions whose slopes depend on each other leave it open, mu >= 0 that is best so.
+    """
+    if len(C) == 1:
+        square = (C[0] ** 2).sum(axis=0)
+        return np.divide((C[0] * g).sum(axis=0), square, out=np.zeros(g.shape[1]), where=square > 0)[None]
+    A = C.transpose(2, 1, 0)
+    mu = (np.linalg.pinv(A, rcond=_DEPENDENT) @ g.T[:, :, None])[:, :, 0]
+    count = (A != 0).any(axis=1).sum(axis=1)
+    for i in np.nonzero((mu < 0).any(axis=1) & (count > 1))[0]:
+        if np.linalg.matrix_rank(A[i], tol=_DEPENDENT * np.abs(A[i]).max()) < count[i]:
+            from scipy.optimize import nnls
+
+            mu[i] = nnls(A[i], g[:, i])[0]
+    return mu.T

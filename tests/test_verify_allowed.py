@@ -1,0 +1,407 @@
+"""Path conditions that the control appears in and that hold the flight back: closed forms, and SciPy's own shooting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import fsolve
+
+from perilune.problem.controls import Direction
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.verification import Check, Verification
+from perilune.solve import verify
+from perilune.words.outcome import Outcome
+
+
+def failed(verification: Verification) -> set[str]:
+    return {c.name for c in verification.failed}
+
+
+def check(verification: Verification, name: str) -> Check:
+    return next(c for c in verification.checks if c.name == name)
+
+
+def curve(time: Any, values: Any, rates: Any) -> Curve:
+    """From rows of values and rates, numbers for what is constant."""
+    rows = [np.broadcast_to(np.asarray(row, dtype=float), np.shape(time)) for row in (*values, *rates)]
+    half = len(rows) // 2
+    return Curve(time=np.asarray(time), values=np.array(rows[:half]).T, rates=np.array(rows[half:]).T)
+
+
+def flown(solution: Solution, which: str, change: Callable[[Curve], Curve]) -> Solution:
+    """The solution with another table."""
+    trajectory = solution.trajectories[0]
+    return replace(solution, trajectories=(replace(trajectory, **{which: change(getattr(trajectory, which))}),))
+
+
+def answer(problem: Problem, trajectory: Trajectory, objective: float, **free: float) -> Solution:
+    return Solution(
+        problem=problem, method="closed form", outcome=Outcome.SOLVED, objective=objective, free=free,
+        trajectories=(trajectory,),
+    )  # fmt: skip
+
+
+# --- thrust of one size within a cone about the vertical -------------------------------------------------------------
+# The speed vx after 2 s is greatest, height y and way to the side z given. lam_v = (-1, b tau, c tau) with
+# tau = T - t is linear as c(u) knows no state: the thrust points against it, or where that leaves the cone, to the
+# point of its circle that has the same azimuth.
+
+TIME, ASIDE, LIFT, TILT = 2.0, 0.3, -1.1, math.radians(50)
+
+
+def steering(tau: Any, aside: float, lift: float, tilt: float, held: bool | None = None) -> tuple[Any, Any]:
+    """Direction (3, N) against the costates, on the cone where it is `held`, and its rate in time.
+
+    The components are along x, to the side, up. None asks where it is held.
+    """
+    against = np.array([np.ones_like(tau), -aside * tau, -lift * tau])
+    change = np.array([np.zeros_like(tau), np.full_like(tau, aside), np.full_like(tau, lift)])
+    flat = np.sqrt((against[:2] ** 2).sum(axis=0))
+    on = flat * math.cos(tilt) > against[2] * math.sin(tilt) if held is None else np.full(np.shape(tau), held)
+    level = np.vstack([against[:2] / flat * math.sin(tilt), np.full_like(tau, math.cos(tilt))[None]])
+    turn = (change[:2] - against[:2] * (against[:2] * change[:2]).sum(axis=0) / flat**2) / flat * math.sin(tilt)
+    size = np.sqrt((against**2).sum(axis=0))
+    free = against / size
+    spin = (change - free * (free * change).sum(axis=0)) / size
+    return np.where(on, level, free), np.where(on, np.vstack([turn, 0 * tau[None]]), spin)
+
+
+def meets(aside: float, lift: float, tilt: float) -> float:
+    """The time to go at which the thrust meets the cone: sqrt(1 + (b tau)^2) = -c tau tan(tilt)."""
+    return 1 / math.sqrt((lift * math.tan(tilt)) ** 2 - aside**2)
+
+
+@cache
+def gauss() -> tuple[np.ndarray, np.ndarray]:
+    node, weight = np.polynomial.legendre.leggauss(40)
+    return 0.5 * (1 + node), 0.5 * weight
+
+
+def over_time(function: Callable[[Any], Any], cut: float) -> Any:
+    """Integral over tau from 0 to TIME of a function with a kink at `cut`."""
+    node, weight = gauss()
+    parts = [(0.0, min(max(cut, 0.0), TIME)), (min(max(cut, 0.0), TIME), TIME)]
+    return sum((b - a) * (function(a + (b - a) * node) @ weight) for a, b in parts if b > a)
+
+
+def reached(aside: float, lift: float, tilt: float) -> np.ndarray:
+    """What the steering reaches: vx, z, y at the end."""
+    cut = meets(aside, lift, tilt)
+    return np.array([
+        over_time(lambda tau: steering(tau, aside, lift, tilt)[0][0], cut),
+        *(over_time(lambda tau, i=i: tau * steering(tau, aside, lift, tilt)[0][i], cut) for i in (1, 2)),
+    ])  # fmt: skip
+
+
+def push_back(aside: float, lift: float, tilt: float) -> float:
+    """Integral of mu dc/dtilt, c = u_up - cos(tilt): mu sin(tilt) is the slope of H along the meridian."""
+
+    def slope(tau: Any) -> Any:
+        flat = np.sqrt(1 + (aside * tau) ** 2)
+        return np.maximum(flat * math.cos(tilt) + lift * tau * math.sin(tilt), 0.0)
+
+    return float(over_time(slope, meets(aside, lift, tilt)))
+
+
+def cone_problem(aside: float, lift: float, tilt: float, *, chosen: bool = False) -> Problem:
+    """The tilt given, or chosen at a price for each radian that makes `tilt` the best."""
+    phase = Phase(
+        name="arc",
+        states=tuple(Variable(name=n, unit=u) for n, u in
+                     (("z", "m"), ("y", "m"), ("vx", "m/s"), ("vz", "m/s"), ("vy", "m/s"))),
+        controls=(Direction(names=("along", "aside", "up")),),
+        dynamics=lambda x, u, p, m: (x.vz, x.vy, p.thrust * u.along, p.thrust * u.aside, p.thrust * u.up),
+        duration="duration",
+        end=lambda x, p, m: (x.z - p.side, x.y - p.height),
+        end_conditions=(Variable(name="side", unit="m"), Variable(name="height", unit="m")),
+        path=lambda x, u, p, m: (x.y + p.depth, u.up - m.cos(p.tilt)),
+        path_conditions=(Variable(name="above", unit="m"), Variable(name="upright")),
+    )  # fmt: skip
+    _, side, height = reached(aside, lift, tilt)
+    metres = {"side": side, "height": height, "depth": 1.0, "z0": 0.0, "y0": 0.0}
+    speeds = {"vx0": 0.0, "vz0": 0.0, "vy0": 0.0, "price": push_back(aside, lift, tilt) if chosen else 0.0}
+    given = {
+        **{name: Given(value=value, unit="m") for name, value in metres.items()},
+        **{name: Given(value=value, unit="m/s") for name, value in speeds.items()},
+        "thrust": Given(value=1.0, unit="m/s^2"), "duration": Given(value=TIME, unit="s"),
+    }  # fmt: skip
+    if not chosen:
+        given["tilt"] = Given(value=tilt, unit="rad")
+    return Problem(
+        name="cone", phases=(phase,), start=lambda p, m: (p.z0, p.y0, p.vx0, p.vz0, p.vy0),
+        given=given, free=(Free(name="tilt", unit="rad", lower=0.1, upper=1.5),) if chosen else (),
+        objective=lambda x, p, m: p.price * p.tilt - x.vx, objective_unit="m/s",
+    )  # fmt: skip
+
+
+def nodes(cuts: list[float], count: int = 800) -> np.ndarray:
+    """Times from cut to cut, with both sides of those inside."""
+    return np.concatenate([np.linspace(a, b, count) for a, b in pairwise(cuts)])
+
+
+def cone(
+    aside: float = ASIDE, lift: float = LIFT, tilt: float = TILT, *, chosen: bool = False, steer: Any = steering
+) -> Solution:
+    """The extremal, or what another steering law flies with the same costates."""
+    problem = cone_problem(aside, lift, tilt, chosen=chosen)
+    t = nodes([0.0, TIME - meets(aside, lift, tilt), TIME])
+    tau = TIME - t
+    pieces = [slice(0, 800), slice(800, 1600)]
+    parts = [steer(tau[piece], aside, lift, tilt, bool(i)) for i, piece in enumerate(pieces)]
+    u, du = (np.hstack([part[i] for part in parts]) for i in (0, 1))
+    v, place = np.zeros((3, len(t))), np.zeros((3, len(t)))
+    for i in range(3):
+        start = np.zeros(2)
+        for piece in pieces:
+            speed = CubicHermiteSpline(t[piece], u[i, piece], du[i, piece]).antiderivative()
+            way = speed.antiderivative()
+            begin = t[piece][0]
+            v[i, piece] = start[0] + speed(t[piece])
+            place[i, piece] = start[1] + start[0] * (t[piece] - begin) + way(t[piece])
+            start = np.array([v[i, piece][-1], place[i, piece][-1]])
+    state = curve(t, (place[1], place[2], *v), (v[1], v[2], *u))
+    costate = curve(t, (aside, lift, -1, aside * tau, lift * tau), (0, 0, 0, -aside, -lift))
+    objective = problem.given["price"].value * tilt - float(v[0, -1])
+    trajectory = Trajectory(phase="arc", state=state, costate=costate, control=curve(t, u, du))
+    return answer(problem, trajectory, objective, **({"tilt": tilt} if chosen else {}))
+
+
+def cone_again(problem: Problem, guess: Solution) -> Solution:
+    """J of a shifted start by SciPy's `fsolve` on b and c, the tilt as it is given or held."""
+    p = problem.parameters({})
+    tilt = getattr(p, "tilt", None) or problem.free[0].lower
+    wanted = np.array([p.side - p.offset_z - p.offset_vz * TIME, p.height - p.offset_y - p.offset_vy * TIME]) \
+        if hasattr(p, "offset_z") else np.array([p.side, p.height])  # fmt: skip
+    n: Any = fsolve(lambda n: reached(n[0], n[1], tilt)[1:] - wanted, [ASIDE, LIFT], xtol=1e-12)
+    return replace(guess, objective=p.price * tilt - reached(n[0], n[1], tilt)[0] - getattr(p, "offset_vx", 0.0))
+
+
+def test_the_thrust_within_a_cone_is_an_extremal() -> None:
+    verification = verify(cone(), level=2)
+    assert verification.passed, str(verification)
+    assert check(verification, "multiplier_upright").value < 1e-12
+    assert not [c for c in verification.checks if c.name == "multiplier_above"]  # no control in it
+
+
+def test_a_tilt_that_is_chosen_is_stationary_at_its_price_and_at_no_other() -> None:
+    """dJ/dtilt = price - integral of mu sin(tilt)."""
+    right = cone(chosen=True)
+    assert verify(right, level=2).passed
+    dearer = right.problem.with_given(price=right.problem.given["price"].value + 1e-7)
+    wrong = replace(right, problem=dearer, objective=right.objective + 1e-7 * TILT)
+    assert failed(verify(wrong, level=2)) == {"stationary_tilt"}
+
+
+def beside(turn: float) -> Callable[..., Any]:
+    """A law that holds the thrust on the cone at another azimuth."""
+    rotation = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
+
+    def steer(tau: Any, aside: float, lift: float, tilt: float, held: bool) -> Any:
+        u, du = steering(tau, aside, lift, tilt, held)
+        return (rotation @ u, rotation @ du) if held else (u, du)
+
+    return steer
+
+
+@pytest.mark.parametrize("turn", [1e-7, 1e-3, 0.2, math.pi])
+def test_another_point_of_the_cone_is_no_minimum(turn: float) -> None:
+    wrong = failed(verify(cone(steer=beside(turn)), level=2))
+    assert {"stationary_direction_along_aside_up"} <= wrong or turn == math.pi
+    assert ("minimum_of_hamiltonian" in wrong) == (turn > 1e-4)
+
+
+def test_the_worst_point_of_the_cone_is_stationary_and_its_multiplier_gives_it_away() -> None:
+    """Opposite in azimuth H is greatest along the circle: only the inequality and the samples tell."""
+    wrong = failed(verify(cone(steer=beside(math.pi)), level=2))
+    assert "stationary_direction_along_aside_up" not in wrong
+    assert {"minimum_of_hamiltonian", "multiplier_upright"} <= wrong
+
+
+def test_held_where_it_should_be_free_the_multiplier_has_the_wrong_sign() -> None:
+    """The thrust stays on the cone although the costates point into it."""
+    verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt, True)), level=2)
+    assert {"multiplier_upright", "minimum_of_hamiltonian"} <= failed(verification)
+    assert "stationary_direction_along_aside_up" not in failed(verification)
+
+
+def test_released_where_it_should_be_held_the_condition_is_broken() -> None:
+    verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt, False)), level=2)
+    assert "path_upright" in failed(verification)
+    assert "stationary_direction_along_aside_up" not in failed(verification)
+
+
+@pytest.mark.parametrize("inside", [1e-6, 1e-2])
+def test_short_of_the_cone_there_is_no_multiplier(inside: float) -> None:
+    verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt - inside * held, held)),
+                          level=2)  # fmt: skip
+    assert {"stationary_direction_along_aside_up", "minimum_of_hamiltonian"} <= failed(verification)
+    assert "path_upright" not in failed(verification)
+
+
+def on_the_cone(turn: float) -> Solution:
+    """The same with u_up = cos(tilt) asked for by two inequalities: what is allowed has no inside."""
+    tilted = cone(steer=lambda tau, b, c, tilt, held: beside(turn)(tau, b, c, tilt, True))
+    (phase,) = tilted.problem.phases
+    both = replace(
+        phase,
+        path=lambda x, u, p, m: (u.up - m.cos(p.tilt), m.cos(p.tilt) - u.up),
+        path_conditions=(Variable(name="upright"), Variable(name="leaning")),
+    )
+    end = tilted.trajectories[0].state.values[-1]
+    return replace(tilted, problem=replace(tilted.problem, phases=(both,)).with_given(side=end[0], height=end[1]))
+
+
+def test_conditions_that_leave_a_circle_are_proved_and_its_worst_point_is_not() -> None:
+    """Their slopes are opposite: the one of the right sign has the multiplier. Only samples on the circle see all."""
+    verification = verify(on_the_cone(0.0), level=2)
+    assert verification.passed, str(verification)
+    assert failed(verify(on_the_cone(math.pi), level=2)) == {"minimum_of_hamiltonian"}
+    assert "stationary_direction_along_aside_up" in failed(verify(on_the_cone(1e-3), level=2))
+
+
+# --- a limit that rises with the flight: mu dc/dx enters lam' --------------------------------------------------------
+# The speed vx after 2 s is greatest at a given height; the thrust's component up is at most `low` + `rise` y/L.
+
+LOW, RISE, TOP = 0.3, 0.4, 0.55
+
+
+def limited_problem() -> Problem:
+    phase = Phase(
+        name="arc",
+        states=tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s"))),
+        controls=(Direction(names=("along", "up")),),
+        dynamics=lambda x, u, p, m: (x.vy, p.thrust * u.along, p.thrust * u.up),
+        duration="duration",
+        end=lambda x, p, m: (x.y - p.height,),
+        end_conditions=(Variable(name="height", unit="m"),),
+        path=lambda x, u, p, m: (p.low + p.rise * x.y / p.L - u.up,),
+        path_conditions=(Variable(name="shallow"),),
+    )
+    metres = {"L": 1.0, "height": TOP, "y0": 0.0}
+    return Problem(
+        name="limited", phases=(phase,), start=lambda p, m: (p.y0, p.v0, p.v0),
+        given={
+            **{name: Given(value=value, unit="m") for name, value in metres.items()},
+            "thrust": Given(value=1.0, unit="m/s^2"), "duration": Given(value=TIME, unit="s"),
+            "v0": Given(value=0.0, unit="m/s"), "low": Given(value=LOW), "rise": Given(value=RISE),
+        },
+        objective=lambda x, p, m: -x.vx, objective_unit="m/s",
+    )  # fmt: skip
+
+
+def limited_rates(z: np.ndarray, held: bool) -> np.ndarray:
+    """Rates of y, vx, vy, lam_y, lam_vy: the costates by hand, mu = -(up + lam_vy along)/along.
+
+    H turns with the thrust by up + lam_vy along (lam_vx = -1), the condition by -along.
+    """
+    y, _, vy, lam_y, lam_vy = z
+    up = LOW + RISE * y if held else -lam_vy / math.hypot(1, lam_vy)
+    along = math.sqrt(1 - up * up)
+    mu = -(up + lam_vy * along) / along if held else 0.0
+    return np.array([vy, along, up, mu * RISE, -lam_y])
+
+
+def limited_flight(n: Any, y0: float, vy0: float, vx0: float, most: float = np.inf) -> list[Any]:
+    """Held first, then free: SciPy's two arcs for lam(0) = n, from the start to the release to the end."""
+
+    def release(t: float, z: np.ndarray) -> float:
+        up = LOW + RISE * z[0]
+        return up + z[4] * math.sqrt(1 - up * up)
+
+    release.terminal = True  # type: ignore[attr-defined]
+    settings = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14, "dense_output": most < np.inf, "max_step": most}
+    first = solve_ivp(lambda t, z: limited_rates(z, True), (0, TIME), [y0, vx0, vy0, *n], events=release, **settings)
+    if first.status != 1:
+        return [first]
+    after = (first.t[-1], TIME)
+    return [first, solve_ivp(lambda t, z: limited_rates(z, False), after, first.y[:, -1], **settings)]
+
+
+def limited_extremal(top: float = TOP, y0: float = 0.0, vx0: float = 0.0, vy0: float = 0.0) -> np.ndarray:
+    """lam_y and lam_vy at the start: the height is met, and lam_vy ends at 0."""
+
+    def missed(n: Any) -> list[float]:
+        end = limited_flight(n, y0, vy0, vx0)[-1].y[:, -1]
+        return [end[0] - top, end[4]]
+
+    n: Any = fsolve(missed, [-0.31, -0.556], xtol=1e-12)
+    assert np.abs(missed(n)).max() < 1e-12
+    return np.asarray(n)
+
+
+def limited_again(problem: Problem, guess: Solution) -> Solution:
+    p = problem.parameters({})
+    start = p.offset_y, p.offset_vx, p.offset_vy
+    n = limited_extremal(p.height, *start)
+    return replace(guess, objective=-float(limited_flight(n, start[0], start[2], start[1])[-1].y[1, -1]))
+
+
+@pytest.fixture(scope="module")
+def limited() -> Solution:
+    arcs = limited_flight(limited_extremal(), 0.0, 0.0, 0.0, most=0.01)
+    time, rows = [], []
+    for arc, held in zip(arcs, (True, False), strict=True):
+        t = np.linspace(arc.t[0], arc.t[-1], 600)
+        z = arc.sol(t)
+        dz = np.array([limited_rates(column, held) for column in z.T]).T
+        if held:
+            up, turn = LOW + RISE * z[0], RISE * z[2]
+        else:
+            size = np.hypot(1, z[4])
+            up, turn = -z[4] / size, -dz[4] / size**3
+        along = np.sqrt(1 - up * up)
+        time.append(t)
+        rows.append(np.vstack([z, [along, up], dz, [-up / along * turn, turn]]))
+    rows, time = np.hstack(rows), np.concatenate(time)
+    vx, vy, lam_y, lam_vy, along = 1, 2, 3, 4, 5
+    values, rates = rows[:7], rows[7:]
+    trajectory = Trajectory(
+        phase="arc", state=curve(time, values[: vy + 1], rates[: vy + 1]),
+        costate=curve(time, (values[lam_y], -1, values[lam_vy]), (rates[lam_y], 0, rates[lam_vy])),
+        control=curve(time, values[along:], rates[along:]),
+    )  # fmt: skip
+    return answer(limited_problem(), trajectory, -float(values[vx, -1]))
+
+
+def test_the_multiplier_of_a_limit_that_knows_the_state_enters_the_costates(limited: Solution) -> None:
+    verification = verify(limited, level=2)
+    assert verification.passed, str(verification)
+    assert "active" not in str(verification)
+
+
+def test_costates_without_the_multiplier_fail(limited: Solution) -> None:
+    """lam_y constant, lam_vy linear, as they are where the limit holds nothing back."""
+
+    def straight(table: Curve) -> Curve:
+        values, rates = table.values.copy(), table.rates.copy()
+        values[:, 0], rates[:, 0] = values[-1, 0], 0.0
+        values[:, 2], rates[:, 2] = values[-1, 0] * (TIME - table.time), -values[-1, 0]
+        return replace(table, values=values, rates=rates)
+
+    assert "costate_y" in failed(verify(flown(limited, "costate", straight), level=2))
+
+
+@pytest.mark.parametrize(("column", "name"), [(0, "costate_y"), (2, "costate_vy")])
+def test_a_costate_that_slips_while_the_condition_holds_fails(limited: Solution, column: int, name: str) -> None:
+    """On an arc that is held a bulge of lam changes mu with it: lam' sees it, the direction does not."""
+
+    def bulged(table: Curve) -> Curve:
+        values, rates, end = table.values.copy(), table.rates.copy(), limited.trajectories[0].control.time[599]
+        share = np.clip(table.time / end, 0.0, 1.0)
+        values[:, column] += 1e-8 * np.sin(np.pi * share) ** 2
+        rates[:, column] += 1e-8 * np.pi / end * np.sin(2 * np.pi * share)
+        return replace(table, values=values, rates=rates)
+
+    assert name in failed(verify(flown(limited, "costate", bulged), level=2))
