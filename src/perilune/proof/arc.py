@@ -12,7 +12,7 @@ import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
-from perilune.problem.problem import BEYOND, Problem, borne_out, likely
+from perilune.problem.problem import BEYOND, ROUNDS, Problem, borne_out, likely
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Variable
 from perilune.proof.crossings import Crossing, Guarded
@@ -125,15 +125,26 @@ class Arc:
         return self._condition_sizes("path", self.phase.path_conditions)
 
     def _condition_sizes(self, function: str, conditions: Sequence[Variable]) -> Vector:
-        """Canonical units, or scales of their own; no more than what the conditions go through bears out."""
+        """Canonical units, or scales of their own; no more than what the conditions go through bears out.
+
+        And no less than the states round in them: metres over the ground are a difference of radii.
+        """
         t = self.trajectory.state.time
-        values = self.phase.evaluate(function, list(self.state(t)), list(self.control(t)), self.p)
-        reached = np.abs(stacked(values, t.shape, float)).max(axis=1)
+        x, u = self.state(t), self.control(t)
+
+        def conditions_at(z: Any) -> Any:
+            values = self.phase.evaluate(function, list(z), list(u), self.p, COMPLEX)
+            return stacked(values, z.shape[1:])
+
+        reached = np.abs(conditions_at(x).real).max(axis=1)
+        slopes = jacobian(conditions_at, x, np.ones(len(x)))
+        rounding = ROUNDS * np.abs(slopes * x).sum(axis=1).max(axis=1)
         units = [likely(self.problem.scales.of(c.unit), most) for c, most in zip(conditions, reached, strict=True)]
-        return np.array([
+        sizes = [
             unit if c.scale is None else borne_out(c.scale, unit, float(most))
             for c, unit, most in zip(conditions, units, reached, strict=True)
-        ])  # fmt: skip
+        ]
+        return np.maximum(sizes, rounding)
 
     @cached_property
     def costate_scale(self) -> Vector:
