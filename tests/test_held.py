@@ -46,7 +46,7 @@ def bryson_denham(wall: float) -> Problem:
                 end=lambda x, p, m: (x.x, x.v + p.speed, p.T_up + p.T_along + p.T_down - p.T),
                 end_conditions=(*variables("m", "back"), *variables("m/s", "speed"), *variables("s", "time")),
             ),
-        ),  # fmt: skip
+        ),
         links=(lambda x, p, m: (x.x, x.v, x.cost),) * 2,
         start=lambda p, m: (0 * p.wall, p.speed, 0 * p.speed * p.speed / p.T),
         given={

@@ -82,6 +82,18 @@ def test_the_best_from_low_over_the_site_is_found(landing: Problem) -> None:
     assert found.statistics.tried[0] == "a family along retro_delta_v from 0 to 1702.81 m/s: 3 extremals"
 
 
+@pytest.mark.parametrize("height", [0.3, 0.03, 0.01, 0.003])
+def test_the_best_from_a_hand_over_the_site_is_found(landing: Problem, height: float) -> None:
+    """So short a flight costs in proportion to its time, as the root of the height; from 3 cm on it is proved."""
+    far, near = (-solve(landing.with_given(orbit_perilune_altitude=h), level=0).objective for h in (1.0, 0.1))
+    low = solve(landing.with_given(orbit_perilune_altitude=height))
+    slope = (near - far) / (1.0 - math.sqrt(0.1))
+    assert -low.objective == pytest.approx(near + slope * (math.sqrt(0.1) - math.sqrt(height)), abs=1e-3)
+    assert len(low.extremals) == 3 and all(e.free["flight_time"] > 0 for e in low.extremals)
+    if height >= 0.03:
+        assert low.outcome is Outcome.PROVED, str(low.verification)
+
+
 def test_a_fixed_burn_that_leaves_a_short_flight_is_no_refusal(landing: Problem) -> None:
     """2.8 s where the same lander without a burn takes 1000: direct starts that shrink to nothing say nothing of it."""
     short = landing.with_given(orbit_perilune_altitude=1.0, retro_delta_v=1692.81)

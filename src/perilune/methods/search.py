@@ -151,7 +151,10 @@ class Search:
 
     def _family(self) -> HeldFamily:
         assert self.scanned is not None
-        return HeldFamily(shooting=self.shooting, p=self.p, index=self.scanned, limits=self.others, watch=self.watch)
+        return HeldFamily(
+            shooting=self.shooting, p=self.p, index=self.scanned, limits=self.others, watch=self.watch,
+            keeps=lambda root: self._outside(root) is None,
+        )  # fmt: skip
 
     def _walked_through(self, member: Member) -> bool:
         return any(_same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))

@@ -46,7 +46,7 @@ from perilune.words.units import Scales
 _NOTHING = 1e-18  # of a canonical unit
 BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
 # Of what a state reaches: so much rounds, some hundred times the last digit, beside limits of 3e-10 of a size.
-_ROUNDS = 1e-4
+ROUNDS = 1e-4
 
 
 def borne_out(scale: float, unit: float, reached: float) -> float:
@@ -302,7 +302,7 @@ class Problem:
             together = max(spans[i] for i in alike) or max(reached[i] for i in alike)
             unit = likely(self.scales.of(v.unit), together)
             own = unit if v.scale is None else borne_out(v.scale, unit, span) / BEYOND
-            sizes.append(max(borne_out(most, unit, span), own, _ROUNDS * most))
+            sizes.append(max(borne_out(most, unit, span), own, ROUNDS * most))
         return np.array(sizes)
 
     @property

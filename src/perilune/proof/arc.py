@@ -12,7 +12,7 @@ import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
-from perilune.problem.problem import BEYOND, Problem, borne_out, likely
+from perilune.problem.problem import BEYOND, ROUNDS, Problem, borne_out, likely
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Variable
 from perilune.proof.allowed import ON_BOUND, Allowed
@@ -141,10 +141,21 @@ class Arc:
         return self._sizes(self.phase.held_conditions, np.abs(slopes).sum(axis=1).max(axis=1))
 
     def _condition_sizes(self, function: str, conditions: Sequence[Variable], least: Any = 0.0) -> Vector:
-        """`least` is what a condition goes through at least."""
+        """Of conditions that go through `least` at least; no less than the states round in them.
+
+        Metres over the ground are a difference of radii.
+        """
         t = self.trajectory.state.time
-        values = self.phase.evaluate(function, list(self.state(t)), list(self.control(t)), self.p)
-        return self._sizes(conditions, np.maximum(np.abs(stacked(values, t.shape, float)).max(axis=1), least))
+        x, u = self.state(t), self.control(t)
+
+        def conditions_at(z: Any) -> Any:
+            values = self.phase.evaluate(function, list(z), list(u), self.p, COMPLEX)
+            return stacked(values, z.shape[1:])
+
+        reached = np.maximum(np.abs(conditions_at(x).real).max(axis=1), least)
+        slopes = jacobian(conditions_at, x, np.ones(len(x)))
+        rounding = ROUNDS * np.abs(slopes * x).sum(axis=1).max(axis=1)
+        return np.maximum(self._sizes(conditions, reached), rounding)
 
     def _sizes(self, conditions: Sequence[Variable], reached: Vector) -> Vector:
         """Canonical units, or scales of their own; no more than what the conditions go through bears out."""

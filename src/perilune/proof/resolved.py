@@ -25,6 +25,7 @@ Resolve = Callable[[Problem, Solution], Solution]
 START_SHIFT = 3e-6  # canonical; central differences err by its square: 4e-8 at most measured, J itself by 1e-13
 # Of what a state reaches: so much it rounds as a neighbour is solved, 20 times the last digit measured.
 _ROUNDS = 1e-14
+_J_ROUNDS = 1e-12  # of J: its neighbours on both sides, and twice itself
 # Of the shift: a start five metres above its site bends within five metres. Rounding of J allows no smaller one.
 _SHARES = (1.0, 0.1, 0.01)
 PARAMETER_SHIFT = 2e-3
@@ -98,11 +99,16 @@ def _parameters(solution: Solution, bound: dict[str, float], resolve: Resolve) -
         if free.name in problem.duration_names or free.name in bound:
             continue
         value, size = solution.free[free.name], problem.size_of(free)
-        shift = min(PARAMETER_SHIFT * size, 0.5 * (value - free.lower), 0.5 * (free.upper - value))
-        sides = [
-            _objective(resolve, held(problem, **bound, **{free.name: value + s}), solution) for s in (shift, -shift)
-        ]
-        curvature = (sides[0] + sides[1] - 2 * solution.objective) / shift**2
+        widest = min(PARAMETER_SHIFT * size, 0.5 * (value - free.lower), 0.5 * (free.upper - value))
+        for share in _SHARES:
+            shift = share * widest
+            moved = [held(problem, **bound, **{free.name: value + s}) for s in (shift, -shift)]
+            sides = [_objective(resolve, neighbour, solution) for neighbour in moved]
+            if np.isfinite(sides).all():
+                break
+        # What J may owe to rounding is not taken for a curvature.
+        risen = sides[0] + sides[1] - 2 * solution.objective - _J_ROUNDS * abs(solution.objective)
+        curvature = risen / shift**2
         yield Check(
             name=f"second_order_{free.name}", level=3, limit=CURVATURE_LIMIT, unit="1",
             value=-float(np.float64(curvature)) * size**2 / objective_scale(solution),

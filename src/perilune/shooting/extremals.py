@@ -8,6 +8,7 @@ whether the bound itself is an extremal (Karush, Kuhn, Tucker).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -20,6 +21,7 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
 _HALVINGS = 12  # of a step along a family: where a flight becomes short its costates grow a hundredfold in a step
+_ATTEMPTS = 24  # at an extremal between two members: from 1 mm over the site dJ/dq is a step of some cm/s in 50 m/s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +44,8 @@ class HeldFamily:
         Which free parameter is held.
     limits
         What the members keep; those of the held parameter are infinite.
+    keeps
+        Whether a root has its free parameters within their bounds: no flight ends before it begins.
     watch
         Receives what Newton tells.
     """
@@ -50,6 +54,7 @@ class HeldFamily:
     p: Vector
     index: int
     limits: Limits
+    keeps: Callable[[Root], bool]
     watch: Watch = silent
 
     def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
@@ -157,7 +162,7 @@ class _Bracket:
         From a straight line between two members Newton does not find it where the costates grow a hundredfold from one
         to the other, as they do where a flight from low over the site becomes a short one.
         """
-        if root.converged:
+        if root.converged and family.keeps(root):
             return Member(value=value, root=root)
         return family.reach(self.a, value) or family.reach(self.b, value)
 
@@ -173,7 +178,7 @@ def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
     """The extremals in brackets: secant and bisection with q held, then Newton with q free, all brackets at once."""
     found: dict[int, Root] = {}
     left = dict(enumerate(brackets))
-    for attempt in range(12):
+    for attempt in range(_ATTEMPTS):
         if not left:
             break
         shares = [b.slope_a / (b.slope_a - b.slope_b) if attempt % 3 < 2 else 0.5 for b in left.values()]
@@ -183,7 +188,8 @@ def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
         held: Roots | None = None
         for lane, (number, bracket) in enumerate(list(left.items())):
             root = free[lane]
-            if root.converged and bracket.a.value <= family.value(root) <= bracket.b.value:
+            within = bracket.a.value <= family.value(root) <= bracket.b.value
+            if root.converged and within and family.keeps(root):
                 found[number] = root
                 del left[number]
                 continue
@@ -216,6 +222,6 @@ def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> lis
     if starts:
         for root, (low, high) in zip(family.released(np.array(starts), members[0].root), ranges, strict=True):
             new = all(abs(family.value(root) - family.value(other)) > 1e-7 for other in found)
-            if root.converged and low <= family.value(root) <= high and new:
+            if root.converged and low <= family.value(root) <= high and new and family.keeps(root):
                 found.append(root)
     return found
