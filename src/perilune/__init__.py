@@ -37,6 +37,7 @@ _EXPORTS = {
     "Genetic": "perilune.methods.genetic",
     "MOON": "perilune.models.bodies",
     "load": "perilune.io.reload",
+    "guess": "perilune.problem.guess",
     "save": "perilune.io.export",
     "preflight": "perilune.problem.preflight",
     "solve": "perilune.solve",
@@ -72,6 +73,7 @@ __all__ = [
     "Trajectory",
     "Variable",
     "Verification",
+    "guess",
     "load",
     "models",
     "preflight",
@@ -93,6 +95,7 @@ if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.guess import guess
     from perilune.problem.phase import Phase
     from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Problem

@@ -56,12 +56,12 @@ class Coarse:
     solution: Solution | None = field(default=None, init=False)
     refusal: PeriluneError | None = field(default=None, init=False)
 
-    def solve(self) -> Solution | None:
-        """Its answer from nothing."""
+    def solve(self, guess: Solution | None = None) -> Solution | None:
+        """Its answer, from nothing or from a guess."""
         if self.solution is not None or self.refusal is not None:
             return self.solution
         try:
-            self.solution = self._run(segments=8)
+            self.solution = self._run(segments=8, guess=guess)
         except PeriluneError as error:
             self.refusal = error
         return self.solution

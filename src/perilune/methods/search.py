@@ -164,6 +164,8 @@ class Search:
 
     def _from_guess(self, guess: Solution) -> tuple[Search, list[Found]]:
         """Newton from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""
+        if any(flown.costate is None for flown in guess.trajectories):
+            guess = self.coarse.solve(guess) or guess
         near = touched(guess) if self.keepable else set[str]()
         held = tuple(name for name in self.keepable if name in near)
         search = self._keeping(held) if held else self
