@@ -1,0 +1,197 @@
+"""Between a problem and its restatement: a solution cut into arcs, and arcs joined into the user's phases.
+
+A cubic is the same between any two of its points, so nothing is lost in cutting; at a joint a table has the time twice,
+with the values of either side, as costates may jump there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Curve, Extremal, Solution, Trajectory
+from perilune.problem.verification import Verification
+from perilune.structures.restate import part_durations, part_name, restate, summed
+from perilune.structures.structure import Structure, check_structure
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.types import Vector
+
+_NEAR = 1e-9  # of a phase: a cut so near to a node is at it
+
+
+def split(solution: Solution, structure: Structure, restated: Problem | None = None) -> Solution:
+    """A solution of a problem as one of the problem restated, cut where the arcs of the structure end.
+
+    Parameters
+    ----------
+    solution
+        Of the user's problem.
+    structure
+        Its arcs; where their times are not known, in equal parts.
+    restated
+        What the pieces are a solution of; `restate(solution.problem, structure)` if None.
+
+    Returns
+    -------
+    Solution
+        A guess: multipliers of new conditions are not known, and it has no unknowns of any method.
+
+    Raises
+    ------
+    PeriluneError
+        If an arc has no length.
+    """
+    problem = solution.problem
+    check_structure(problem, structure)
+    pieces, free, multipliers = list[Trajectory](), dict(solution.free), dict[str, float]()
+    for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
+        count, ends = len(structure.phases[k]), structure.ends(k, flown.duration)
+        begins = [0.0, *ends[:-1]]
+        if not all(end > begin for begin, end in zip(begins, ends, strict=True)):
+            raise PeriluneError(
+                f"an arc of {phase.name} has no length",
+                got=", ".join(f"{end:.9g} s" for end in ends),
+                expected="ends in increasing order, each before the end of the phase",
+            )
+        for j, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+            pieces.append(_between(flown, begin, end, part_name(phase.name, j, count)))
+        if count > 1:
+            lengths = [piece.duration for piece in pieces[-count:]]
+            free |= dict(zip(part_durations(problem, structure, k), lengths, strict=True))
+        last = part_name(phase.name, count - 1, count)
+        known = {c.name: solution.multipliers.get(f"{phase.name}.{c.name}") for c in phase.end_conditions}
+        multipliers |= {f"{last}.{name}": nu for name, nu in known.items() if nu is not None}
+    restated = restate(problem, structure) if restated is None else restated
+    return replace(
+        solution,
+        problem=restated,
+        free={name: free[name] for name in restated.free_names},
+        trajectories=tuple(pieces),
+        multipliers=multipliers,
+        outcome=_unproved(solution.outcome),
+        extremals=(),
+        listed=(),
+        unknowns=None,
+        verification=Verification(),
+    )
+
+
+def joined(problem: Problem, restated: Solution, structure: Structure) -> Solution:
+    """A solution of the restated problem as one of the user's.
+
+    Parameters
+    ----------
+    problem
+        The user's.
+    restated
+        A solution of `restate(problem, structure)`.
+    structure
+        The arcs.
+
+    Returns
+    -------
+    Solution
+        In the user's phases, unverified. Of its multipliers those of the user's conditions are kept; those of touches
+        and entries are the jumps of its costates.
+    """
+    check_structure(problem, structure)
+    parts, trajectories, multipliers = list(restated.trajectories), list[Trajectory](), dict[str, float]()
+    for k, phase in enumerate(problem.phases):
+        count = len(structure.phases[k])
+        own, parts = parts[:count], parts[count:]
+        trajectories.append(_joined(phase.name, own))
+        last = part_name(phase.name, count - 1, count)
+        known = {c.name: restated.multipliers.get(f"{last}.{c.name}") for c in phase.end_conditions}
+        multipliers |= {f"{phase.name}.{name}": nu for name, nu in known.items() if nu is not None}
+    return replace(
+        restated,
+        problem=problem,
+        free=_users(problem, structure, restated.free),
+        trajectories=tuple(trajectories),
+        multipliers=multipliers,
+        outcome=_unproved(restated.outcome),
+        extremals=tuple(
+            Extremal(free=_users(problem, structure, e.free), objective=e.objective, nature=e.nature)
+            for e in restated.extremals
+        ),
+        listed=(),
+        unknowns=None,
+        verification=Verification(),
+    )
+
+
+def _users(problem: Problem, structure: Structure, free: Mapping[str, float]) -> dict[str, float]:
+    """Values of the user's free parameters: durations that are sums are summed."""
+    sums = {
+        name: sum(free[part] for part in part_durations(problem, structure, k))
+        for name, k in summed(problem, structure).items()
+    }
+    return {name: sums[name] if name in sums else free[name] for name in problem.free_names}
+
+
+def _unproved(outcome: Outcome) -> Outcome:
+    return Outcome.SOLVED if outcome in (Outcome.PROVED, Outcome.NOT_PROVED) else outcome
+
+
+def _between(flown: Trajectory, begin: float, end: float, name: str) -> Trajectory:
+    curves = (flown.state, flown.control, flown.costate)
+    begin, end = (_at_node(flown, t) for t in (begin, end))
+    state, control, costate = (None if curve is None else _cut(curve, begin, end) for curve in curves)
+    assert state is not None and control is not None
+    return Trajectory(phase=name, state=state, control=control, costate=costate)
+
+
+def _at_node(flown: Trajectory, t: float) -> float:
+    """The node next to a time, where one is as near as rounding."""
+    nodes = np.concatenate([c.time for c in (flown.state, flown.control, flown.costate) if c is not None])
+    nearest = float(nodes[np.argmin(np.abs(nodes - t))])
+    return nearest if abs(nearest - t) <= _NEAR * flown.duration else t
+
+
+def _cut(curve: Curve, begin: float, end: float) -> Curve:
+    """A curve between two times, which become 0 and the length; at a node that is there twice, its own side of it."""
+    inside = (curve.time > begin) & (curve.time < end)
+    first, last = _here(curve, begin, "right"), _here(curve, end, "left")
+    return Curve(
+        time=np.concatenate([[0.0], curve.time[inside] - begin, [end - begin]]),
+        values=np.vstack([first[0], curve.values[inside], last[0]]),
+        rates=np.vstack([first[1], curve.rates[inside], last[1]]),
+    )
+
+
+def _here(curve: Curve, t: float, side: str) -> tuple[Vector, Vector]:
+    """Value and rate of a curve at a time, of the side that is asked for where it breaks."""
+    at = np.nonzero(curve.time == t)[0]
+    if len(at):
+        i = at[-1] if side == "right" else at[0]
+        return curve.values[i], curve.rates[i]
+    i = int(np.clip(np.searchsorted(curve.time, t) - 1, 0, len(curve.time) - 2))
+    h = curve.time[i + 1] - curve.time[i]
+    s = (t - curve.time[i]) / h
+    chord = (curve.values[i + 1] - curve.values[i]) / h
+    left, right = curve.rates[i], curve.rates[i + 1]
+    rate = left + s * (6 * chord - 4 * left - 2 * right + 3 * s * (left + right - 2 * chord))
+    return np.asarray(curve(t)), rate
+
+
+def _joined(name: str, parts: Sequence[Trajectory]) -> Trajectory:
+    costates = [part.costate for part in parts if part.costate is not None]
+    return Trajectory(
+        phase=name,
+        state=_chained([part.state for part in parts]),
+        control=_chained([part.control for part in parts]),
+        costate=_chained(costates) if len(costates) == len(parts) else None,
+    )
+
+
+def _chained(curves: Sequence[Curve]) -> Curve:
+    begins = np.concatenate([[0.0], np.cumsum([curve.time[-1] for curve in curves])])
+    time = [np.append(begin + c.time[:-1], end) for begin, end, c in zip(begins[:-1], begins[1:], curves, strict=True)]
+    return Curve(
+        time=np.concatenate(time),
+        values=np.concatenate([curve.values for curve in curves]),
+        rates=np.concatenate([curve.rates for curve in curves]),
+    )

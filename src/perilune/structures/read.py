@@ -1,0 +1,128 @@
+"""The structure read off an answer that knows no arcs, such as the direct method's: where S >= 0 is at its limit.
+
+On a mesh S is near 0 and not 0: between its points S falls below 0, and bulges above by some times as much. A flight
+that *touches* S = 0 leaves it like t^2: S is below 4 times a level for twice as long as below it. One that *rides
+along* is there for about as long. What the control moves in its first derivative is never touched, as no condition on
+the state says so: it is ridden, if only for a moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Problem
+from perilune.problem.rates import acts
+from perilune.problem.solution import Solution, full
+from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Vector
+
+NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
+BULGE = 8.0  # times what S falls below 0 it may rise above on an arc that is ridden; 1 to 6 were met
+POINTS = 2000  # of a phase, beside the nodes of its tables
+WIDER, STAYS = 4.0, 0.6  # a wider level; ridden where the flight stays for such a share of the time below the wider one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """A condition that is ridden from `begin` to `end` [s] of a phase, or touched at both."""
+
+    name: str
+    begin: float
+    end: float
+    ridden: bool
+
+
+def read(problem: Problem, solution: Solution) -> Structure | None:
+    """The arcs of a solution, by its curves.
+
+    Parameters
+    ----------
+    problem
+        What it is a solution of.
+    solution
+        Of any method, however coarse.
+
+    Returns
+    -------
+    Structure
+        With times; None where no condition on states alone is at its limit on the way.
+    """
+    phases = []
+    for k, flown in enumerate(solution.trajectories):
+        found = [c for name in _of_states(problem, k) for c in contacts(solution, k, name)]
+        phases.append(_arcs(found, flown.duration))
+    structure = Structure(tuple(phases))
+    return None if structure.plain else structure
+
+
+def _of_states(problem: Problem, k: int) -> list[str]:
+    return [name for name, (_, value, _) in margins(problem, k).items() if not acts(value)]
+
+
+def contacts(solution: Solution, k: int, name: str) -> Iterator[Contact]:
+    """Where a condition of phase k is at its limit on the way; a start or an end that lies on it is none."""
+    t, room = _room(solution, k, name)
+    least, most = NEAR[0] * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
+    near = min(max(-BULGE * float(room.min()), least), most)
+    for first, last in _groups(room <= near):
+        inside = first > 0 and last < len(t) - 1
+        stays = _length(t, room, first, last, near) > STAYS * _length(t, room, first, last, WIDER * near)
+        try:
+            order = conditions_of(solution.problem, k, (name,))[name].order
+        except PeriluneError:  # what no control moves is neither ridden nor avoided
+            return
+        here = t[first : last + 1]
+        if stays or (inside and order == 1):
+            on = here[room[first : last + 1] <= max(near / BULGE, float(room[first : last + 1].min()))]
+            yield Contact(name=name, begin=float(on[0]), end=float(on[-1]), ridden=True)
+        elif inside:
+            at = float(here[np.argmin(room[first : last + 1])])
+            yield Contact(name=name, begin=at, end=at, ridden=False)
+
+
+def _room(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
+    """Times of a phase and S there [SI]."""
+    problem, flown = solution.problem, solution.trajectories[k]
+    value = margins(problem, k)[name][1]
+    phase = problem.phases[k]
+    t = np.union1d(flown.time, np.linspace(0.0, flown.duration, POINTS))
+    x, u = solution.flown(k, t)
+    bounds = {given: g.value for given, g in plain_bounds(problem).items()}
+    p: Any = SimpleNamespace(**vars(solution.parameters), **bounds)
+    return t, full(value(phase.state_record(*x), phase.control_record(*u), p, NUMERIC)[0], t)
+
+
+def _groups(near: Any) -> list[tuple[int, int]]:
+    """First and last index of each run of true values."""
+    edges = np.diff(np.concatenate([[False], near, [False]]).astype(int))
+    return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
+
+
+def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
+    """How long S stays below a level about the points from `first` to `last`."""
+    low, high = next((a, b) for a, b in _groups(room <= level) if a <= first <= b)
+    begin, end = float(t[low]), float(t[high])
+    if low > 0:
+        begin = float(np.interp(-level, -room[low - 1 : low + 1], t[low - 1 : low + 1]))
+    if high < len(t) - 1:
+        end = float(np.interp(level, room[high : high + 2], t[high : high + 2]))
+    return end - begin
+
+
+def _arcs(found: list[Contact], duration: float) -> tuple[Arc, ...]:
+    """The arcs of a phase between the times at which something begins, ends or is touched."""
+    cuts = sorted({t for c in found for t in (c.begin, c.end) if 0.0 < t < duration})
+    arcs = []
+    for begin, end in zip([0.0, *cuts], [*cuts, duration], strict=True):
+        middle = 0.5 * (begin + end)
+        along = tuple(c.name for c in found if c.ridden and c.begin < middle < c.end)
+        touches = tuple(c.name for c in found if not c.ridden and c.end == end)
+        arcs.append(Arc(along=along, touches=touches, until=end))
+    return tuple(arcs)

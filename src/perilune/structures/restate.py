@@ -1,0 +1,287 @@
+"""The same problem with more phases, each smooth, and the conditions that hold along them and at their ends.
+
+A phase of several arcs becomes as many phases with the states, controls and formulas of its own, linked by identity.
+Each has a free duration; their sum is the user's: where that is a free parameter, the sum stands in its place in every
+formula, and its range becomes a range of the sum; where it is given, or belongs to another phase too, the sum has to
+be equal to it.
+
+A condition that is ridden decides the control there (`Phase.held`), and is no path condition of that arc. On the others
+it stays one, as the arc that leads to it needs it: without S >= 0 the cost has no minimum at the time of entry, but a
+slope that vanishes and does not change its sign (before it H of the best control is at most H of the one that rides).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+from perilune.problem.form import PHASE_FUNCTIONS, roles_of
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.rates import component, gathered, run
+from perilune.problem.tape import Expression, Recorder
+from perilune.problem.variables import Free, Variable
+from perilune.structures.structure import (
+    Arc,
+    Condition,
+    Structure,
+    check_structure,
+    conditions_of,
+    plain_bound,
+    plain_bounds,
+    without_bounds,
+)
+from perilune.words.outcome import PeriluneError
+
+_ENDLESS = 1e6  # canonical units of time: what a free duration without an upper bound may last
+
+
+def restate(problem: Problem, structure: Structure) -> Problem:
+    """The problem with a phase for each arc of a structure.
+
+    Parameters
+    ----------
+    problem
+        As the user states it.
+    structure
+        Its arcs. Their times are first values of the new durations; nothing else depends on them.
+
+    Returns
+    -------
+    Problem
+        With phases ``descent-1``, ``descent-2``, ... in place of ``descent``, whose durations are free parameters of
+        the same endings. Its `bookkeeping` is left out, as it is of the user's phases.
+
+    Raises
+    ------
+    PeriluneError
+        If the structure is none of the problem's, no control acts on one of its conditions, or a condition is touched
+        that can only be ridden, as the control acts on its first derivative.
+    """
+    check_structure(problem, structure)
+    return _Restated(problem, structure).problem()
+
+
+def part_name(name: str, j: int, count: int) -> str:
+    """Name of the j-th of so many parts of a phase, or of its duration."""
+    return name if count == 1 else f"{name}-{j + 1}"
+
+
+def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str, ...]:
+    """Names of the durations of the parts of phase k."""
+    count, name = len(structure.phases[k]), problem.phases[k].duration
+    if count == 1:
+        return (name,)
+    shared = problem.duration_names.count(name) > 1
+    own = f"{name}.{problem.phases[k].name}" if shared else name
+    return tuple(part_name(own, j, count) for j in range(count))
+
+
+def summed(problem: Problem, structure: Structure) -> dict[str, int]:
+    """Free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
+    found: dict[str, int] = {}
+    for k, phase in enumerate(problem.phases):
+        if phase.duration in problem.free_names and len(structure.phases[k]) > 1:
+            found.setdefault(phase.duration, k)
+    whole = {p.duration for p, arcs in zip(problem.phases, structure.phases, strict=True) if len(arcs) == 1}
+    return {name: k for name, k in found.items() if name not in whole}
+
+
+@dataclass
+class _Restated:
+    """What is known while a problem is restated."""
+
+    user: Problem
+    structure: Structure
+
+    @cached_property
+    def sums(self) -> dict[str, tuple[str, ...]]:
+        """Free durations of the user that are sums, by name."""
+        found = summed(self.user, self.structure)
+        return {name: part_durations(self.user, self.structure, k) for name, k in found.items()}
+
+    @cached_property
+    def expressions(self) -> dict[Any, Expression]:
+        """The user's functions with the sums in them."""
+        return {key: _with_sums(e, self.sums) for key, e in self.user.form.expressions.items()}
+
+    def problem(self) -> Problem:
+        user, own = self.user, self.expressions
+        phases, links = list[Phase](), list[Expression]()
+        for k, phase in enumerate(user.phases):
+            if k:
+                links.append(own["links", k - 1])
+            parts = list(self._parts(k))
+            links += [_identity(phase)] * (len(parts) - 1)
+            phases += parts
+        bounds = {name: g for name, g in plain_bounds(user).items() if name in self._bounds_named()}
+        return user.changed(
+            phases=tuple(phases),
+            links=tuple(links),
+            start=own["start"],
+            objective=own["objective"],
+            results=own.get("results"),
+            given=MappingProxyType({**user.given, **bounds}),
+            free=tuple(self._free()),
+            bookkeeping=None,
+            form=None,
+        )
+
+    def _bounds_named(self) -> set[str]:
+        return {
+            plain_bound(phase, phase.states[c.bound[0]], c.bound[1])
+            for k, phase in enumerate(self.user.phases)
+            for c in self._conditions(k).values()
+            if c.bound is not None
+        }
+
+    def _conditions(self, k: int) -> Mapping[str, Condition]:
+        return conditions_of(self.user, k, self.structure.named(k))
+
+    def _free(self) -> Iterator[Free]:
+        yield from (f for f in self.user.free if f.name not in self.sums)
+        known = {f.name: f for f in self.user.free}
+        for k, (phase, arcs) in enumerate(zip(self.user.phases, self.structure.phases, strict=True)):
+            if len(arcs) == 1:
+                continue
+            of = known.get(phase.duration)
+            whole = self.user.given[phase.duration].value if of is None else of.typical
+            longest = whole if of is None else min(of.upper, _ENDLESS * self.user.scales.time)
+            whole = arcs[-1].until if math.isfinite(arcs[-1].until) else whole
+            ends = self.structure.ends(k, whole)
+            for name, begin, end in zip(
+                part_durations(self.user, self.structure, k), [0.0, *ends[:-1]], ends, strict=True
+            ):
+                yield Free(name=name, unit="s", lower=0.0, upper=longest, typical=end - begin)
+
+    def _parts(self, k: int) -> Iterator[Phase]:
+        """The phases that a phase becomes."""
+        phase, arcs, own = self.user.phases[k], self.structure.phases[k], self.expressions
+        conditions, count = self._conditions(k), len(arcs)
+        rough = self._rough(k)
+        durations = part_durations(self.user, self.structure, k)
+        for j, arc in enumerate(arcs):
+            ends = list(self._met(arc, arcs[j + 1] if j + 1 < count else None, conditions))
+            if j + 1 == count:
+                ends += [(v, component(own[k, "end"], i)) for i, v in enumerate(phase.end_conditions)]
+                ends += list(self._whole(phase, durations))
+            held = [(conditions[n].rated(conditions[n].order, "", self._second), conditions[n].values[-1])
+                    for n in arc.along]  # fmt: skip
+            changes = {
+                **{name: own.get((k, name)) for name in PHASE_FUNCTIONS},
+                "name": part_name(phase.name, j, count),
+                "duration": durations[j],
+                "states": without_bounds(phase, [c.bound for c in conditions.values() if c.bound is not None]),
+                "typical_end": rough[j],
+                **_stated("end", "end_conditions", ends),
+                **_stated("path", "path_conditions", self._kept(k, arc, conditions)),
+                **_stated("held", "held_conditions", held + self._user_held(k)),
+            }
+            yield replace(phase, **changes)
+
+    @property
+    def _second(self) -> float:
+        return self.user.scales.time
+
+    def _user_held(self, k: int) -> list[tuple[Variable, Expression]]:
+        held = self.user.phases[k].held_conditions
+        return [(v, component(self.expressions[k, "held"], i)) for i, v in enumerate(held)]
+
+    def _kept(self, k: int, arc: Arc, conditions: Mapping[str, Condition]) -> list[tuple[Variable, Expression]]:
+        """What stays >= 0 on an arc: path conditions, and bounds that another arc of the phase rides or touches."""
+        phase = self.user.phases[k]
+        paths = [
+            (v, component(self.expressions[k, "path"], i))
+            for i, v in enumerate(phase.path_conditions)
+            if v.name not in arc.along
+        ]
+        others = [c for c in conditions.values() if c.bound is not None and c.name not in arc.along]
+        return paths + [(c.variable, _with_sums(c.values[0], self.sums)) for c in others]
+
+    def _met(
+        self, arc: Arc, following: Arc | None, conditions: Mapping[str, Condition]
+    ) -> Iterator[tuple[Variable, Expression]]:
+        """What vanishes at the end of an arc: conditions that are touched there, and those that are ridden next."""
+        entered = () if following is None else following.along
+        for name in arc.touches:
+            found = conditions[name]
+            if found.order < 2:
+                raise PeriluneError(
+                    f"{name} can be ridden, and not touched",
+                    got=f"a condition of order {found.order}",
+                    expected="order 2 or more, so that S = 0 and S' = 0 are conditions on the state",
+                    advice=f"Arc(along=({name!r},)), an arc of its own",
+                )
+            yield from self._vanishing(found, "touch_", 2)
+        for name in (n for n in entered if n not in arc.along):
+            yield from self._vanishing(conditions[name], "enter_", conditions[name].order)
+
+    def _vanishing(self, condition: Condition, prefix: str, count: int) -> Iterator[tuple[Variable, Expression]]:
+        for i in range(count):
+            yield condition.rated(i, prefix, self._second), _with_sums(condition.values[i], self.sums)
+
+    def _whole(self, phase: Phase, durations: Sequence[str]) -> Iterator[tuple[Variable, Expression]]:
+        """The sum of the durations of a phase's parts, that has to be what the user says of it."""
+        if len(durations) == 1:
+            return
+        recorder, name = Recorder(), phase.duration
+        total = _sum(recorder, durations)
+        if self.sums.get(name) == tuple(durations):
+            of = next(f for f in self.user.free if f.name == name)
+            lower = of.lower if of.lower > 0 else -math.inf
+            if math.isfinite(lower) or math.isfinite(of.upper):
+                whole = Variable(name=name, unit="s", lower=lower, upper=of.upper)
+                yield whole, Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
+            return
+        said = _sum(recorder, self.sums[name]) if name in self.sums else recorder.input("p", name)
+        yield Variable(name=name, unit="s"), Expression(recorder.tape([total - said]), ("x", "p"), origin="a duration")
+
+    def _rough(self, k: int) -> list[Expression | None]:
+        """Rough end states of the parts, on a straight line through the rough end of the phase."""
+        arcs, user = self.structure.phases[k], self.expressions
+        if (k, "typical_end") not in user:
+            return [None] * len(arcs)
+        if len(arcs) == 1:
+            return [user[k, "typical_end"]]
+        recorder = Recorder()
+        begin, names = run(user["start"], recorder), self.user.phases[0].state_names
+        for before in range(k):
+            end = run(user[before, "typical_end"], recorder) if (before, "typical_end") in user else begin
+            begin = run(user["links", before], recorder, {("x", n): v for n, v in zip(names, end, strict=True)})
+            names = self.user.phases[before + 1].state_names
+        end, shares = run(user[k, "typical_end"], recorder), self.structure.ends(k, 1.0)
+        inner = [recorder.tape([a + share * (b - a) for a, b in zip(begin, end, strict=True)]) for share in shares[:-1]]
+        roles = roles_of((k, "typical_end"))
+        return [*(Expression(tape, roles, origin="a straight line") for tape in inner), user[k, "typical_end"]]
+
+
+def _stated(function: str, names: str, rows: Sequence[tuple[Variable, Expression]]) -> dict[str, Any]:
+    """A function of a phase and the names of its values; None where there are none."""
+    roles = PHASE_FUNCTIONS[function][0]
+    return {function: gathered([e for _, e in rows], roles) if rows else None, names: tuple(v for v, _ in rows)}
+
+
+def _identity(phase: Phase) -> Expression:
+    recorder = Recorder()
+    return Expression(recorder.tape([recorder.input("x", n) for n in phase.state_names]), ("x", "p"), origin="identity")
+
+
+def _sum(recorder: Recorder, names: Sequence[str]) -> Any:
+    total, *others = [recorder.input("p", name) for name in names]
+    for other in others:
+        total = recorder.do("add", total, other)
+    return total
+
+
+def _with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expression:
+    """An expression with sums of new durations in place of the user's."""
+    inside = [name for name in sums if ("p", name) in expression.tape.instructions]
+    if not inside:
+        return expression
+    recorder = Recorder()
+    values = run(expression, recorder, {("p", name): _sum(recorder, sums[name]) for name in inside})
+    return Expression(recorder.tape(values), expression.roles, expression.scalar, expression.origin)

@@ -1,0 +1,201 @@
+"""The structure of an answer: the arcs of each phase, by the conditions that they ride along or touch.
+
+On an *arc* nothing of the state is held, or it rides *along* conditions: path conditions, or bounds of states, S >= 0
+that are 0 all along it. Of order q (`perilune.problem.rates`) such an arc is entered with S = S' = ... = S^(q-1) = 0,
+and S^(q) = 0 says what the control does on it. At the end of an arc a condition may be *touched*: S = 0 and S' = 0.
+
+Source: Bryson, Ho, *Applied Optimal Control*, 1975, sections 3.11 to 3.13.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.rates import component, derivatives
+from perilune.problem.tape import Expression, Recorder
+from perilune.problem.variables import Given, Variable
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.units import quotient
+
+SIDES = ("lower", "upper")
+
+
+@dataclass(frozen=True)
+class Arc:
+    """One arc.
+
+    Parameters
+    ----------
+    along
+        Names of the conditions that it rides along, as `conditions_of` has them.
+    touches
+        Names of those that are touched at its end.
+    until
+        When it ends, in seconds from the beginning of its phase, as far as that is known; NaN otherwise.
+    """
+
+    along: tuple[str, ...] = ()
+    touches: tuple[str, ...] = ()
+    until: float = math.nan
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The arcs of every phase, in order of flight."""
+
+    phases: tuple[tuple[Arc, ...], ...]
+
+    @classmethod
+    def free(cls, problem: Problem) -> Structure:
+        """One arc for each phase, on which nothing is held."""
+        return cls(tuple((Arc(),) for _ in problem.phases))
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing is ridden or touched, and no phase is cut."""
+        return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches) for arcs in self.phases)
+
+    def named(self, k: int) -> tuple[str, ...]:
+        """Every condition that is ridden or touched in phase k, once each."""
+        return tuple(dict.fromkeys(name for arc in self.phases[k] for name in (*arc.along, *arc.touches)))
+
+    def ends(self, k: int, duration: float) -> list[float]:
+        """When each arc of phase k ends [s] in a flight of that duration; in equal parts where that is not known."""
+        count, known = len(self.phases[k]), [arc.until for arc in self.phases[k]]
+        if not all(math.isfinite(t) for t in known) or not known[-1] > 0:
+            known = [float(i + 1) for i in range(count)]
+        return [*(t / known[-1] * duration for t in known[:-1]), duration]
+
+    @property
+    def text(self) -> str:
+        """The structure in short: ``descent: free, touches glide; along glide``."""
+        parts = []
+        for arcs in self.phases:
+            words = [" and ".join(("along " + ", ".join(arc.along) if arc.along else "free",
+                                   *(f"touches {name}" for name in arc.touches))) for arc in arcs]  # fmt: skip
+            parts.append(", ".join(words))
+        return "; ".join(parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """What a flight may ride along or touch: a path condition, or the bound of a state.
+
+    Parameters
+    ----------
+    name
+        Of the path condition; of a bound ``state.lower`` or ``state.upper``.
+    variable
+        Unit and scale of S, and a name that is an identifier.
+    values
+        (S, S', ..., S^(q)) as functions of (x, u, p); the last is the first with a control in it. A bound that is a
+        number is among the parameters as `plain_bounds` has it.
+    bound
+        (number of the state, side) of a bound; None for a path condition.
+    """
+
+    name: str
+    variable: Variable
+    values: tuple[Expression, ...]
+    bound: tuple[int, str] | None = None
+
+    @property
+    def order(self) -> int:
+        """How many derivatives it takes until a control appears."""
+        return len(self.values) - 1
+
+    def rated(self, i: int, prefix: str, time: float) -> Variable:
+        """Name, unit and scale of the i-th derivative; `time` is the size of a second."""
+        own, unit = self.variable, self.variable.unit
+        for _ in range(i):
+            unit = quotient(unit, "s")
+        name = prefix + own.name + ("_rate" if i else "") + (f"_{i}" if i > 1 else "")
+        return Variable(name=name, unit=unit, scale=None if own.scale is None else own.scale / time**i)
+
+
+def margins(problem: Problem, k: int) -> dict[str, tuple[Variable, Expression, tuple[int, str] | None]]:
+    """Every S >= 0 of phase k by its name: path conditions, then finite bounds of states."""
+    phase, form, found = problem.phases[k], problem.form, {}
+    for i, variable in enumerate(phase.path_conditions):
+        found[variable.name] = (variable, component(form.expressions[k, "path"], i), None)
+    for i, state in enumerate(phase.states):
+        for side in SIDES:
+            limit = getattr(state, side)
+            if isinstance(limit, str) or math.isfinite(limit):
+                own = Variable(name=f"{state.name}_{side}", unit=state.unit, scale=state.scale)
+                held = limit if isinstance(limit, str) else plain_bound(phase, state, side)
+                found[f"{state.name}.{side}"] = (own, _room(state, side, held), (i, side))
+    return found
+
+
+def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, Condition]:
+    """The conditions of phase k that have these names, with their derivatives along the flight.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no such condition, or no control acts on it.
+    """
+    phase, known, found = problem.phases[k], margins(problem, k), {}
+    dynamics = problem.form.expressions[k, "dynamics"]
+    for name in names:
+        if name not in known:
+            raise unknown_name(f"condition of {phase.name}", name, sorted(known))
+        variable, value, bound = known[name]
+        values = derivatives(value, dynamics, phase.state_names, f"{name} of {phase.name}")
+        found[name] = Condition(name=name, variable=variable, values=values, bound=bound)
+    return found
+
+
+def plain_bound(phase: Phase, state: Variable, side: str) -> str:
+    """Name of the given parameter that holds a bound which is a number: formulas hold no numbers with a unit."""
+    return f"{phase.name}.{state.name}.{side}"
+
+
+def plain_bounds(problem: Problem) -> dict[str, Given]:
+    """Those parameters of all states that have such a bound."""
+    return {
+        plain_bound(phase, state, side): Given(value=limit, unit=state.unit)
+        for phase in problem.phases
+        for state in phase.states
+        for side in SIDES
+        if not isinstance(limit := getattr(state, side), str) and math.isfinite(limit)
+    }
+
+
+def _room(state: Variable, side: str, limit: str) -> Expression:
+    """How far a state is from its bound, positive inside."""
+    recorder = Recorder()
+    x: Any = recorder.input("x", state.name)
+    bound = recorder.input("p", limit)
+    room = x - bound if side == "lower" else bound - x
+    return Expression(recorder.tape([room]), ("x", "u", "p"), origin="a bound")
+
+
+def without_bounds(phase: Phase, bounds: Sequence[tuple[int, str]]) -> tuple[Variable, ...]:
+    """The states of a phase without some of their bounds."""
+    states = list(phase.states)
+    for i, side in bounds:
+        states[i] = replace(states[i], **{side: -math.inf if side == "lower" else math.inf})
+    return tuple(states)
+
+
+def check_structure(problem: Problem, structure: Structure) -> None:
+    """Refuse a structure that is none of the problem's.
+
+    Raises
+    ------
+    PeriluneError
+        If it has other phases, or a phase without an arc.
+    """
+    if len(structure.phases) != len(problem.phases) or not all(structure.phases):
+        raise PeriluneError(
+            "a structure has at least one arc for each phase",
+            got=f"{[len(arcs) for arcs in structure.phases]} arcs",
+            expected=f"{len(problem.phases)} phases",
+        )

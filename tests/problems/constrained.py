@@ -1,0 +1,251 @@
+"""Problems whose answers ride along a condition on states, or touch it, with their closed forms."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+import perilune as pl
+from perilune.problem.variables import Given, Variable
+
+
+def _variables(**units: str) -> tuple[Variable, ...]:
+    return tuple(Variable(name=name, unit=unit) for name, unit in units.items())
+
+
+def _given(**values: tuple[float, str]) -> dict[str, Given]:
+    return {name: Given(value=value, unit=unit) for name, (value, unit) in values.items()}
+
+
+def bryson_denham(ceiling: float, as_bound: bool = False) -> pl.Problem:
+    """From (0, 1) to (0, -1) in 1 s with the least int u^2/2 and x <= l, as a path condition or as a bound of x.
+
+    Bryson, Denham, Dreyfus 1963: for l < 1/6 the flight rides along x = l from 3 l to 1 - 3 l and J = 4/(9 l), for
+    l < 1/4 it touches at 1/2 and J = 2 + 6 (1 - 4 l)^2.
+    """
+    x = Variable(name="x", unit="m", upper=ceiling if as_bound else math.inf)
+    phase = pl.Phase(
+        name="swing",
+        states=(x, *_variables(v="m/s", c="m^2/s^3")),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x, x.v + p.speed),
+        end_conditions=_variables(back="m", turned="m/s"),
+        path=None if as_bound else lambda x, u, p, m: (p.ceiling - x.x,),
+        path_conditions=() if as_bound else _variables(room="m"),
+    )
+    return pl.Problem(
+        name="bryson_denham",
+        phases=(phase,),
+        start=lambda p, m: (0.0, p.speed, 0.0),
+        given=_given(T=(1.0, "s"), speed=(1.0, "m/s"), ceiling=(ceiling, "m")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s^3",
+    )
+
+
+def bryson_denham_truth(ceiling: float) -> float:
+    """J of `bryson_denham` [m^2/s^3]."""
+    return 4 / (9 * ceiling) if ceiling <= 1 / 6 else 2 + 6 * (1 - 4 * ceiling) ** 2
+
+
+SLOPE, OFFSET = 0.5, 0.1
+
+
+def brachistochrone() -> pl.Problem:
+    """Least time over x = 1 m from rest under g = 1 m/s^2, nowhere below the line y = x/2 + 0.1 m (y points down)."""
+    phase = pl.Phase(
+        name="slide",
+        states=_variables(x="m", y="m", v="m/s"),
+        controls=(pl.Direction(names=("c", "s")),),
+        dynamics=lambda x, u, p, m: (x.v * u.c, x.v * u.s, p.g * u.s),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.far,),
+        end_conditions=_variables(across="m"),
+        path=lambda x, u, p, m: (p.slope * x.x + p.offset - x.y,),
+        path_conditions=_variables(above="m"),
+        typical_end=lambda p, m: (p.far, p.slope * p.far, m.sqrt(p.g * p.far)),
+    )
+    return pl.Problem(
+        name="brachistochrone",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given=_given(g=(1.0, "m/s^2"), far=(1.0, "m"), slope=(SLOPE, "1"), offset=(OFFSET, "m")),
+        free=(pl.Free(name="T", unit="s", upper=10.0, lower=0.0, typical=1.8),),
+        objective=lambda x, p, m: p.T,
+        objective_unit="s",
+    )
+
+
+def brachistochrone_truth() -> tuple[float, float, float]:
+    """When the line is met, when it is left, and the least time [s]: a cycloid, the line, a cycloid, each tangent.
+
+    On a cycloid x = R (phi - sin phi), y = R (1 - cos phi) the slope is cot(phi/2) and the time sqrt(R/g) phi; the last
+    one ends level, at phi = pi.
+    """
+    phi = 2 * math.atan(1 / SLOPE)
+    high, wide = 1 - math.cos(phi), phi - math.sin(phi)
+    first = OFFSET / (high - SLOPE * wide)
+    last = (SLOPE + OFFSET) / (high + SLOPE * (math.pi - wide))
+    met, gained = first * high, last * high  # heights fallen, where speeds are sqrt(2 y)
+    along = (math.sqrt(2 * gained) - math.sqrt(2 * met)) * math.hypot(1, SLOPE) / SLOPE
+    entered = math.sqrt(first) * phi
+    return entered, entered + along, entered + along + math.sqrt(last) * (math.pi - phi)
+
+
+def mars_glide_slope() -> pl.Problem:
+    """Landing on Mars above a rounded cone of 4 degrees, in a plane: it is touched once (Acikmese, Ploen 2007)."""
+    cant = math.radians(27.0)
+    phase = pl.Phase(
+        name="descent",
+        states=_variables(up="m", x="m", vu="m/s", vx="m/s", m="kg"),
+        controls=(
+            pl.Direction(names=("du", "dx")),
+            pl.Bounded(name="T", unit="N", lower="least", upper="most"),
+        ),
+        dynamics=lambda x, u, p, m: (x.vu, x.vx, u.T / x.m * u.du - p.g, u.T / x.m * u.dx, -u.T * p.alpha),
+        duration="flight_time",
+        end=lambda x, p, m: (x.up, x.x, x.vu, x.vx),
+        end_conditions=_variables(down="m", there="m", sinking="m/s", drifting="m/s"),
+        path=lambda x, u, p, m: (x.up - p.slope * (m.sqrt(x.x * x.x + p.pad * p.pad) - p.pad),),
+        path_conditions=_variables(glide="m"),
+        typical_end=lambda p, m: (0.0, 0.0, 0.0, 0.0, 0.8 * p.m0),
+    )
+    return pl.Problem(
+        name="mars_glide_slope",
+        phases=(phase,),
+        start=lambda p, m: (p.h, p.d, -p.sinking, p.across, p.m0),
+        given=_given(
+            g=(3.7114, "m/s^2"), alpha=(1 / (225 * 9.807 * math.cos(cant)), "s/m"), m0=(1905.0, "kg"),
+            h=(1500.0, "m"), d=(2000.0, "m"), sinking=(75.0, "m/s"), across=(100.0, "m/s"),
+            least=(6 * 0.3 * 3100 * math.cos(cant), "N"), most=(6 * 0.8 * 3100 * math.cos(cant), "N"),
+            slope=(math.tan(math.radians(4.0)), "1"), pad=(1.0, "m"),
+        ),
+        free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=200.0, typical=70.0),),
+        objective=lambda x, p, m: -x.m,
+        objective_unit="kg",
+        results=lambda first, last, p, m: (first.m - last.m, p.flight_time),
+        result_variables=_variables(propellant="kg", time="s"),
+        scales=pl.Scales(length=2000.0, time=40.0, mass=1905.0),
+    )  # fmt: skip
+
+
+MU, RADIUS, TURNS = 3.986005e14, 6.371e6, 7.2921159e-5
+LEGS = 2
+
+
+def deorbit() -> pl.Problem:
+    """Least time from a circular orbit to a place: three quarters round with the engine on, then a fall through air.
+
+    The transition, in two legs of equal length, may not come below 120 km, and touches that half way; it ends there
+    with 7.5 km/s, 6 degrees below the horizon. Axes turn with the Earth.
+    """
+    start, velocity = _orbit(math.radians(39.5), math.radians(16.0))
+    normal = np.cross(start, velocity + np.cross([0.0, 0.0, TURNS], start))
+    normal /= np.linalg.norm(normal)
+    ahead = start / np.linalg.norm(start)
+    site = _unit(math.radians(38.0), math.radians(-98.0))
+
+    def gravity(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        r = m.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
+        k, f, g = 1.5 * p.j2 * (p.radius / r) ** 2, 5 * (x.z / r) ** 2, -p.mu / r**3
+        turning = p.turns**2
+        return (
+            g * x.x * (1 + k * (1 - f)) + 2 * p.turns * x.vy + turning * x.x,
+            g * x.y * (1 + k * (1 - f)) - 2 * p.turns * x.vx + turning * x.y,
+            g * x.z * (1 + k * (3 - f)),
+            r,
+        )
+
+    def burning(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        ax, ay, az, _ = gravity(x, p, m)
+        t = p.thrust / x.m
+        return x.vx, x.vy, x.vz, ax + t * u.a, ay + t * u.b, az + t * u.c, -p.thrust / p.exhaust
+
+    def falling(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        ax, ay, az, r = gravity(x, p, m)
+        v = m.sqrt(x.vx**2 + x.vy**2 + x.vz**2)
+        drag = 0.5 * p.density * m.exp(-(r - p.radius) / p.height) * p.area / x.m * v
+        return x.vx, x.vy, x.vz, ax - drag * x.vx, ay - drag * x.vy, az - drag * x.vz, 0.0 * p.thrust / p.exhaust
+
+    def gate(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        r, v = m.sqrt(x.x**2 + x.y**2 + x.z**2), m.sqrt(x.vx**2 + x.vy**2 + x.vz**2)
+        return r - p.gate, v - p.speed, (x.x * x.vx + x.y * x.vy + x.z * x.vz) / (r * v) - m.sin(p.angle)
+
+    def way(share: float) -> Any:
+        turn, back = math.radians(275.0) * share, -TURNS * 4400.0 * share
+        out = ahead * math.cos(turn) + np.cross(normal, ahead) * math.sin(turn)
+        spin = np.array([[math.cos(back), -math.sin(back), 0], [math.sin(back), math.cos(back), 0], [0, 0, 1]])
+        out, on = spin @ out, spin @ np.cross(normal, out)
+        mass = 1 - 0.3 * share
+        return lambda p, m: (
+            *((p.gate + (1 - share) * (p.orbit - p.gate)) * float(c) for c in out),
+            *(p.speed * float(c) for c in on),
+            mass * p.m0,
+        )
+
+    states = (*_variables(x="m", y="m", z="m", vx="m/s", vy="m/s", vz="m/s"), Variable(name="m", unit="kg", lower=50.0))
+    legs = [
+        pl.Phase(
+            name=f"leg{j}", states=states, controls=(pl.Direction(names=("a", "b", "c")),), dynamics=burning,
+            duration="leg", typical_end=way(j / LEGS),
+            end=gate if j == LEGS else None,
+            end_conditions=_variables(shell="m", entry_speed="m/s", entry_angle="1") if j == LEGS else (),
+            path=lambda x, u, p, m: ((x.x * x.x + x.y * x.y + x.z * x.z) / p.gate**2 - 1,),
+            path_conditions=_variables(above="1"),
+        )
+        for j in range(1, LEGS + 1)
+    ]  # fmt: skip
+    on = np.cross(normal, ahead)
+    fall = pl.Phase(
+        name="entry", states=states, dynamics=falling, duration="fall",
+        end=lambda x, p, m: tuple(
+            a - (p.radius + p.site) * float(c) for a, c in zip((x.x, x.y, x.z), site, strict=True)
+        ),
+        end_conditions=_variables(site_x="m", site_y="m", site_z="m"),
+        typical_end=lambda p, m: (
+            *((p.radius + p.site) * float(c) for c in site), *(0.1 * p.speed * float(c) for c in on), 0.7 * p.m0,
+        ),
+    )  # fmt: skip
+    at = {f"{n}0": (float(v), "m") for n, v in zip("xyz", start, strict=True)}
+    going = {f"v{n}0": (float(v), "m/s") for n, v in zip("xyz", velocity, strict=True)}
+    return pl.Problem(
+        name="deorbit",
+        phases=(*legs, fall),
+        start=lambda p, m: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.m0),
+        links=(lambda x, p, m: tuple(x),) * LEGS,
+        given=_given(
+            mu=(MU, "m^3/s^2"), radius=(RADIUS, "m"), turns=(TURNS, "rad/s"), j2=(1.08263e-3, "1"),
+            thrust=(100.0, "N"), exhaust=(3000.0, "m/s"), m0=(500.0, "kg"), density=(1.225, "kg/m^3"),
+            height=(7200.0, "m"), area=(0.6, "m^2"), site=(10e3, "m"), gate=(RADIUS + 120e3, "m"),
+            orbit=(6678.14e3, "m"), speed=(7500.0, "m/s"), angle=(math.radians(-6.0), "rad"), **at, **going,
+        ),
+        free=(
+            pl.Free(name="leg", unit="s", lower=500.0 / LEGS, upper=6000.0 / LEGS, typical=4300.0 / LEGS),
+            pl.Free(name="fall", unit="s", lower=20.0, upper=900.0, typical=200.0),
+        ),
+        objective=lambda x, p, m: LEGS * p.leg + p.fall,
+        objective_unit="s",
+        scales=pl.Scales(length=RADIUS, time=math.sqrt(RADIUS**3 / MU), mass=500.0),
+    )  # fmt: skip
+
+
+def _unit(latitude: float, longitude: float) -> Any:
+    return np.array([
+        math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)
+    ])  # fmt: skip
+
+
+def _orbit(latitude: float, longitude: float) -> tuple[Any, Any]:
+    """Position and velocity in turning axes on a circular orbit of 50 degrees inclination, going south."""
+    inclination, radius = math.radians(50.0), 6678.14e3
+    u = math.pi - math.asin(math.sin(latitude) / math.sin(inclination))
+    node = longitude - math.atan2(math.cos(inclination) * math.sin(u), math.cos(u))
+    at = _unit(latitude, longitude)
+    normal = np.array([math.sin(node) * math.sin(inclination), -math.cos(node) * math.sin(inclination),
+                       math.cos(inclination)])  # fmt: skip
+    position = at * radius
+    return position, np.cross(normal, at) * math.sqrt(MU / radius) - np.cross([0.0, 0.0, TURNS], position)

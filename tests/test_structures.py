@@ -1,0 +1,210 @@
+"""Problems restated with their arcs: solved to closed forms, cut and joined without loss, read off coarse answers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.problem.solution import Solution
+from perilune.structures.carry import joined, split
+from perilune.structures.read import read
+from perilune.structures.restate import restate
+from perilune.structures.structure import Arc, Structure
+from perilune.words.outcome import PeriluneError
+from problems.constrained import (
+    brachistochrone,
+    brachistochrone_truth,
+    bryson_denham,
+    bryson_denham_truth,
+    deorbit,
+    mars_glide_slope,
+)
+
+COARSE = pl.Pseudospectral(segments=4, nodes=8, refine=0)
+ONE_MESH = pl.Pseudospectral(refine=0)
+
+
+def riding(name: str) -> Structure:
+    return Structure(((Arc(), Arc(along=(name,)), Arc()),))
+
+
+def touching(name: str) -> Structure:
+    return Structure(((Arc(touches=(name,)), Arc()),))
+
+
+@pytest.mark.parametrize(("as_bound", "name"), [(False, "room"), (True, "x.upper")])
+def test_a_restated_problem(as_bound: bool, name: str) -> None:
+    """Each arc is a phase; what is ridden is held and entered, and no condition of its arc any more."""
+    problem = restate(bryson_denham(1 / 9, as_bound), riding(name))
+    own = name.replace(".", "_")
+    assert [p.name for p in problem.phases] == ["swing-1", "swing-2", "swing-3"]
+    assert problem.duration_names == ("T-1", "T-2", "T-3") == problem.free_names
+    assert [c.name for c in problem.phases[0].end_conditions] == [f"enter_{own}", f"enter_{own}_rate"]
+    assert [(c.name, c.unit) for c in problem.phases[1].held_conditions] == [(f"{own}_rate_2", "m/s^2")]
+    assert [[c.name for c in p.path_conditions] for p in problem.phases] == [[own], [], [own]]
+    assert [c.name for c in problem.phases[2].end_conditions] == ["back", "turned", "T"]
+    assert all(s.upper == math.inf for p in problem.phases for s in p.states)
+    p = problem.parameters({"T-1": 0.2, "T-2": 0.3, "T-3": 0.6})
+    x, u = (0.1, 0.4, 0.0), (-2.0,)
+    assert problem.phases[0].evaluate("end", x, (), p) == pytest.approx([1 / 9 - 0.1, -0.4])
+    assert problem.phases[1].evaluate("held", x, u, p) == [2.0]
+    assert problem.phases[2].evaluate("end", x, (), p) == pytest.approx([0.1, 1.4, 0.1])
+    replace(problem, title="whose physics is homogeneous")
+
+
+@pytest.mark.parametrize("as_bound", [False, True])
+@pytest.mark.parametrize(("ceiling", "rides"), [(1 / 9, True), (1 / 5, False)])
+def test_the_direct_method_finds_the_closed_form_from_a_straight_line(
+    ceiling: float, rides: bool, as_bound: bool
+) -> None:
+    """dJ/dl is the multiplier of entry, or of the touch."""
+    name, problem = "x.upper" if as_bound else "room", bryson_denham(ceiling, as_bound)
+    structure = riding(name) if rides else touching(name)
+    solution = pl.solve(restate(problem, structure), pl.Pseudospectral(), level=0)
+    assert solution.objective == pytest.approx(bryson_denham_truth(ceiling), abs=1e-10)
+    slope = -4 / (9 * ceiling**2) if rides else -48 * (1 - 4 * ceiling)
+    first = next(nu for key, nu in solution.multipliers.items() if "_rate" not in key)
+    assert first == pytest.approx(slope, rel=1e-3)  # S >= 0 beside it takes its part
+    whole = joined(problem, solution, structure)
+    assert whole.problem is problem and not whole.free
+    assert whole.trajectories[0].duration == pytest.approx(1.0, abs=1e-12)
+    ends = np.cumsum([t.duration for t in solution.trajectories])[:-1]
+    assert ends == pytest.approx([3 * ceiling, 1 - 3 * ceiling] if rides else [0.5], abs=1e-4)
+    failed = [c.name for c in pl.verify(whole, level=1).failed]
+    assert failed == (["state_c"] if rides else [])  # the control is not smooth where S >= 0 is met
+
+
+def test_a_touch_by_the_indirect_method() -> None:
+    """To the last digit; the costate of the place jumps by dJ/dl."""
+    problem, structure = bryson_denham(1 / 5), touching("room")
+    restated = restate(problem, structure)
+    solution = pl.Indirect().run(restated, pl.solve(restated, ONE_MESH, level=0))
+    assert solution.objective == pytest.approx(2.24, abs=1e-12)
+    assert solution.multipliers["swing-1.touch_room"] == pytest.approx(-9.6, abs=1e-11)
+    whole = joined(problem, solution, structure)
+    assert pl.verify(whole, level=1).passed
+    costate = whole.trajectories[0].costate
+    assert costate is not None
+    at = np.nonzero(np.diff(costate.time) == 0)[0]
+    assert costate.time[at] == pytest.approx([0.5])
+    assert np.diff(costate.values[at[0] : at[0] + 2, 0])[0] == pytest.approx(-9.6, abs=1e-9)
+    assert whole.multipliers.keys() == {"swing.back", "swing.turned"}
+
+
+def test_the_constrained_brachistochrone() -> None:
+    """A condition of the first order; its free duration is a sum, in J too."""
+    problem = brachistochrone()
+    entered, left, least = brachistochrone_truth()
+    coarse = pl.solve(problem, COARSE, level=0)
+    structure = read(problem, coarse)
+    assert structure is not None
+    guess = split(coarse, structure)
+    solution = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
+    whole = joined(problem, solution, structure)
+    assert whole.objective == pytest.approx(least, abs=1e-9)
+    assert whole.free == pytest.approx({"T": least}, abs=1e-9)
+    ends = np.cumsum([t.duration for t in solution.trajectories])
+    assert ends[:2] == pytest.approx([entered, left], abs=1e-3)
+    assert pl.verify(whole, level=1).passed
+
+
+def test_the_range_of_a_duration_is_one_of_the_sum() -> None:
+    problem = brachistochrone()
+    slow = replace(problem, free=(replace(problem.free[0], lower=2.0),))
+    guess = split(pl.solve(slow, COARSE, level=0), riding("above"))
+    solution = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
+    assert solution.objective == pytest.approx(2.0, abs=1e-9)
+    whole = joined(slow, solution, riding("above"))
+    assert whole.free == pytest.approx({"T": 2.0}, abs=1e-9)
+    assert whole.multipliers.keys() == {"slide.across"}
+
+
+@pytest.fixture(scope="module")
+def glide() -> Solution:
+    """The glide slope on a coarse mesh, some metres below it."""
+    return pl.solve(mars_glide_slope(), COARSE, level=0)
+
+
+def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution) -> None:
+    problem = mars_glide_slope()
+    structure = read(problem, glide)
+    assert structure is not None and structure.text == "free and touches glide, free"
+    guess = split(glide, structure)
+    assert sum(guess.free[name] for name in guess.problem.duration_names) == pytest.approx(glide.free["flight_time"])
+    rough = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
+    solution = joined(problem, pl.Indirect().run(guess.problem, rough), structure)
+    proof = pl.verify(solution, level=1)
+    assert proof.passed
+    assert solution.results["propellant"].value == pytest.approx(398.069674, abs=1e-5)
+    assert solution.results["time"].value == solution.free["flight_time"]
+    t = np.linspace(0.0, solution.free["flight_time"], 2001)
+    assert problem.phases[0].evaluate("path", *solution.flown(0, t), solution.parameters)[0].min() > -1e-6
+
+
+def test_a_return_touches_its_shell_in_a_leg_of_a_shared_duration() -> None:
+    """The legs stay equal, whatever the first is made of. The touch lasts no time; its time is free."""
+    problem = deorbit()
+    coarse = pl.solve(problem, pl.Pseudospectral(refine=0, segments=4, nodes=6), level=0)
+    structure = read(problem, coarse)
+    assert structure is not None and structure.text == "free and touches above, free; free; free"
+    guess = split(coarse, structure)
+    assert guess.problem.duration_names == ("leg.leg1-1", "leg.leg1-2", "leg", "fall")
+    solution = pl.Indirect().run(guess.problem, pl.solve(guess.problem, ONE_MESH, guess=guess, level=0))
+    whole = joined(problem, solution, structure)
+    assert pl.verify(whole, level=1).passed
+    assert whole.objective == pytest.approx(2 * whole.free["leg"] + whole.free["fall"], abs=1e-9)
+    assert whole.trajectories[0].duration == pytest.approx(whole.trajectories[1].duration, abs=1e-7)
+    assert whole.objective == pytest.approx(4443.89648, abs=1e-4)
+
+
+def test_cut_and_joined_again_nothing_is_lost(glide: Solution) -> None:
+    structure = Structure(((Arc(until=20.0), Arc(until=32.0), Arc(until=glide.free["flight_time"])),))
+    pieces = split(glide, structure)
+    assert [t.duration for t in pieces.trajectories][:2] == [20.0, pytest.approx(12.0)]
+    assert pieces.multipliers["descent-3.down"] == glide.multipliers["descent.down"]
+    whole = joined(glide.problem, pieces, structure)
+    assert whole.free == pytest.approx(dict(glide.free)) and whole.multipliers == glide.multipliers
+    t = np.linspace(0.0, glide.free["flight_time"], 777)
+    for name in ("state", "control", "costate"):
+        before, after = (getattr(s.trajectories[0], name)(t) for s in (glide, whole))
+        np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-9)
+
+
+MESHES = [{"segments": 4, "nodes": 8}, {"segments": 8, "nodes": 5}, {"nodes": 20}, {"segments": 10, "nodes": 4}]
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: bryson_denham(1 / 9), "free, along room, free"),
+        (lambda: bryson_denham(1 / 9, as_bound=True), "free, along x.upper, free"),
+        (lambda: bryson_denham(1 / 5), "free and touches room, free"),
+        (lambda: bryson_denham(1 / 3), None),
+        (brachistochrone, "free, along above, free"),
+        (mars_glide_slope, "free and touches glide, free"),
+    ],
+)
+def test_structures_are_read_off_coarse_meshes(make: Any, text: str | None, mesh: Any) -> None:
+    """What falls below its limit between the points of a mesh, and bulges above it."""
+    problem = make()
+    structure = read(problem, pl.solve(problem, pl.Pseudospectral(refine=0, **mesh), level=0))
+    assert (structure and structure.text) == text
+
+
+def test_what_cannot_be_restated_is_named() -> None:
+    problem = brachistochrone()
+    with pytest.raises(PeriluneError, match="no condition of slide of this name") as unknown:
+        restate(problem, riding("abvoe"))
+    assert "'above'" in unknown.value.advice
+    with pytest.raises(PeriluneError, match="above can be ridden, and not touched"):
+        restate(problem, touching("above"))
+    with pytest.raises(PeriluneError, match="at least one arc for each phase"):
+        restate(problem, Structure(((Arc(),), (Arc(),))))
+    with pytest.raises(PeriluneError, match="an arc of slide has no length"):
+        split(pl.solve(problem, COARSE, level=0), Structure(((Arc(until=1.0), Arc(until=1.0), Arc(until=1.0)),)))
