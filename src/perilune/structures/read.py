@@ -26,6 +26,7 @@ from perilune.words.types import Vector
 NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
 BULGE = 8.0  # times what S falls below 0 it may rise above on an arc that is ridden; 1 to 6 were met
 POINTS = 2000  # of a phase, beside the nodes of its tables
+ROUNDING = 1e-8  # of what S goes through: less below 0 is not broken
 WIDER, STAYS = 4.0, 0.6  # a wider level; ridden where the flight stays for such a share of the time below the wider one
 
 
@@ -56,13 +57,14 @@ def read(problem: Problem, solution: Solution) -> Structure | None:
     """
     phases = []
     for k, flown in enumerate(solution.trajectories):
-        found = [c for name in _of_states(problem, k) for c in contacts(solution, k, name)]
-        phases.append(_arcs(found, flown.duration))
+        found = [c for name in of_states(problem, k) for c in contacts(solution, k, name)]
+        phases.append(arcs_of(found, flown.duration))
     structure = Structure(tuple(phases))
     return None if structure.plain else structure
 
 
-def _of_states(problem: Problem, k: int) -> list[str]:
+def of_states(problem: Problem, k: int) -> list[str]:
+    """Names of the conditions of phase k on states alone."""
     return [name for name, (_, value, _) in margins(problem, k).items() if not acts(value)]
 
 
@@ -85,6 +87,13 @@ def contacts(solution: Solution, k: int, name: str) -> Iterator[Contact]:
         elif inside:
             at = float(here[np.argmin(room[first : last + 1])])
             yield Contact(name=name, begin=at, end=at, ridden=False)
+
+
+def broken(solution: Solution, k: int, name: str) -> Iterator[tuple[float, float, float]]:
+    """Where a condition of phase k is broken by more than rounding: from when to when, and when the most [s]."""
+    t, room = _room(solution, k, name)
+    for first, last in _groups(room < -ROUNDING * float(np.ptp(room))):
+        yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
 
 
 def _room(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
@@ -116,7 +125,7 @@ def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> flo
     return end - begin
 
 
-def _arcs(found: list[Contact], duration: float) -> tuple[Arc, ...]:
+def arcs_of(found: list[Contact], duration: float) -> tuple[Arc, ...]:
     """The arcs of a phase between the times at which something begins, ends or is touched."""
     cuts = sorted({t for c in found for t in (c.begin, c.end) if 0.0 < t < duration})
     arcs = []

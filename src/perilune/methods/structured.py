@@ -1,0 +1,134 @@
+"""From a rough answer to the extremal of its structure: arcs read off it, the problem restated, Newton, arcs revised.
+
+A condition on states alone is kept by riding along it or touching it, which no single smooth arc does. The structure is
+read off the direct method's answer (`perilune.structures.read`), and each of its arcs becomes a phase. The extremal of
+that shows whether it is the right one, and changes it by rule, a bounded number of times:
+
+- a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
+- an arc of no length is a touch, or none where its condition cannot be touched;
+- a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from perilune.methods.ladder import Ladder
+from perilune.methods.search import Search
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.structures.carry import joined, split
+from perilune.structures.read import Contact, arcs_of, broken, of_states, read
+from perilune.structures.restate import part_name
+from perilune.structures.structure import Structure, conditions_of
+from perilune.words.outcome import PeriluneError
+from perilune.words.watch import Watch
+
+ATTEMPTS = 6
+RUNG = "structure"
+_NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
+
+
+@dataclass(kw_only=True)
+class Polish:
+    """One run from one rough answer.
+
+    Parameters
+    ----------
+    settings, problem, watch
+        Of the search that needs it.
+    tried
+        Receives a line for each structure.
+    """
+
+    settings: Ladder
+    problem: Problem
+    watch: Watch
+    tried: list[str]
+
+    def run(self, rough: Solution) -> Solution | None:
+        """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
+        structure, seen = read(self.problem, rough), set[str]()
+        while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
+            seen.add(structure.text)
+            self.watch(f"structure: {structure.text}")
+            try:
+                solved = self._extremal(rough, structure)
+            except PeriluneError as error:
+                self.tried.append(f"structure {structure.text}: {error.what}")
+                return None
+            rough, structure = joined(self.problem, solved, structure), self._timed(structure, solved)
+            revised = self._revised(structure, solved, rough)
+            if revised is structure:
+                self.tried.append(f"structure {structure.text}: an extremal")
+                statistics = replace(rough.statistics, rung=RUNG, tried=tuple(self.tried))
+                return replace(rough, statistics=statistics)
+            self.tried.append(f"structure {structure.text}: an extremal of another one")
+            structure = revised
+        return None
+
+    def _extremal(self, rough: Solution, structure: Structure) -> Solution:
+        from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
+
+        guess = split(rough, structure)
+        near = Pseudospectral(refine=0).run(guess.problem, guess)  # its phases are smooth: one mesh is fine enough
+        return Search(self.settings, guess.problem, self.watch).solve(near)
+
+    def _timed(self, structure: Structure, solved: Solution) -> Structure:
+        parts = iter(solved.trajectories)
+        return structure.timed([[next(parts).duration for _ in arcs] for arcs in structure.phases])
+
+    def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
+        """The structure where the extremal keeps to it; another that it asks for; None where that is no structure."""
+        phases, same = [], True
+        for k, flown in enumerate(whole.trajectories):
+            known = list(_contacts(structure, k))
+            found = list(self._borne_out(structure, solved, k, known))
+            found = self._beside(whole, k, found)
+            same &= found == known
+            phases.append(arcs_of(found, flown.duration))
+        revised = Structure(tuple(phases))
+        return structure if same else None if revised.plain else revised
+
+    def _borne_out(self, structure: Structure, solved: Solution, k: int, known: list[Contact]) -> Iterator[Contact]:
+        """Those that have a length, or a multiplier of the right sign."""
+        phase, arcs = self.problem.phases[k], structure.phases[k]
+        conditions = conditions_of(self.problem, k, [contact.name for contact in known])
+        for contact in known:
+            condition = conditions[contact.name]
+            if contact.ridden:
+                if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
+                    yield contact
+                elif condition.order > 1:
+                    yield replace(contact, end=contact.begin, ridden=False)
+                continue
+            j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
+            at = f"{part_name(phase.name, j, len(arcs))}.{condition.rated(0, 'touch_', 1.0).name}"
+            if solved.multipliers[at] <= 0:  # J falls where the condition gives way
+                yield contact
+
+    def _beside(self, whole: Solution, k: int, found: list[Contact]) -> list[Contact]:
+        """The contacts and those that are missing: where a condition is broken."""
+        found = list(found)
+        for name in of_states(self.problem, k):
+            for begin, end, at in broken(whole, k, name):
+                near = [c for c in found if c.name == name and begin <= c.end and c.begin <= end]
+                ridden = bool(near) or conditions_of(self.problem, k, (name,))[name].order == 1
+                begin, end = (begin, end) if ridden else (at, at)
+                for contact in near:
+                    begin, end = min(begin, contact.begin), max(end, contact.end)
+                    found.remove(contact)
+                found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
+        return found
+
+
+def _contacts(structure: Structure, k: int) -> Iterator[Contact]:
+    """What a structure with times rides along and touches in phase k."""
+    begin = 0.0
+    for arc in structure.phases[k]:
+        for name in arc.along:
+            yield Contact(name=name, begin=begin, end=arc.until, ridden=True)
+        for name in arc.touches:
+            yield Contact(name=name, begin=arc.until, end=arc.until, ridden=False)
+        begin = arc.until
