@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.controls import normalised
+from perilune.problem.named_arcs import NamedArc
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Verification
@@ -239,6 +240,8 @@ class Solution:
         until `perilune.prove` has found each again.
     unknowns
         The method's own unknowns, so that it can start again from here (`method` says whose they are).
+    structure
+        The arcs that it is made of, by name, where somebody has read them.
     """
 
     problem: Problem
@@ -253,6 +256,7 @@ class Solution:
     unknowns: Vector | None = None
     statistics: Statistics = field(default_factory=Statistics)
     verification: Verification = field(default_factory=Verification)
+    structure: tuple[NamedArc, ...] = ()
 
     def __post_init__(self) -> None:
         for name, kind in (("free", "free parameter"), ("multipliers", "multiplier")):

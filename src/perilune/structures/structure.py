@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 from perilune.problem.phase import Phase
@@ -54,6 +55,14 @@ class Structure:
     def free(cls, problem: Problem) -> Structure:
         """One arc for each phase, on which nothing is held."""
         return cls(tuple((Arc(),) for _ in problem.phases))
+
+    def timed(self, durations: Sequence[Sequence[float]]) -> Structure:
+        """The same with the times at which the arcs of each phase end, from how long each of them lasts [s]."""
+        phases = []
+        for arcs, lasting in zip(self.phases, durations, strict=True):
+            ends = accumulate(lasting)
+            phases.append(tuple(replace(arc, until=float(end)) for arc, end in zip(arcs, ends, strict=True)))
+        return Structure(tuple(phases))
 
     @property
     def plain(self) -> bool:
