@@ -58,7 +58,7 @@ _FIELDS = {
     "results": "what the problem asks of its solution, in SI",
     "extremals": "every root of the necessary conditions found, best first; the first is this solution. Only a claim: "
     "`perilune verify` finds each again from its unknowns",
-    "structure": "arcs of the solution in words, each with its phase, and from when to when [s]; or left out",
+    "structure": "arcs of the solution in words, each with its phase and times [s]; none where nobody read them",
     "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
     "verification.tolerance": "what was stated of differences that do not matter, {} for nothing; the proof that "
     "`perilune verify` makes has it too. A limit that it raised has `own_limit` and `raised_by` beside it",
@@ -241,7 +241,7 @@ def answer_document(solution: Solution) -> dict[str, Any]:
         ],
         "statistics": short["statistics"],
         "verification": short["verification"],
-        **_structure(solution),
+        "structure": [asdict(arc) for arc in solution.structure],
         "unknowns": None if solution.unknowns is None else [float(v) for v in solution.unknowns],
     }
 
