@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.io.export import solution_document
+from perilune.problem.named_arcs import told
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
 from perilune.structures.read import read
@@ -109,6 +113,7 @@ def test_the_constrained_brachistochrone() -> None:
     assert whole.objective == pytest.approx(least, abs=1e-9)
     assert whole.free == pytest.approx({"T": least}, abs=1e-9)
     ends = np.cumsum([t.duration for t in solution.trajectories])
+    assert [(a.words, a.begin, a.end) for a in whole.structure] == [("along above", *ends[:2])]
     assert ends[:2] == pytest.approx([entered, left], abs=1e-3)
     assert pl.verify(whole, level=1).passed
 
@@ -130,7 +135,7 @@ def glide() -> Solution:
     return pl.solve(mars_glide_slope(), COARSE, level=0)
 
 
-def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution) -> None:
+def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path: Path) -> None:
     problem = mars_glide_slope()
     structure = read(problem, glide)
     assert structure is not None and structure.text == "free and touches glide, free"
@@ -141,6 +146,19 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution) -> None:
     proof = pl.verify(solution, level=1)
     assert proof.passed
     assert solution.results["propellant"].value == pytest.approx(398.069674, abs=1e-5)
+    names = {arc.words: arc for arc in solution.structure}
+    assert names["glide touched"].end == pytest.approx(32.826402, abs=1e-5) == names["glide touched"].begin
+    powers = [arc for arc in solution.structure if arc.words.startswith("T ")]
+    assert {arc.words for arc in powers} == {"T at its upper bound", "T at its lower bound"}
+    assert powers[0].begin == 0.0 and powers[-1].end == pytest.approx(solution.free["flight_time"])
+    assert all(a.end == b.begin and a.words != b.words for a, b in itertools.pairwise(powers))
+    assert told(solution.structure).count("glide touched at 32.83 s") == 1
+    kept = solution.structure
+    for k in range(2):  # saved, and for programs
+        pl.save(solution, tmp_path / str(k))
+        solution = pl.load(tmp_path / str(k))
+    assert solution.structure == kept
+    assert solution_document(solution)["claimed"] == ["method", "statistics", "structure"]
     assert solution.results["time"].value == solution.free["flight_time"]
     t = np.linspace(0.0, solution.free["flight_time"], 2001)
     assert problem.phases[0].evaluate("path", *solution.flown(0, t), solution.parameters)[0].min() > -1e-6

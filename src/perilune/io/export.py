@@ -58,6 +58,7 @@ _FIELDS = {
     "results": "what the problem asks of its solution, in SI",
     "extremals": "every root of the necessary conditions found, best first; the first is this solution. Only a claim: "
     "`perilune verify` finds each again from its unknowns",
+    "structure": "arcs of the solution in words, each with its phase and times [s]; none where nobody read them",
     "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
     "verification.tolerance": "what was stated of differences that do not matter, {} for nothing; the proof that "
     "`perilune verify` makes has it too. A limit that it raised has `own_limit` and `raised_by` beside it",
@@ -78,7 +79,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
     Of a solution that was loaded, ``claimed`` names what is only the file's word.
     """
     statistics = solution.statistics
-    claims = {"claimed": ["method", "statistics"]} if statistics.claimed else {}
+    claims = {"claimed": ["method", "statistics", *_structure(solution)]} if statistics.claimed else {}
     document = {
         "problem": solution.problem.name,
         "title": solution.problem.title,
@@ -97,7 +98,12 @@ def solution_document(solution: Solution) -> dict[str, Any]:
             "wall_time": float(statistics.wall_time),
         },
     }
-    return finite(document | claims)
+    return finite(document | _structure(solution) | claims)
+
+
+def _structure(solution: Solution) -> dict[str, Any]:
+    """The arcs by name; nothing where nobody has read them."""
+    return {"structure": [asdict(arc) for arc in solution.structure]} if solution.structure else {}
 
 
 def _verification_document(verification: Verification) -> dict[str, Any]:
@@ -232,6 +238,7 @@ def answer_document(solution: Solution) -> dict[str, Any]:
         ],
         "statistics": short["statistics"],
         "verification": short["verification"],
+        "structure": [asdict(arc) for arc in solution.structure],
         "unknowns": None if solution.unknowns is None else [float(v) for v in solution.unknowns],
     }
 

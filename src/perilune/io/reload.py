@@ -29,6 +29,7 @@ from perilune.io.physics import read_physics
 from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
 from perilune.io.repeated import Repeated
 from perilune.problem.controls import directions
+from perilune.problem.named_arcs import NamedArc
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
@@ -95,6 +96,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
         verification=Verification(tolerance=_tolerance(document.get("verification"))),
+        structure=_structure(document),
     )
 
 
@@ -266,6 +268,22 @@ def _nature(word: str) -> Nature:
         return Nature(word)
     except ValueError:
         return member(Nature, None, "extremals.nature")
+
+
+def _structure(document: Mapping[str, Any]) -> tuple[NamedArc, ...]:
+    """The arcs by name; files of before there were any are without."""
+    entries = part(document, "structure", list) if "structure" in document else []
+    if len(entries) > MOST_ENTRIES or not all(isinstance(e, dict) for e in entries):
+        refuse("structure", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")
+    return tuple(
+        NamedArc(
+            phase=text(e, "phase")[:200],
+            begin=number(e, "begin", "structure"),
+            end=number(e, "end", "structure"),
+            words=text(e, "words")[:200],
+        )
+        for e in entries
+    )
 
 
 def _statistics(entry: Mapping[str, Any]) -> Statistics:

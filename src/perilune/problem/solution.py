@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.controls import normalised
+from perilune.problem.named_arcs import NamedArc
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Check, Verification
@@ -242,6 +243,8 @@ class Solution:
     repeated
         Of a solution that was loaded: ``repeated(solution)`` returns checks of level 1 of what its files say a second
         time, each entry compared with the solution; None of any other.
+    structure
+        The arcs that it is made of, by name, where somebody has read them.
     """
 
     problem: Problem
@@ -257,6 +260,7 @@ class Solution:
     statistics: Statistics = field(default_factory=Statistics)
     verification: Verification = field(default_factory=Verification)
     repeated: Callable[[Solution], Sequence[Check]] | None = None
+    structure: tuple[NamedArc, ...] = ()
 
     def __post_init__(self) -> None:
         for name, kind in (("free", "free parameter"), ("multipliers", "multiplier")):

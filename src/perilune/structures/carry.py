@@ -14,6 +14,7 @@ import numpy as np
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Extremal, Solution, Trajectory
 from perilune.problem.verification import Verification
+from perilune.structures.named import with_names
 from perilune.structures.restate import part_durations, part_name, restate, summed
 from perilune.structures.structure import Structure, check_structure
 from perilune.words.outcome import Outcome, PeriluneError
@@ -76,6 +77,7 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
         listed=(),
         unknowns=None,
         verification=Verification(),
+        structure=(),
     )
 
 
@@ -94,19 +96,21 @@ def joined(problem: Problem, restated: Solution, structure: Structure) -> Soluti
     Returns
     -------
     Solution
-        In the user's phases, unverified. Of its multipliers those of the user's conditions are kept; those of touches
-        and entries are the jumps of its costates.
+        In the user's phases, unverified, with its arcs by name. Of its multipliers those of the user's conditions are
+        kept; those of touches and entries are the jumps of its costates.
     """
     check_structure(problem, structure)
     parts, trajectories, multipliers = list(restated.trajectories), list[Trajectory](), dict[str, float]()
+    lasting = list[list[float]]()
     for k, phase in enumerate(problem.phases):
         count = len(structure.phases[k])
         own, parts = parts[:count], parts[count:]
+        lasting.append([part.duration for part in own])
         trajectories.append(_joined(phase.name, own))
         last = part_name(phase.name, count - 1, count)
         known = {c.name: restated.multipliers.get(f"{last}.{c.name}") for c in phase.end_conditions}
         multipliers |= {f"{phase.name}.{name}": nu for name, nu in known.items() if nu is not None}
-    return replace(
+    whole = replace(
         restated,
         problem=problem,
         free=_users(problem, structure, restated.free),
@@ -121,6 +125,7 @@ def joined(problem: Problem, restated: Solution, structure: Structure) -> Soluti
         unknowns=None,
         verification=Verification(),
     )
+    return with_names(whole, structure.timed(lasting))
 
 
 def _users(problem: Problem, structure: Structure, free: Mapping[str, float]) -> dict[str, float]:

@@ -1,0 +1,41 @@
+"""What an answer is made of, in words: arcs and touches of its phases, each with its time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedArc:
+    """Something that holds for a while on a phase, or for a moment.
+
+    Parameters
+    ----------
+    phase
+        Name of the phase.
+    begin, end
+        From when to when it holds [s], from the beginning of the phase; both are the same where it is touched.
+    words
+        What it is: ``throttle at its upper bound``, ``along glide slope``, ``glide slope touched``.
+    """
+
+    phase: str
+    begin: float
+    end: float
+    words: str
+
+    @property
+    def text(self) -> str:
+        """What it is and when."""
+        when = f"at {self.end:.4g} s" if self.begin == self.end else f"{self.begin:.4g} to {self.end:.4g} s"
+        return f"{self.words} {when}"
+
+
+def told(arcs: Sequence[NamedArc]) -> str:
+    """All of them as one line; of several phases each with its name before."""
+    phases = dict.fromkeys(arc.phase for arc in arcs)
+    lines = ["; ".join(arc.text for arc in arcs if arc.phase == phase) for phase in phases]
+    if len(lines) < 2:
+        return "".join(lines)
+    return ". ".join(f"{phase}: {line}" for phase, line in zip(phases, lines, strict=True))

@@ -1,0 +1,112 @@
+"""An answer's arcs in words: where its scalar controls lie, which conditions it rides along or touches, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+
+from perilune.problem.controls import Bounded, scalars
+from perilune.problem.named_arcs import NamedArc
+from perilune.problem.phase import Phase
+from perilune.problem.rates import acts
+from perilune.problem.solution import Solution, full
+from perilune.problem.variables import Variable
+from perilune.structures.structure import Structure, margins
+from perilune.words.types import Vector
+
+AT = 1e-4  # of its range: so near to a bound a control is at it, as a mesh leaves it between its points
+ON = 1e-6  # the same of a condition that a control can hold at once, of all that its value goes through
+
+
+def with_names(solution: Solution, structure: Structure | None = None) -> Solution:
+    """The solution with its arcs in words.
+
+    Parameters
+    ----------
+    solution
+        Of the user's problem.
+    structure
+        What it rides along and touches of conditions on states, with the times of this solution; nothing where None.
+    """
+    found = [arc for k in range(len(solution.problem.phases)) for arc in _of_phase(solution, k, structure)]
+    return replace(solution, structure=tuple(found))
+
+
+def _of_phase(solution: Solution, k: int, structure: Structure | None) -> list[NamedArc]:
+    found = [*_controls(solution, k), *_held_at_once(solution, k)]
+    if structure is not None:
+        found += _conditions(solution, k, structure)
+    return sorted(found, key=lambda arc: (arc.begin, arc.end))
+
+
+def _controls(solution: Solution, k: int) -> Iterator[NamedArc]:
+    """Where each scalar with a bound is at it, and where between."""
+    phase, flown = solution.problem.phases[k], solution.trajectories[k]
+    edges = np.unique(flown.control.time)
+    values = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))[1]
+    for at, control in scalars(phase.controls):
+        lower, upper = control.limits(solution.parameters)
+        if not np.isfinite([lower, upper]).any():
+            continue
+        size = upper - lower if np.isfinite(upper - lower) else float(np.ptp(values[at])) or 1.0
+        low, high = control.on_bounds(values[at], AT * size, solution.parameters)
+        places = np.where(high, 1, np.where(low, -1, 0))
+        if places.any():
+            yield from _runs(phase, edges, places, {n: _where(control, n) for n in (-1, 0, 1)})
+
+
+def _where(control: Bounded, place: int) -> str:
+    name = control.name.replace("_", " ")
+    return f"{name} at its {'upper' if place > 0 else 'lower'} bound" if place else f"{name} between its bounds"
+
+
+def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
+    """Where path conditions with a control in them are at their limit."""
+    phase, flown = solution.problem.phases[k], solution.trajectories[k]
+    edges = np.unique(flown.control.time)
+    x, u = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))
+    values = phase.evaluate("path", list(x), list(u), solution.parameters)
+    known = margins(solution.problem, k)
+    for variable, value in zip(phase.path_conditions, values, strict=True):
+        if acts(known[variable.name][1]):
+            room = full(value, edges[1:])
+            places = (room <= ON * max(float(np.ptp(room)), ON * solution.problem.size_of(variable))).astype(int)
+            runs = _runs(phase, edges, places, {0: "", 1: f"along {_called(variable)}"})
+            yield from (arc for arc in runs if arc.words)
+
+
+def _runs(phase: Phase, edges: Vector, places: Vector, words: dict[int, str]) -> Iterator[NamedArc]:
+    """Neighbouring pieces of the same kind as one arc."""
+    for place, run in groupby(range(len(places)), key=lambda i: int(places[i])):
+        pieces = list(run)
+        begin, end = float(edges[pieces[0]]), float(edges[pieces[-1] + 1])
+        yield NamedArc(phase=phase.name, begin=begin, end=end, words=words[place])
+
+
+def _conditions(solution: Solution, k: int, structure: Structure) -> Iterator[NamedArc]:
+    """What the structure says is ridden and touched."""
+    phase, arcs = solution.problem.phases[k], structure.phases[k]
+    ends = structure.ends(k, solution.trajectories[k].duration)
+    called = {name: _spoken(name, variable) for name, (variable, _, _) in margins(solution.problem, k).items()}
+    for name in structure.named(k):
+        ridden = [name in arc.along for arc in arcs]
+        for along, run in groupby(range(len(arcs)), key=ridden.__getitem__):
+            pieces = list(run)
+            if along:
+                begin = ends[pieces[0] - 1] if pieces[0] else 0.0
+                yield NamedArc(phase=phase.name, begin=begin, end=ends[pieces[-1]], words=f"along {called[name]}")
+        for arc, end in zip(arcs, ends, strict=True):
+            if name in arc.touches:
+                yield NamedArc(phase=phase.name, begin=end, end=end, words=f"{called[name]} touched")
+
+
+def _spoken(name: str, variable: Variable) -> str:
+    state, _, side = name.partition(".")
+    return f"the {side} bound of {state.replace('_', ' ')}" if side else _called(variable)
+
+
+def _called(variable: Variable) -> str:
+    return variable.label or variable.name.replace("_", " ")
