@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import fsolve
 
-from perilune.problem.controls import Direction
+from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
@@ -250,9 +250,9 @@ def test_short_of_the_cone_there_is_no_multiplier(inside: float) -> None:
     assert "path_upright" not in failed(verification)
 
 
-def on_the_cone(turn: float) -> Solution:
+def on_the_cone(turn: float, aside: float = ASIDE) -> Solution:
     """The same with u_up = cos(tilt) asked for by two inequalities: what is allowed has no inside."""
-    tilted = cone(steer=lambda tau, b, c, tilt, held: beside(turn)(tau, b, c, tilt, True))
+    tilted = cone(aside, steer=lambda tau, b, c, tilt, held: beside(turn)(tau, b, c, tilt, True))
     (phase,) = tilted.problem.phases
     both = replace(
         phase,
@@ -268,6 +268,8 @@ def test_conditions_that_leave_a_circle_are_proved_and_its_worst_point_is_not() 
     verification = verify(on_the_cone(0.0), level=2)
     assert verification.passed, str(verification)
     assert failed(verify(on_the_cone(math.pi), level=2)) == {"minimum_of_hamiltonian"}
+    # Where the thrust does not turn, its own values at other times tell nothing.
+    assert failed(verify(on_the_cone(math.pi, aside=0.0), level=2)) == {"minimum_of_hamiltonian"}
     assert "stationary_direction_along_aside_up" in failed(verify(on_the_cone(1e-3), level=2))
 
 
@@ -405,3 +407,171 @@ def test_a_costate_that_slips_while_the_condition_holds_fails(limited: Solution,
         return replace(table, values=values, rates=rates)
 
     assert name in failed(verify(flown(limited, "costate", bulged), level=2))
+
+
+def test_a_limit_that_knows_the_state_is_proved(limited: Solution) -> None:
+    verification = verify(limited, resolve=limited_again)
+    assert verification.passed, str(verification)
+    assert verification.level == 3
+
+
+@pytest.mark.parametrize("chosen", [False, True])
+def test_the_thrust_within_a_cone_is_proved(chosen: bool) -> None:
+    solution = cone(chosen=chosen)
+    verification = verify(solution, resolve=cone_again)
+    assert verification.passed, str(verification)
+    assert verification.level == 3
+    # mu sin(tilt) rises with the time since the cone is met, by less and less, to cos(tilt) at the end.
+    tau, held = np.linspace(0.0, meets(ASIDE, LIFT, TILT), 20001)[:-1], math.cos(TILT)
+    pull = np.sqrt(1 + (ASIDE * tau) ** 2) * math.cos(TILT) + LIFT * tau * math.sin(TILT)
+    least = (pull / np.minimum(meets(ASIDE, LIFT, TILT) - tau, np.inf)).min()
+    assert check(verification, "strict_upright").value == pytest.approx(-least * TIME / held, rel=1e-3)
+
+
+def test_the_worst_point_of_a_circle_is_a_maximum_along_it() -> None:
+    assert check(verify(on_the_cone(math.pi), resolve=lambda problem, guess: guess), "legendre_clebsch").value > 0.5
+
+
+def test_a_condition_that_takes_hold_without_a_break_in_the_table_is_not_understood() -> None:
+    """Level 2 does not mind; of level 3 the words say what stands in the way."""
+    good = cone()
+
+    def ramp(table: Curve) -> Curve:
+        time = table.time.copy()
+        time[800] += 1e-9
+        return replace(table, time=time)
+
+    verification = verify(flown(good, "control", ramp), resolve=cone_again)
+    assert verification.level == 2, str(verification)
+    assert failed(verification) == {"conjugate_point", "strict_upright"} & failed(verification)
+    verdict = check(verification, "conjugate_point")
+    assert math.isnan(verdict.value)
+    assert "takes hold of the control without a break" in verdict.meaning
+
+
+# --- an oscillator on a leash: conjugate points of a problem whose control is held all along -------------------------
+# Least J = int (a^2 - x^2 + (b + q)^2)/2 dt with x' = a and b >= beta x + gamma a + s. Where q is large enough, b lies
+# on its condition: x'' = -omega^2 x + beta (q + s)/(1 + gamma^2), omega^2 = (1 - beta^2)/(1 + gamma^2), and a point
+# conjugate to the start lies at pi/omega.
+
+BETA = 0.6
+
+
+def leash(
+    duration: float, q: float, *, gamma: float = 0.0, power: int = 1, ends: tuple[float, float] | None = None,
+    chosen: float | None = None,
+) -> Solution:  # fmt: skip
+    """The extremal on which b is held; as b^power >= (...)^power the condition allows the same.
+
+    `chosen` leaves s free and adds w s^2/2 and, so that s = 0 is stationary, a price of s to J: its curvature w.
+    """
+    omega = math.sqrt((1 - BETA**2) / (1 + gamma**2))
+    rest = BETA * q / (1 - BETA**2)
+    if ends is None:
+        swing, tilt = 0.3 * math.cos(0.5 * omega * duration), 0.1 * math.sin(0.5 * omega * duration)
+        ends = rest + swing - tilt, rest + swing + tilt
+    first, last = ends[0] - rest, ends[1] - rest
+    other = (last - first * math.cos(omega * duration)) / math.sin(omega * duration)
+    t = np.linspace(0.0, duration, 601)
+    c, s = np.cos(omega * t), np.sin(omega * t)
+    x, a = rest + first * c + other * s, omega * (other * c - first * s)
+    jerk = omega**2 * (rest - x)  # the rate of a
+    b, turn = BETA * x + gamma * a, BETA * a + gamma * jerk
+    running = 0.5 * (a**2 - x**2 + (b + q) ** 2), a * jerk - x * a + (b + q) * turn
+    action = CubicHermiteSpline(t, *running).antiderivative()(t)
+    mu = b + q, turn
+    control = curve(t, (a, b), (jerk, turn))
+    costates = curve(t, (-a - gamma * mu[0], 1.0), (-jerk - gamma * mu[1], 0.0))
+    # dJ/ds = price + integral of mu
+    price = -float(CubicHermiteSpline(t, *mu).antiderivative()(t)[-1]) if chosen is not None else 0.0
+    problem = leash_problem(duration, q, gamma, power, ends, price, chosen)
+    trajectory = Trajectory(phase="arc", state=curve(t, (x, action), (a, running[0])), costate=costates,
+                            control=control)  # fmt: skip
+    return answer(problem, trajectory, float(action[-1]), **({"s": 0.0} if chosen is not None else {}))
+
+
+def leash_problem(
+    duration: float, q: float, gamma: float, power: int, ends: tuple[float, float], price: float, w: float | None
+) -> Problem:
+    phase = Phase(
+        name="arc",
+        states=(Variable(name="x"), Variable(name="action")),
+        controls=(Bounded(name="a"), Bounded(name="b")),
+        dynamics=lambda x, u, p, m: (
+            u.a / p.second, (u.a * u.a - x.x * x.x + (u.b + p.q) ** 2) / (2 * p.second),
+        ),
+        duration="duration",
+        end=lambda x, p, m: (x.x - p.x_end,),
+        end_conditions=(Variable(name="at_end"),),
+        path=lambda x, u, p, m: (u.b**power - (p.beta * x.x + p.gamma * u.a + p.s) ** power,),
+        path_conditions=(Variable(name="taut"),),
+    )  # fmt: skip
+    numbers = {"q": q, "beta": BETA, "gamma": gamma, "x0": ends[0], "x_end": ends[1], "price": price, "w": w or 0.0}
+    if w is None:
+        numbers["s"] = 0.0
+    seconds = {"duration": duration, "second": 1.0}
+    return Problem(
+        name="leash", phases=(phase,), start=lambda p, m: (p.x0, 0.0),
+        given={
+            **{name: Given(value=value) for name, value in numbers.items()},
+            **{name: Given(value=value, unit="s") for name, value in seconds.items()},
+        },
+        free=(Free(name="s", lower=-1.0, upper=1.0),) if w is not None else (),
+        objective=lambda x, p, m: x.action + p.price * p.s + 0.5 * p.w * p.s * p.s,
+    )  # fmt: skip
+
+
+def leash_again(problem: Problem, guess: Solution) -> Solution:
+    """J of the leash in closed form, but for its integral: s adds to q."""
+    p = problem.parameters({})
+    s = p.s if hasattr(p, "s") else problem.free[0].lower
+    held = leash(p.duration, p.q + s, gamma=p.gamma, ends=(p.x0 + getattr(p, "offset_x", 0.0), p.x_end))
+    return replace(guess, objective=held.objective + getattr(p, "offset_action", 0.0) + p.price * s + 0.5 * p.w * s * s)
+
+
+@pytest.mark.parametrize("power", [1, 3])
+@pytest.mark.parametrize("duration", [1.0, 3.5, 3.8, 4.1])
+def test_the_leash_moves_the_conjugate_point(duration: float, power: int) -> None:
+    """(T/pi)^2 if the control were not held, (1 - beta^2) of it as it is: 3.5 s are too long for the one alone."""
+    verification = verify(leash(duration, 3.0, power=power), resolve=leash_again)
+    verdict, kappa = check(verification, "conjugate_point"), (1 - BETA**2) * (duration / math.pi) ** 2
+    assert verdict.value == pytest.approx(kappa, rel=3e-4)
+    assert failed(verification) == (set() if kappa < 1 else {"conjugate_point"}), str(verification)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.99, 1.01])
+def test_a_condition_of_two_controls_leaves_one_way_to_go(share: float) -> None:
+    """The point conjugate to the start lies at pi/omega: on which side the end lies is told."""
+    duration = share * math.pi / math.sqrt((1 - BETA**2) / (1 + 0.5**2))
+    verification = verify(leash(duration, 3.0, gamma=0.5), resolve=leash_again)
+    assert failed(verification) == (set() if share < 1 else {"conjugate_point"}), str(verification)
+
+
+def curvature(duration: float) -> float:
+    """That of int L over s where w is 0: dx/ds = beta/omega^2 (1 - cos(omega (t - T/2))/cos(omega T/2))."""
+    omega = math.sqrt(1 - BETA**2)
+    return duration + BETA**2 / omega**2 * (duration - 2 / omega * math.tan(omega * duration / 2))
+
+
+@pytest.mark.parametrize("beyond", [-0.5, -0.1, 0.1, 0.5])
+def test_a_parameter_within_a_condition_that_holds_is_varied_with_the_control(beyond: float) -> None:
+    """J over s has the curvature w and that of the leash: its sign is that of `beyond`."""
+    duration = 3.5
+    solution = leash(duration, 3.0, chosen=beyond - curvature(duration))
+    verification = verify(solution, resolve=leash_again)
+    assert check(verification, "second_order_s").value == pytest.approx(-beyond / solution.objective, rel=0.05)
+    expected = set() if beyond > 0 else {"second_variation", "second_order_s"}
+    assert failed(verification) - {"second_order_s"} == expected - {"second_order_s"}, str(verification)
+
+
+def test_a_leash_that_pulls_the_wrong_way_is_no_extremal() -> None:
+    """With q below -b the control would rather leave its condition."""
+    verification = verify(leash(1.0, -3.0), level=2)
+    assert failed(verification) == {"minimum_of_hamiltonian", "multiplier_taut"}
+
+
+def test_a_multiplier_that_vanishes_at_the_start_is_not_strict() -> None:
+    verification = verify(leash(1.0, 0.0, ends=(0.0, 1.0)), resolve=leash_again)
+    assert failed(verification) == {"strict_taut"}, str(verification)
+    verification = verify(leash(1.0, 1.0, ends=(0.0, 1.0)), resolve=leash_again)
+    assert verification.level == 3, str(verification)

@@ -25,7 +25,8 @@ own: s = 0 there is one more condition to be kept, and nu s of `crossings` one m
 On which side of 1 kappa lies does not depend on how time is normalised; how far from it does, where u varies.
 
 The form is discretised on equal steps with a constant control each (implicit midpoint rule); a direction moves in
-its tangent plane, and not at all where no thrust gives it an effect; a scalar on its bound does not vary. Source:
+its tangent plane, and not at all where no thrust gives it an effect; a scalar on its bound does not vary. Where path
+conditions hold the control, it varies along them, and L = H - mu.c has the place of H (`held`). Source:
 Gelfand and Fomin (1963), sections 27-29; Bryson and Ho (1975), chapter 6; Hestenes (1966); Maurer, Buskens, Kim,
 Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times, alone and beside a regular control.
 """
@@ -44,6 +45,7 @@ from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
+from perilune.proof.held import held_along, strict_conditions
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
 from perilune.proof.switching import (
@@ -78,6 +80,7 @@ def local_optimality(solution: Solution) -> Iterator[Check]:
     for arc in arcs:
         yield _legendre_clebsch(arc, [piece for piece in pieces if piece.arc is arc])
         yield from strictness(arc)
+        yield from strict_conditions(arc, [(*piece.span, piece.held) for piece in pieces if piece.arc is arc])
     regular = all(piece.regular for piece in pieces) and not any(_tangled(arc) for arc in arcs)
     forms = _form(pieces) if regular else None
     others = [name for name in inner if name not in durations]
@@ -97,7 +100,8 @@ def _positive(forms: tuple[Matrix, Matrix, int] | None, fixed: Sequence[int], *,
     if forms is None:
         meaning += (
             "; not available: H is not strictly convex in a control between its bounds, a scalar reaches its bound "
-            "without a switch in the table, or what jumps there is not one scalar that crosses its switch"
+            "without a switch in the table, a path condition takes hold of the control without a break in it, or what "
+            "jumps there is not one scalar that crosses its switch"
         )
     else:
         form, constraints, m = forms
@@ -140,7 +144,7 @@ class _Piece:
     """First and second derivatives of an arc between breaks, at the middles of equal steps.
 
     Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
-    the length times H; d counts states, the parameters `names` and the tangent directions of the control that may
+    the length times L; d counts states, the parameters `names` and the tangent directions of the control that may
     vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
     numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do.
     """
@@ -156,12 +160,14 @@ class _Piece:
     ) -> None:
         self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
         self.first, self.last = index == 0, index == len(arc.edges) - 2
-        left, right = arc.edges[index : index + 2]
+        left, right = self.span = arc.edges[index : index + 2].tolist()
         self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
         self.steps = max(FEWEST, round(STEPS * (right - left) / arc.duration))
         t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
         x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
-        self.basis, self.partly_held = _moves(arc, x, self.u)
+        basis, partly_held = _moves(arc, x, self.u)
+        self.held, self.basis, settled = held_along(arc, x, self.u, self.lam, basis)
+        self.partly_held = partly_held or not settled
         n, m, k = len(x), len(names), self.basis.shape[1]
         self.sizes = n, m, k
         of, problem = arc.problem.scales.of, arc.problem
@@ -173,19 +179,20 @@ class _Piece:
             [x, np.repeat(self.parameter_values[:, None], self.steps, axis=1), np.zeros((k, self.steps))]
         )
         self.F = jacobian(self._rates, z, self.scale)
-        self.W = hessian(self._hamiltonian, z, self.scale)
+        self.W = hessian(self._lagrangian, z, self.scale)
         self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
 
     @property
     def regular(self) -> bool:
-        """Whether H is strictly convex in the control all along."""
+        """Whether L is strictly convex all along in what of the control may vary."""
         return not self.partly_held and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
 
     def parameters(self, values: Any) -> SimpleNamespace:
         """All parameters in SI with `names` replaced."""
         return SimpleNamespace(**{**vars(self.p), **dict(zip(self.names, values, strict=True))})
 
-    def _f(self, z: Any) -> Any:
+    def _flown(self, z: Any) -> tuple[Any, Any, Any]:
+        """The length, the control (components, ..., N) and the parameters."""
         n, m, _ = self.sizes
         p = self.parameters(z[n : n + m])
         middle = (1,) * (z.ndim - 2)
@@ -195,15 +202,19 @@ class _Piece:
         for name, value, was in zip(self.names, z[n : n + m], self.parameter_values, strict=True):
             u = u + with_limits(self.arc, self.u, name).reshape(len(u), *middle, self.steps) * (value - was)
         u = normalised(self.arc.phase.controls, u) if len(self.u) else u
+        u = normalised(self.arc.phase.controls, self.held.kept(z[:n], u, p)) if self.held else u
         left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
-        return (right - left) * self.arc.rates(z[:n], u, p)
+        return right - left, u, p
 
     def _rates(self, z: Any) -> Any:
-        return self._f(z) / self.arc.state_scale.reshape(-1, *(1,) * (z.ndim - 1))
+        (length, u, p), scale = self._flown(z), self.arc.state_scale.reshape(-1, *(1,) * (z.ndim - 1))
+        return length * self.arc.rates(z[: self.sizes[0]], u, p) / scale
 
-    def _hamiltonian(self, z: Any) -> Any:
-        lam = self.lam.reshape(len(self.lam), *(1,) * (z.ndim - 2), self.steps)
-        return (lam * self._f(z)).sum(axis=0) / self.arc.objective_scale
+    def _lagrangian(self, z: Any) -> Any:
+        lam, x = self.lam.reshape(len(self.lam), *(1,) * (z.ndim - 2), self.steps), z[: self.sizes[0]]
+        length, u, p = self._flown(z)
+        H = (lam * self.arc.rates(x, u, p)).sum(axis=0)
+        return length * (H - self.held.work(x, u, p) if self.held else H) / self.arc.objective_scale
 
 
 def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:

@@ -114,10 +114,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
     if not any(control.scalar for control in arc.phase.controls):
         return
     t, u, gradient, _ = gradient_along(arc)
-    # S may vanish at a break, and at a joint of phases, whose times are chosen too; nowhere else.
-    joints = [0.0] * (arc.index > 0) + [arc.duration] * (arc.index < len(arc.problem.phases) - 1)
-    zeros = np.array([*arc.breaks, *joints])
-    apart = np.abs(t[:, None] - zeros).min(axis=1) if len(zeros) else np.full(len(t), arc.duration)
+    apart = from_switches(arc, t)
     for at, control in scalars(arc.phase.controls):
         held = np.logical_or(*on_bounds(arc, at, control, u)) & (apart > 1e-6 * arc.duration)
         if not held.any():
@@ -133,6 +130,13 @@ def strictness(arc: Arc) -> Iterator[Check]:
             "switch, and its slope at each switch (in units of its largest value over the flight time): below 0 "
             "when it vanishes at switches only and crosses zero there",
         )  # fmt: skip
+
+
+def from_switches(arc: Arc, t: Vector) -> Vector:
+    """Time to the nearest break, or joint of phases, whose time is chosen too: S may vanish there, and nowhere else."""
+    joints = [0.0] * (arc.index > 0) + [arc.duration] * (arc.index < len(arc.problem.phases) - 1)
+    zeros = np.array([*arc.breaks, *joints])
+    return np.abs(t[:, None] - zeros).min(axis=1) if len(zeros) else np.full(len(t), arc.duration)
 
 
 def crossings(arc: Arc) -> Vector:

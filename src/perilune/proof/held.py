@@ -1,0 +1,134 @@
+"""Level 3 where conditions hold the control: what is left to vary, and multipliers that are strictly positive.
+
+On a piece along which conditions c(x, u, p) >= 0 with multipliers mu > 0 are active, only variations count that stay on
+them, c_x dx + c_u du + c_p dp = 0, and L = H - mu.c has the place of H in the second variation. The controls tried
+are therefore
+
+    u + Z z - C^+ c(x, u + Z z, p),
+
+Z a basis of the tangents along which no held condition changes, C^+ the pseudo-inverse of the conditions' slopes along
+the tangents, both as on the extremal. That keeps the conditions to first order, which is enough: L is stationary in u.
+
+As the control is continuous where a condition takes hold or lets go, mu is 0 there; the times at which it happens have
+no curvature of their own. Everywhere else mu must be positive, with a slope at those times (strict complementarity).
+Source: Hartl, Sethi, Vickson (1995), section 4; Maurer and Pickenhain (1995), Second-order sufficient conditions for
+control problems with mixed control-state constraints, J. Optim. Theory Appl. 86, theorem 5.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.verification import Check
+from perilune.proof.allowed import Allowed
+from perilune.proof.arc import Arc
+from perilune.proof.switching import SLOPE_LIMIT, STRICT_LIMIT, from_switches, gradient_along
+from perilune.words.types import Matrix, Vector
+
+_DEPENDENT = 1e-6  # of the largest slope: conditions whose slopes are that close to each other are not told apart
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """Conditions that hold all along a piece, at N times.
+
+    Attributes
+    ----------
+    allowed, rows
+        The conditions of the phase, and which of them.
+    mu
+        J per second and unit of each, (r, N).
+    at
+        What they are on the extremal, 0 but for the tables' rounding, (r, N).
+    back
+        How the control (components, r, N) gives way to each.
+    """
+
+    allowed: Allowed
+    rows: list[int]
+    mu: Matrix
+    at: Matrix
+    back: Any
+
+    def values(self, x: Any, u: Any, p: Any) -> Any:
+        """By how much they are left, (r, ..., N)."""
+        return self.allowed.values(x, u, p)[self.rows] - _between(self.at, x)
+
+    def kept(self, x: Any, u: Any, p: Any) -> Any:
+        """A control (components, ..., N) on which they hold to first order."""
+        return u - (_between(self.back, x) * self.values(x, u, p)).sum(axis=1)
+
+    def work(self, x: Any, u: Any, p: Any) -> Any:
+        """mu.c, J per second, (..., N)."""
+        return (_between(self.mu, x) * self.values(x, u, p)).sum(axis=0)
+
+
+def _between(rows: Any, x: Any) -> Any:
+    """An array (..., N) with axes of length 1 before its last one, to go with x (n, ..., N)."""
+    return rows.reshape(*rows.shape[:-1], *(1,) * (x.ndim - 2), rows.shape[-1])
+
+
+def held_along(arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any) -> tuple[Held | None, Any, bool]:
+    """Conditions that hold at all of N times, the moves that they leave, and whether that is how it is all along.
+
+    Parameters
+    ----------
+    arc, x, u, lam
+        The phase, and states, controls and costates (components, N).
+    basis
+        Moves of the control (components, k, N) that its own bounds leave.
+
+    Returns
+    -------
+    The third is False where a condition holds for a part of the times only, or the moves do not tell conditions apart.
+    """
+    if arc.allowed is None:
+        return None, basis, True
+    allowed, found = arc.allowed, arc.allowed.multipliers(x, u, lam)
+    pulls = np.abs(found.falls) * arc.time_scale / arc.objective_scale > SLOPE_LIMIT
+    always = allowed.active(x, u).all(axis=1)
+    rows = np.nonzero(pulls.any(axis=1))[0].tolist()
+    if not rows or not always[rows].all():
+        return None, basis, not rows
+    size = allowed.sizes[rows]
+    slopes = allowed.slopes(x, u, basis)[rows].transpose(2, 0, 1) / size[:, None]
+    if len(rows) > slopes.shape[2]:
+        return None, basis, False
+    left, sizes, right = np.linalg.svd(slopes)
+    if (sizes[:, -1] <= _DEPENDENT).any():
+        return None, basis, False
+    count = len(rows)
+    inverse = np.einsum("nrk,nr,nsr->nks", right[:, :count], 1 / sizes, left) / size
+    held = Held(
+        allowed=allowed, rows=rows, mu=found.mu[rows], at=allowed.values(x, u)[rows].real,
+        back=np.einsum("ckn,nkr->crn", basis, inverse),
+    )  # fmt: skip
+    return held, np.einsum("ckn,njk->cjn", basis, right[:, count:]), True
+
+
+def strict_conditions(arc: Arc, spans: Sequence[tuple[float, float, Held | None]]) -> Iterator[Check]:
+    """Checks of level 3 of the conditions that hold on pieces from one time to another: with strict multipliers."""
+    rows = sorted({row for _, _, held in spans if held for row in held.rows})
+    if not rows or arc.allowed is None:
+        return
+    t, _, _, found = gradient_along(arc)
+    assert found is not None, "where conditions depend on the control"
+    apart = from_switches(arc, t)
+    for row in rows:
+        name, pull = arc.allowed.conditions[row].name, found.falls[row]
+        here = np.zeros(len(t), dtype=bool)
+        for left, right, held in spans:
+            if held and row in held.rows:
+                here |= (t >= left) & (t <= right) & (apart > 1e-6 * arc.duration)
+        slopes: Vector = np.append(pull[here] / apart[here], [] if here.any() else [0.0])
+        yield Check(
+            name=f"{arc.prefix}strict_{name}", level=3, limit=STRICT_LIMIT, unit="1",
+            value=-float(slopes.min()) * arc.duration / float(np.abs(pull).max()),
+            meaning=f"minus the least multiplier of {name} where it holds the control, over the time to the nearest "
+            "break of the table (in units of its largest value over the flight time): below 0 when it vanishes only "
+            "where the condition takes hold and lets go",
+        )  # fmt: skip
