@@ -26,6 +26,7 @@ from perilune.words.types import Matrix, Vector
 _SETTLED = 1e-13
 _BENT = 1e-10  # rates times the width of a piece, scaled: how far they may be from a cubic
 _HALVINGS, _MOST_OPEN = 60, 4000
+_SAMPLES = 16  # nodes at which conditions are asked how the states round in them
 _TRIED = 100  # of the pieces: whether a condition depends on the control
 
 
@@ -146,16 +147,18 @@ class Arc:
         Metres over the ground are a difference of radii.
         """
         t = self.trajectory.state.time
-        x, u = self.state(t), self.control(t)
 
-        def conditions_at(z: Any) -> Any:
-            values = self.phase.evaluate(function, list(z), list(u), self.p, COMPLEX)
-            return stacked(values, z.shape[1:])
+        def conditions_at(x: Any, t: Vector) -> Any:
+            values = self.phase.evaluate(function, list(x), list(self.control(t)), self.p, COMPLEX)
+            return stacked(values, x.shape[1:])
 
-        reached = np.maximum(np.abs(conditions_at(x).real).max(axis=1), least)
-        slopes = jacobian(conditions_at, x, np.ones(len(x)))
-        rounding = ROUNDS * np.abs(slopes * x).sum(axis=1).max(axis=1)
-        return np.maximum(self._sizes(conditions, reached), rounding)
+        reached = np.maximum(np.abs(conditions_at(self.state(t), t).real).max(axis=1), least)
+        some = t[:: 1 + len(t) // _SAMPLES]
+        x = self.state(some)
+        slopes = jacobian(lambda z: conditions_at(z, some), x, np.ones(len(x)))
+        # The median, as one time at which a slope has no bound says nothing of the others.
+        rounding = ROUNDS * np.median(np.abs(slopes * x).sum(axis=1), axis=1)
+        return np.fmax(self._sizes(conditions, reached), rounding)
 
     def _sizes(self, conditions: Sequence[Variable], reached: Vector) -> Vector:
         """Canonical units, or scales of their own; no more than what the conditions go through bears out."""

@@ -226,12 +226,13 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
 
     The second variation takes the latter to both sides, which asks for more than is necessary.
     """
-    nu, slack = [end_multipliers(arc)[0] for arc in arcs], STATIONARY_LIMIT * objective_scale(solution)
-    return [
-        f.name
-        for f in solution.problem.free
-        if not any(at_bound(solution, f)) or abs(parameter_gradient(arcs, nu, f.name)) * free_size(solution, f) <= slack
-    ]
+    bound = [f for f in solution.problem.free if any(at_bound(solution, f))]
+    held: set[str] = set()
+    if bound:
+        nu, slack = [end_multipliers(arc)[0] for arc in arcs], STATIONARY_LIMIT * objective_scale(solution)
+        slopes = {f: parameter_gradient(arcs, nu, f.name) * free_size(solution, f) for f in bound}
+        held = {f.name for f, slope in slopes.items() if not abs(slope) <= slack}
+    return [name for name in solution.problem.free_names if name not in held]
 
 
 def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
