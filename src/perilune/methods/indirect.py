@@ -17,8 +17,10 @@ from dataclasses import dataclass
 
 from perilune.methods.ladder import Ladder
 from perilune.methods.search import Search
+from perilune.methods.structured import Polish
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.words.outcome import InfeasibleError, NotConvergedError
 from perilune.words.watch import Watch, silent
 
 
@@ -65,4 +67,13 @@ class Indirect(Ladder):
             If bounds and conditions contradict each other, or if every extremal found breaks a condition and the
             direct method finds no flight either.
         """
-        return Search(self, problem, watch or silent).solve(guess)
+        search = Search(self, problem, watch or silent)
+        try:
+            return search.solve(guess)
+        except (NotConvergedError, InfeasibleError):
+            # What no single arc keeps, a structure of arcs may.
+            rough = search.coarse.solution if guess is None else None
+            polish = Polish(settings=self, problem=problem, watch=search.watch, tried=search.tried)
+            if rough is None or (found := polish.run(rough)) is None:
+                raise
+            return found

@@ -64,7 +64,7 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         )  # fmt: skip
         return
     arcs = [arc for arc, _ in flown]
-    nu = [end_multipliers(arc) for arc in arcs]
+    nu = all_multipliers(arcs)
     for (arc, flight), (multipliers, residual) in zip(flown, nu, strict=True):
         yield from _costates(arc, flight)
         yield _transversality(arc, residual)
@@ -111,6 +111,40 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     if met.any():
         nu[met] = np.linalg.lstsq(psi[met].T / size[met], wanted, rcond=None)[0] / size[met]
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
+
+
+def all_multipliers(arcs: Sequence[Arc]) -> list[tuple[Vector, Vector]]:
+    """`end_multipliers` of every phase; of a condition on parameters alone that which the free parameters imply.
+
+    lam(t_f) knows nothing of it, but dJ/dp + nu.dpsi/dp = 0 does, by least squares over the p that no bound holds.
+    """
+    found, solution = [end_multipliers(arc) for arc in arcs], arcs[0].solution
+    loose = [
+        (k, i)
+        for k, arc in enumerate(arcs)
+        if arc.phase.end_conditions
+        for i in np.nonzero(~end_slopes(arc).any(axis=1) & (end_sides(arc) != INSIDE))[0].tolist()
+    ]
+    inner = [free for free in solution.problem.free if not any(at_bound(solution, free))]
+    if not loose or not inner:
+        return found
+    nu = [values for values, _ in found]
+    size = np.array([free_size(solution, free) for free in inner]) / objective_scale(solution)
+    wanted = np.array([parameter_gradient(arcs, nu, free.name) for free in inner]) * size
+    scales = np.array([arcs[k].end_scale[i] for k, i in loose])
+    slopes = np.array([[_end_slope(arcs[k], i, free.name) for k, i in loose] for free in inner]) * size[:, None]
+    values = -np.linalg.lstsq(slopes * (1 / scales), wanted, rcond=None)[0] / scales
+    for (k, i), value in zip(loose, values.tolist(), strict=True):
+        nu[k][i] = value
+    return found
+
+
+def _end_slope(arc: Arc, i: int, name: str) -> float:
+    """Derivative of an end condition by a parameter, in SI."""
+    step = STEP * arc.problem.scales.of(arc.problem.unit_of(name))
+    stepped = SimpleNamespace(**{**vars(arc.p), name: getattr(arc.p, name) + 1j * step})
+    end = arc.state(np.array([arc.duration]))[:, 0].tolist()
+    return float(np.imag(arc.phase.evaluate("end", end, (), stepped, COMPLEX)[i])) / step
 
 
 def end_sides(arc: Arc) -> Vector:
@@ -229,7 +263,7 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
     bound = [f for f in solution.problem.free if any(at_bound(solution, f))]
     held: set[str] = set()
     if bound:
-        nu, slack = [end_multipliers(arc)[0] for arc in arcs], STATIONARY_LIMIT * objective_scale(solution)
+        nu, slack = [nu for nu, _ in all_multipliers(arcs)], STATIONARY_LIMIT * objective_scale(solution)
         slopes = {f: parameter_gradient(arcs, nu, f.name) * free_size(solution, f) for f in bound}
         held = {f.name for f, slope in slopes.items() if not abs(slope) <= slack}
     return [name for name in solution.problem.free_names if name not in held]

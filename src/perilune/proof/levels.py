@@ -25,6 +25,7 @@ from perilune.proof.flight import flights
 from perilune.proof.resolved import Resolve, neighbours
 from perilune.proof.second_order import local_optimality
 from perilune.proof.stated import raised, sensible
+from perilune.proof.touched import cut, signs
 from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
 
@@ -96,10 +97,13 @@ def _checks(
     flown = flights(solution)
     yield from feasibility(solution, flown)
     if level >= 2:
-        yield from extremality(solution, flown)
-    if level >= 3 and all(t.costate is not None for t in solution.trajectories):
-        yield from local_optimality(solution)
-        yield from neighbours(solution, resolve)
+        parts, structure = cut(solution)
+        yield from extremality(parts, flown if structure is None else flights(parts))
+        if structure is not None:
+            yield from signs(solution, parts, structure)
+        if level >= 3 and all(t.costate is not None for t in solution.trajectories):
+            yield from local_optimality(parts)
+            yield from neighbours(parts, resolve)
     if level >= 4:
         yield from agreement(solution, other)
 

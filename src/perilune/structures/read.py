@@ -70,7 +70,7 @@ def of_states(problem: Problem, k: int) -> list[str]:
 
 def contacts(solution: Solution, k: int, name: str) -> Iterator[Contact]:
     """Where a condition of phase k is at its limit on the way; a start or an end that lies on it is none."""
-    t, room = _room(solution, k, name)
+    t, room = room_along(solution, k, name)
     least, most = NEAR[0] * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
     near = min(max(-BULGE * float(room.min()), least), most)
     for first, last in _groups(room <= near):
@@ -91,12 +91,12 @@ def contacts(solution: Solution, k: int, name: str) -> Iterator[Contact]:
 
 def broken(solution: Solution, k: int, name: str) -> Iterator[tuple[float, float, float]]:
     """Where a condition of phase k is broken by more than rounding: from when to when, and when the most [s]."""
-    t, room = _room(solution, k, name)
+    t, room = room_along(solution, k, name)
     for first, last in _groups(room < -ROUNDING * float(np.ptp(room))):
         yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
 
 
-def _room(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
+def room_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
     """Times of a phase and S there [SI]."""
     problem, flown = solution.problem, solution.trajectories[k]
     value = margins(problem, k)[name][1]
