@@ -126,7 +126,7 @@ def prove(solution: Solution, level: int = 3, tolerance: Tolerance | None = None
 
 def as_far_as(nature: Nature, level: int) -> Nature:
     """What is left of a nature where the proof failed beyond a level: of a proved optimum not that it is the best."""
-    local = {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(nature, nature)
+    local = nature.outdone
     optimum = local in (Nature.LOCAL_OPTIMUM, Nature.LOCAL_OPTIMUM_AT_BOUND)
     return local if level >= (3 if optimum else 2) else Nature.UNPROVED
 

@@ -13,7 +13,7 @@ and every extremal on it found (`perilune.shooting.extremals`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from perilune.methods.ladder import Ladder
 from perilune.methods.search import Search
@@ -69,11 +69,19 @@ class Indirect(Ladder):
         """
         search = Search(self, problem, watch or silent)
         try:
-            return search.solve(guess)
+            solution = search.solve(guess)
         except (NotConvergedError, InfeasibleError):
             # What no single arc keeps, a structure of arcs may.
             rough = search.coarse.solution if guess is None else None
-            polish = Polish(settings=self, problem=problem, watch=search.watch, tried=search.tried)
-            if rough is None or (found := polish.run(rough)) is None:
+            if rough is None or (found := self._structured(search, rough)) is None:
                 raise
             return found
+        if search.outdone and (rough := search.coarse.solve()) is not None and rough.objective < solution.objective:
+            found = self._structured(search, rough)
+            if found is not None and found.objective < solution.objective:
+                others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
+                return replace(found, extremals=(*found.extremals, *others))
+        return solution
+
+    def _structured(self, search: Search, rough: Solution) -> Solution | None:
+        return Polish(settings=self, problem=search.problem, watch=search.watch, tried=search.tried).run(rough)

@@ -66,10 +66,10 @@ class Search:
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
         self.rung, self.met = "", 0
-        # By extremals met with the scanned parameter held, and these.
+        # By extremals met with the scanned parameter held, and these; which search answered; whether it was outdone.
         self.broken: list[Breach] = []
         self.breaking: list[Root] = []
-        self.answering = self
+        self.answering, self.outdone = self, False
         self.coarse = Coarse(self.settings, self.problem, self.tried)
 
     @cached_property
@@ -88,7 +88,7 @@ class Search:
         search, found = self.all_extremals(base)
         if not search._answers(found):
             raise search._refusal(found)
-        self.answering = search
+        self.answering, self.outdone = search, search._outdone(found)
         return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
 
     def all_extremals(self, base: Member | None = None) -> tuple[Search, list[Found]]:
@@ -124,6 +124,12 @@ class Search:
             if root.cost < best and (not answers or broken <= {*self.keepable}):
                 names |= broken
         return tuple(name for name in self.keepable if name in names)
+
+    def _outdone(self, found: list[Found]) -> bool:
+        """Whether an extremal that breaks the path is better than every answer: one that keeps it may be as well."""
+        best = min(f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None)
+        better = (root for root in (*(f.root for f in found), *self.breaking) if root.cost < best)
+        return any(all(breach.path for breach in self.judge.breaches(root)) for root in better)
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from perilune.methods.ladder import Ladder
 from perilune.methods.search import Search
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.solution import Nature, Solution
 from perilune.structures.carry import joined, split
 from perilune.structures.read import Contact, arcs_of, broken, of_states, read
 from perilune.structures.restate import part_name
@@ -62,11 +62,17 @@ class Polish:
             revised = self._revised(structure, solved, rough)
             if revised is structure:
                 self.tried.append(f"structure {structure.text}: an extremal")
-                statistics = replace(rough.statistics, rung=RUNG, tried=tuple(self.tried))
-                return replace(rough, statistics=statistics)
+                return self._composed(rough)
             self.tried.append(f"structure {structure.text}: an extremal of another one")
             structure = revised
         return None
+
+    def _composed(self, found: Solution) -> Solution:
+        """It is near a guess of this run's own, and the best, as it is the only one."""
+        natures = {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
+        extremals = (replace(e, nature=natures.get(e.nature, e.nature)) for e in found.extremals)
+        statistics = replace(found.statistics, rung=RUNG, tried=tuple(self.tried))
+        return replace(found, extremals=tuple(extremals), statistics=statistics)
 
     def _extremal(self, rough: Solution, structure: Structure) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy

@@ -167,6 +167,11 @@ class Nature(Enum):
     NEAR_GUESS_AT_BOUND = "an extremal near the guess, at a bound"
     UNPROVED = "not proved an optimum"
 
+    @property
+    def outdone(self) -> Nature:
+        """What the best of those found is where there is a better one."""
+        return {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(self, self)
+
     @classmethod
     def _missing_(cls, value: object) -> Nature | None:
         """Words that older files used."""
