@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -10,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
@@ -18,7 +20,7 @@ from command_line import HYBRID, ORDINARY, read_json
 from perilune.cli import run
 from perilune.io.export import save
 from perilune.io.reading import LONGEST_TEXT
-from perilune.problem.solution import Nature, Solution
+from perilune.problem.solution import Curve, Nature, Solution, Trajectory
 from perilune.proof.crossed import agreement
 from perilune.proof.listed import found_again
 from perilune.report import REPORT_FILE
@@ -407,6 +409,111 @@ def test_an_edited_table_is_not_proved(
     assert code == 5 and "NOT_PROVED" in said
     assert re.search(r"FAIL 1 trajectory.csv: 1 \(limit 0\)", said)
     assert re.search(words, said), said
+
+
+def test_python_compares_the_table_too(hybrid_dir: Path) -> None:
+    """`pl.verify` of what was loaded sees what the command sees; of the file alone nothing lies beside it."""
+    loaded, alone = pl.load(hybrid_dir), pl.load(hybrid_dir / "solution.json")
+    assert pl.verify(loaded, level=1).passed
+    cell(hybrid_dir, 17, 8, "999")
+    verification = pl.verify(loaded, level=1)
+    (failed,) = verification.failed
+    assert failed.name == "trajectory.csv" and re.search(r"row 17, m \[kg\]: 999 in place of 20", failed.meaning)
+    assert verification.level == 0 and pl.prove(loaded, 1).outcome is Outcome.NOT_PROVED
+    assert "trajectory.csv" not in {c.name for c in pl.verify(alone, level=1).checks}
+    shutil.rmtree(hybrid_dir)
+    assert pl.verify(loaded, level=1).passed
+
+
+def test_a_loaded_solution_is_compared_and_travels_as_any(hybrid_dir: Path) -> None:
+    loaded = pl.load(hybrid_dir)
+    assert pickle.loads(pickle.dumps(loaded)) == loaded == pl.load(hybrid_dir)
+    cell(hybrid_dir, 17, 8, "999")
+    assert {c.name for c in pl.verify(pickle.loads(pickle.dumps(loaded)), level=1).failed} == {"trajectory.csv"}
+
+
+def moved(directory: Path, row: int, column: int, share: float) -> None:
+    """Change a cell by a share of it."""
+    said = (directory / "trajectory.csv").read_text(encoding="utf-8").splitlines()[row - 1].split(",")[column]
+    cell(directory, row, column, repr(float(said) * (1 + share)))
+
+
+@pytest.mark.parametrize(("share", "known"), [(1e-13, True), (-3e-11, False)])
+@pytest.mark.parametrize("column", [2, 5, 8, 10])  # beta, u, m, the costate of r
+def test_a_cell_differs_by_rounding_and_by_no_more(hybrid_dir: Path, column: int, share: float, known: bool) -> None:
+    moved(hybrid_dir, 17, column, share)
+    assert pl.verify(pl.load(hybrid_dir), level=1).passed == known
+
+
+def test_what_cancels_differs_by_the_rounding_of_its_terms(hybrid_dir: Path) -> None:
+    """H is 0 all along, a difference of terms as large as 1 kg/s; the altitude that of radii of 1.7e6 m."""
+    cell(hybrid_dir, 40, 16, "1e-13")
+    moved(hybrid_dir, 40, 1, 1e-11)
+    assert pl.verify(pl.load(hybrid_dir), level=1).passed
+    cell(hybrid_dir, 40, 16, "1e-10")
+    assert {c.name for c in pl.verify(pl.load(hybrid_dir), level=1).failed} == {"trajectory.csv"}
+
+
+@pytest.mark.parametrize(("share", "known"), [(1e-12, True), (1e-8, False)])
+def test_a_result_differs_by_rounding_and_by_no_more(hybrid_dir: Path, share: float, known: bool) -> None:
+    def change(document: dict[str, Any]) -> None:
+        document["results"]["propellant"]["value"] *= 1 + share
+
+    assert pl.verify(pl.load(edited(hybrid_dir, change)), level=1).passed == known
+
+
+def grains() -> Solution:
+    """A sampler that takes up 3e-10 kg/s for 2 s, beside a mass of a ton; the flight by hand."""
+    phase = pl.Phase(
+        name="sample", duration="T",
+        states=(pl.Variable(name="m", unit="kg"), pl.Variable(name="grains", unit="kg", scale=1e-9)),
+        dynamics=lambda x, u, p, m: (-p.rate, p.rate),
+        outputs=lambda x, u, p, m: (2 * x.grains,), output_variables=(pl.Variable(name="twice", unit="kg"),),
+    )  # fmt: skip
+    problem = pl.Problem(
+        name="grains", phases=(phase,), start=lambda p, m: (p.m0, 0.0), objective=lambda x, p, m: x.grains,
+        objective_unit="kg", results=lambda first, last, p, m: (last.grains,),
+        result_variables=(pl.Variable(name="taken", unit="kg"),),
+        given={"T": pl.Given(value=2.0, unit="s"), "rate": pl.Given(value=3e-10, unit="kg/s"),
+               "m0": pl.Given(value=1000.0, unit="kg")},
+    )  # fmt: skip
+    t = np.array([0.0, 1.0, 2.0])
+    rates = np.array([[-3e-10, 3e-10]] * 3)
+    state = Curve(time=t, values=np.column_stack([1000.0 - 3e-10 * t, 3e-10 * t]), rates=rates)
+    empty = Curve(time=t, values=np.zeros((3, 0)), rates=np.zeros((3, 0)))
+    return Solution(
+        problem=problem, method="by hand", outcome=Outcome.SOLVED, objective=6e-10, free={},
+        trajectories=(Trajectory(phase="sample", state=state, control=empty),),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("column", [1, 3])  # twice the grains, and the grains
+def test_a_tiny_state_is_compared_by_its_own_size(tmp_path: Path, column: int) -> None:
+    """A millionth of it is 3e-16 kg."""
+    pl.save(grains(), tmp_path / "s")
+    assert pl.verify(pl.load(tmp_path / "s"), level=1).passed
+    moved(tmp_path / "s", 3, column, 1e-6)
+    assert {c.name for c in pl.verify(pl.load(tmp_path / "s"), level=1).failed} == {"trajectory.csv"}
+
+
+@pytest.mark.parametrize("said", ["0.0", "nan", "3e-10"])
+def test_what_is_not_known_is_blank_in_a_table(tmp_path: Path, said: str) -> None:
+    """The root of what is negative at first."""
+    solution = grains()
+    (phase,) = solution.problem.phases
+    late = replace(phase, outputs=lambda x, u, p, m: (m.sqrt((x.grains - p.rate * p.T / 4) * p.rate * p.T),))
+    with np.errstate(invalid="ignore"):
+        pl.save(replace(solution, problem=replace(solution.problem, phases=(late,))), tmp_path / "s")
+    assert (tmp_path / "s" / "trajectory.csv").read_text().splitlines()[1].startswith("0.0,,")
+    assert pl.verify(pl.load(tmp_path / "s"), level=1).passed
+    cell(tmp_path / "s", 2, 1, said)
+    assert {c.name for c in pl.verify(pl.load(tmp_path / "s"), level=1).failed} == {"trajectory.csv"}
+
+
+def test_a_tiny_result_is_compared_by_its_own_size(tmp_path: Path) -> None:
+    pl.save(grains(), tmp_path / "s")
+    edited(tmp_path / "s", lambda d: d["results"]["taken"].update(value=6.000006e-10))
+    assert {c.name for c in pl.verify(pl.load(tmp_path / "s"), level=1).failed} == {"solution.json"}
 
 
 def test_missing_and_short_tables(hybrid_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -105,7 +105,7 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
         interrupted = isinstance(error, KeyboardInterrupt)
         if out is not None and not (interrupted and in_use(out)):
             from perilune.io.export import versions, whole_document
-            from perilune.io.reload import hash_of
+            from perilune.io.format import hash_of
 
             known = error if isinstance(error, PeriluneError) else stopped()
             said = refusal(known, getattr(error, "exit_code", INTERRUPTED))

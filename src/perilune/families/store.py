@@ -27,8 +27,9 @@ import numpy as np
 from perilune.families.family import FamilyPoint
 from perilune.io.export import answer_document, versions
 from perilune.io.files import finite
+from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import array, member, part, refuse, text, tree
-from perilune.io.reload import LARGEST_FILE, read_answer, read_trajectories
+from perilune.io.reload import read_answer, read_trajectories
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Trajectory
 from perilune.problem.verification import Verification

@@ -22,8 +22,8 @@ from typing import Any
 from perilune import __version__ as perilune_version
 from perilune.io.columns import columns, costate_unit, rounded
 from perilune.io.files import finite, fresh_directory, json_text
+from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.io.physics import physics_document
-from perilune.io.reload import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -199,10 +199,7 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
         "problem": physics_document(problem),
         "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
         **answer_document(solution),
-        "phases": [
-            _phase_document(phase, trajectory, problem.objective_unit)
-            for phase, trajectory in zip(problem.phases, solution.trajectories, strict=True)
-        ],
+        "phases": phases_document(solution),
     }
 
 
@@ -237,6 +234,15 @@ def answer_document(solution: Solution) -> dict[str, Any]:
         "verification": short["verification"],
         "unknowns": None if solution.unknowns is None else [float(v) for v in solution.unknowns],
     }
+
+
+def phases_document(solution: Solution) -> list[dict[str, Any]]:
+    """The curves of each phase, with the names and units of their components."""
+    problem = solution.problem
+    return [
+        _phase_document(phase, trajectory, problem.objective_unit)
+        for phase, trajectory in zip(problem.phases, solution.trajectories, strict=True)
+    ]
 
 
 def trajectory_csv(solution: Solution, k: int = 0) -> str:

@@ -8,16 +8,26 @@ was verified comes back as SOLVED and unverified, for `perilune.proof` to judge.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from perilune.io.format import (
+    FORMAT_NAME,
+    FORMAT_VERSION,
+    KNOWN_VERSIONS,
+    LARGEST_FILE,
+    SOLUTION_FILE,
+    WITH_SCENARIO_ONLY,
+    hash_of,
+)
 from perilune.io.physics import read_physics
 from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
+from perilune.io.repeated import Repeated
 from perilune.problem.controls import directions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -30,19 +40,8 @@ from perilune.words.bounded import bounded_text
 from perilune.words.declared import keys_of, made_of
 from perilune.words.outcome import Outcome, PeriluneError
 
-FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE = "perilune-solution", 2, "solution.json"
-WITH_SCENARIO_ONLY, KNOWN_VERSIONS = (
-    1,
-    (1, FORMAT_VERSION),
-)  # the format whose problem is nothing but its scenario's text
-LARGEST_FILE = 64 * 2**20  # bytes; the largest trajectory (6401 nodes, 10 states) takes about 8 MB
 MOST_NODES = 100_000
 _ROUNDING = 1e-12  # relative, between the numbers of a scenario and those beside it
-
-
-def hash_of(scenario_text: str) -> str:
-    """SHA-256 of the text in UTF-8, hexadecimal."""
-    return hashlib.sha256(scenario_text.encode("utf-8")).hexdigest()
 
 
 def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Solution:
@@ -61,22 +60,21 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
         Unverified: a file's own claims are not taken over; the tolerance that was stated for its proof is, for the
         next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
         checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
-        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`.
+        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`; and a proof compares what the file and
+        the tables beside it `repeated`.
 
     Raises
     ------
     PeriluneError
         If the file is missing, too large, not of this format, altered, or does not fit its own problem.
     """
-    return solution_of(read_document(directory), problem_from_scenario)
-
-
-def solution_of(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem] | None = None) -> Solution:
-    """As `load`, of what `read_document` gives."""
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
+    path = demand_path(directory, "the directory of a saved solution")
+    document = _document(path)
     problem = _problem(document, problem_from_scenario)
-    return read_answer(document, problem, read_trajectories(document, problem))
+    found = read_answer(document, problem, read_trajectories(document, problem))
+    return replace(found, repeated=Repeated.of(path, document))
 
 
 def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:
@@ -113,9 +111,8 @@ def _tolerance(said: Any) -> Tolerance:
     return made_of(Tolerance, values)
 
 
-def read_document(directory: str | Path) -> dict[str, Any]:
-    """Read the JSON tree of a file of this format; arguments and errors as of `load`."""
-    path = demand_path(directory, "the directory of a saved solution")
+def _document(path: Path) -> dict[str, Any]:
+    """The JSON tree of a file of this format; errors as of `load`."""
     content = bounded_text(
         path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE,
         expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",

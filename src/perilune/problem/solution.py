@@ -17,7 +17,7 @@ import numpy as np
 from perilune.problem.controls import normalised
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
-from perilune.problem.verification import Verification
+from perilune.problem.verification import Check, Verification
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, Outcome, PeriluneError
 from perilune.words.same import same_fields
@@ -239,6 +239,9 @@ class Solution:
         until `perilune.prove` has found each again.
     unknowns
         The method's own unknowns, so that it can start again from here (`method` says whose they are).
+    repeated
+        Of a solution that was loaded: ``repeated(solution)`` returns checks of level 1 of what its files say a second
+        time, each entry compared with the solution; None of any other.
     """
 
     problem: Problem
@@ -253,6 +256,7 @@ class Solution:
     unknowns: Vector | None = None
     statistics: Statistics = field(default_factory=Statistics)
     verification: Verification = field(default_factory=Verification)
+    repeated: Callable[[Solution], Sequence[Check]] | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (("free", "free parameter"), ("multipliers", "multiplier")):

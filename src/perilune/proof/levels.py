@@ -67,16 +67,20 @@ def examine(
             got=f"{len(solution.trajectories)} for {len(solution.problem.phases)} phases",
             expected="one for each phase",
         )
-    checks: list[Check] = []
+    checks, notes = list[Check](), _unchecked(solution.problem)
     try:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
         with np.errstate(all="ignore"):
             for check in _checks(solution, level, resolve, other, tolerance):
                 checks.append(raised(check, tolerance))
+            if solution.repeated is not None and all(check.passed for check in checks):
+                checks.extend(solution.repeated(solution))
+            elif solution.repeated is not None:
+                notes += ("what lies beside the solution was not compared, as it is not proved itself",)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         meaning = f"the physics can be computed where the tables lead: {error}"
         checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
-    notes = (*_unneeded(checks, tolerance), *_unchecked(solution.problem))
+    notes = (*_unneeded(checks, tolerance), *notes)
     return Verification(checks=tuple(checks), text=solution.problem.text, notes=notes, tolerance=tolerance)
 
 
