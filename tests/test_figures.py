@@ -83,6 +83,15 @@ def test_angles_leave_as_they_were_stated(descent: Solution) -> None:
     assert [row.split(",")[0] for row in family_csv(family).splitlines()[1:]] == list(map(str, stated))
 
 
+def test_a_title_is_no_formula_in_a_legend(descent: Solution) -> None:
+    views = replace(descent.problem.views, label="")
+    priced = replace(descent, problem=replace(descent.problem, views=views, title=r"for $\frac{$ a go"))
+    drawn = solution_figures(priced, descent)
+    (figure,) = {drawn[history.name] for history in views.histories[:1]}
+    figure.draw_without_rendering()
+    assert r"for \$\frac{\$ a go" in {text.get_text() for text in figure.legends[0].get_texts()}
+
+
 def test_every_phase_is_in_the_figures_of_a_problem_that_says_nothing_of_them(descent: Solution) -> None:
     problem = replace(descent.problem, views=replace(descent.problem.views, histories=()))
     drawn = solution_figures(replace(descent, problem=problem))

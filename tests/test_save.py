@@ -261,6 +261,8 @@ def problem_of(document: dict[str, Any]) -> dict[str, Any]:
         (lambda d: d["problem"].update(scales={"length": 0.0}), "scale"),
         (lambda d: d["problem"].update(free=[]), "."),
         (lambda d: d["given"]["g"].update(unit="km"), "numbers are in SI"),
+        (lambda d: d["phases"][0]["state"]["values"][3].__setitem__(0, True), "phases[0].state.values"),
+        (lambda d: d["phases"][0]["state"]["time"].__setitem__(0, False), "phases[0].state.time"),
         (lambda d: d["given"].pop("g"), "."),
         (lambda d: d["given"]["g"].update(value=None), "a number"),
         (lambda d: d["format"].update(version=3), "not a saved solution"),

@@ -131,6 +131,9 @@ def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
         refuse(where, "rows of unequal length", "a full table of numbers")
     wanted = " x ".join("any" if n is None else str(n) for n in shape)
     fits = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
+    rows = value if len(shape) > 1 else [value]
+    if fits and isinstance(value, list) and any(bool in set(map(type, row)) for row in rows):
+        refuse(where, "true or false among them", f"numbers, {wanted}")
     if (found.size and found.dtype.kind not in "if") or not fits:
         refuse(where, f"{found.dtype.kind}-type table of shape {found.shape}", f"numbers, {wanted}")
     found = found.astype(float)

@@ -53,7 +53,8 @@ def label(solution: Solution) -> str:
     if views.beside and all(getattr(p, name) == value for name, value in views.beside.given):
         return views.beside.label
     values = {name: result.value for name, result in solution.results.items()}
-    return one_line(views.label.format(**values)) or solution.problem.heading
+    text = one_line(views.label.format(**values)) or solution.problem.heading
+    return text.replace("$", r"\$")  # between two of them Matplotlib would read a formula
 
 
 def _generic(problem: Problem) -> tuple[History, ...]:
