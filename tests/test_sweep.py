@@ -10,6 +10,8 @@ import pytest
 from perilune.families.sweep import sweep
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.shooting.continuation import Member, follow
+from perilune.shooting.function import Root
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
 
@@ -31,6 +33,48 @@ def test_members_equal_separate_solves(landing: Problem) -> None:
     alone = solve(fixed.with_given(vehicle_thrust=700.0), level=0)
     assert family.points[1].solution is not None
     assert family.points[1].solution.objective == pytest.approx(alone.objective, rel=1e-10)
+
+
+def walked(reach: float, power: int = 2, halvings: int = 6, told: float = 1.0) -> tuple[list[float], Member | None]:
+    """Steps tried from 0 to 1 along value^power, where Newton's method converges from so near the root, and the end.
+
+    The slope that predicts is `told` times the true one.
+    """
+    tried, at, none = list[float](), [0.0], np.zeros(0)
+
+    def root(y: float, converged: bool) -> Root:
+        return Root(y=np.array([y]), residual=none, inverse=np.zeros((0, 0)), slopes=none, ranges=none, cost=0.0,
+                    choice=none, converged=converged)  # fmt: skip
+
+    def tangent(here: Root, value: float) -> np.ndarray:
+        at[0] = value
+        return np.array([told * power * value ** (power - 1)])
+
+    def correct(predicted: np.ndarray, value: float) -> Root:
+        tried.append(value - at[0])
+        return root(value**power, abs(predicted[0] - value**power) <= reach)
+
+    (end,) = follow(Member(value=0.0, root=root(0.0, True)), [1.0], correct, tangent, halvings)
+    return tried, end
+
+
+def test_steps_of_a_walk_are_halved_and_doubled() -> None:
+    """The tangent misses a parabola by the step squared: what fails is halved, and after a success twice is tried."""
+    tried, end = walked(0.02)
+    assert end is not None and end.value == 1.0 and end.root.y[0] == 1.0
+    assert tried == [1.0, 0.5, 0.25, *[0.125, 0.25] * 6, 0.125, 0.125]
+    assert walked(0.0, power=1)[0] == [1.0]
+    tried, end = walked(1e-6, halvings=3)
+    assert end is None and tried == [1.0, 0.5, 0.25, 0.125]
+
+
+def test_a_correction_longer_than_its_prediction_is_of_another_branch() -> None:
+    """Newton's method converges from anywhere here; from 0, where a parabola is level, only a near root is believed."""
+    tried, end = walked(9.0)
+    assert tried[:4] == [1.0, 0.5, 0.25, 0.125] and end is not None
+    # Of the way to 1, 0.7 is predicted, and then 0.6: the corrections are 3/7 and 2/3 of it.
+    assert walked(9.0, power=1, told=0.7)[0] == [1.0]
+    assert walked(9.0, power=1, told=0.6)[0][:2] == [1.0, 0.5]
 
 
 def test_unsolvable_members_are_reported(landing: Problem) -> None:

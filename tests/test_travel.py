@@ -34,6 +34,7 @@ def test_solutions_differ_where_anything_does(ordinary: Solution) -> None:
     assert ordinary != replace(ordinary, objective=0.0)
     assert ordinary != replace(ordinary, trajectories=())
     assert ordinary != replace(ordinary, unknowns=np.zeros(3))
+    assert ordinary != replace(ordinary, unknowns=None) and replace(ordinary, unknowns=None) != ordinary
     assert ordinary != "a solution"
 
 
