@@ -60,8 +60,8 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
         Unverified: a file's own claims are not taken over; the tolerance that was stated for its proof is, for the
         next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
         checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
-        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`; and a proof compares what the file and
-        the tables beside it `repeated`.
+        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`; and a proof compares what
+        the file and the tables beside it `repeated`.
 
     Raises
     ------
