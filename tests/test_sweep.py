@@ -75,7 +75,7 @@ def test_a_correction_longer_than_its_prediction_is_of_another_branch() -> None:
     """Newton's method converges from anywhere here; from 0, where a parabola is level, only a near root is believed."""
     tried, end = walked(9.0)
     assert tried[:4] == [1.0, 0.5, 0.25, 0.125] and end is not None
-    assert walked(9.0, base=3.0)[0][:3] == [1.0, 0.5, 0.25]  # near beside what the root is: 0.02 (1 + |y|)
+    assert walked(9.0, base=3.0)[0][:4] == [1.0, 0.5, 0.25, 0.5]  # near beside the root: 0.02 (1 + |y|)
     # Of the way to 1, 0.7 is predicted, and then 0.6: the corrections are 3/7 and 2/3 of it.
     assert walked(9.0, power=1, told=0.7)[0] == [1.0]
     assert walked(9.0, power=1, told=0.6)[0][:2] == [1.0, 0.5]
