@@ -38,9 +38,9 @@ def test_members_equal_separate_solves(landing: Problem) -> None:
 def walked(
     reach: float, power: int = 2, halvings: int = 6, told: float = 1.0, base: float = 0.0
 ) -> tuple[list[float], Member | None]:
-    """Steps tried from 0 to 1 along base + value^power, where Newton's method converges from so near the root, and the end.
+    """Steps tried from 0 to 1 along base + value^power, and the member that was reached.
 
-    The slope that predicts is `told` times the true one.
+    Newton's method converges from as near to the root as `reach`; the slope that predicts is `told` times the true one.
     """
     tried, at, none = list[float](), [0.0], np.zeros(0)
 
