@@ -454,7 +454,7 @@ def test_what_cancels_differs_by_the_rounding_of_its_terms(hybrid_dir: Path) -> 
     assert {c.name for c in pl.verify(pl.load(hybrid_dir), level=1).failed} == {"trajectory.csv"}
 
 
-@pytest.mark.parametrize(("share", "known"), [(1e-12, True), (1e-8, False)])
+@pytest.mark.parametrize(("share", "known"), [(1e-12, True), (1e-8, False), (-1e-8, False)])
 def test_a_result_differs_by_rounding_and_by_no_more(hybrid_dir: Path, share: float, known: bool) -> None:
     def change(document: dict[str, Any]) -> None:
         document["results"]["propellant"]["value"] *= 1 + share

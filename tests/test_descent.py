@@ -267,6 +267,22 @@ def test_steering_bounds_are_kept(optimum: Solution) -> None:
     assert steepest == pytest.approx(radians(25), abs=1e-9)
 
 
+def test_margins_of_the_steering_are_those_of_its_angles(optimum: Solution) -> None:
+    """At bounds on both sides: of the elevation differences of sines, of the azimuth of the angles themselves."""
+    tight = Steering(elevation=(radians(-50), radians(25)), azimuth=(radians(100), radians(250)))
+    problem = peng(steering=tight)
+    t = np.linspace(0.0, optimum.free["flight_time"], 20)
+    angles = optimum.outputs(0, t)
+    elevation, azimuth = angles["thrust_elevation"], angles["thrust_azimuth"]
+    _, low, high, right, left = problem.phases[0].evaluate(
+        "path", *optimum.flown(0, t), problem.parameters(optimum.free)
+    )
+    assert low == pytest.approx(np.sin(elevation) - np.sin(radians(-50)), abs=1e-12)
+    assert high == pytest.approx(np.sin(radians(25)) - np.sin(elevation), abs=1e-12)
+    assert right == pytest.approx(azimuth - radians(100), abs=1e-12)
+    assert left == pytest.approx(radians(250) - azimuth, abs=1e-12)
+
+
 # -- a precision landing
 # ----------------------------------------------------------------------------------------------
 

@@ -78,7 +78,8 @@ def test_processes_answer_as_one_after_the_other(fixed: Problem, grid: Family) -
     assert last.problem == fixed.with_given(vehicle_thrust=500.0, vehicle_mass=310.0)
     assert last.problem.text == "the problem's own Python functions"
     assert last.verification.text == "expressions from a copy"
-    assert any("6 of 6 done" in str(line) for line in lines)
+    said = [str(line).rpartition(", ")[2] for line in lines if str(line).endswith(" done")]
+    assert said == [f"{n} of 6 done" for n in range(1, 7)]
 
 
 def test_another_method_on_threads(fixed: Problem) -> None:

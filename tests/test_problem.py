@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -177,3 +178,14 @@ def test_inconsistent_parts(make: Any, words: str) -> None:
 def test_bounded_control_has_one_name() -> None:
     """As a component of u."""
     assert Bounded(name="throttle", lower=0.1, upper=1.0).names == ("throttle",)
+
+
+def test_the_middle_of_a_range_and_the_shares_of_it() -> None:
+    """Where a first guess begins, and how far it may go: of an open range from the bound that there is."""
+    p: Any = None
+    throttle = Bounded(name="throttle", lower=0.2, upper=1.0)
+    assert throttle.middle(p) == pytest.approx((0.6, 0.32))
+    assert Bounded(name="force", lower=2.0).middle(p) == (2.0, math.inf)
+    assert Bounded(name="force", upper=-2.0).middle(p) == (-2.0, math.inf)
+    assert Bounded(name="force").middle(p) == (0.0, math.inf)
+    assert [throttle.share(u, p) for u in (0.2, 0.6, 1.0)] == pytest.approx([0.0, 0.5, 1.0])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting import plan as planning
+from perilune.shooting.continuation import Member
+from perilune.shooting.extremals import HeldFamily, _dips
 from perilune.shooting.flyer import Code, Fleet, Flight, OneLane
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST
@@ -183,3 +187,32 @@ def test_a_fleet_lends_one_object_to_one_caller() -> None:
         assert first is not second
     with fleet.flyer(1) as again:
         assert again in (first, second)
+
+
+@pytest.mark.parametrize(
+    ("slopes", "near"),
+    [
+        ((6.0, 1.0, 1.05), True),  # the parabola's least value is 0.393
+        ((3.0, 1.0, 1.05), False),  # 0.768
+        ((6.0, -1.0, 2.0), False),  # a change of sign is not looked for here
+        ((6.0, 1.0, 0.5), False),  # nor an end of the range
+        ((-6.0, -1.0, -1.05), True),
+        ((3.0, 1.0, 3.0), False),
+    ],
+)
+def test_two_roots_are_looked_for_where_slopes_come_near_zero(slopes: tuple[float, ...], near: bool) -> None:
+    """Where the least value of the parabola through three slopes is under half of the middle one."""
+    asked: list[np.ndarray] = []
+
+    def released(Y: np.ndarray, first: Root) -> list[Root]:
+        asked.append(Y)
+        return [replace(first, converged=False)] * len(Y)
+
+    none, family = np.zeros(0), cast("HeldFamily", SimpleNamespace(released=released))
+    members = [
+        Member(value=value, root=Root(y=np.array([10 * value]), residual=none, inverse=np.zeros((0, 0)), slopes=none,
+                                      ranges=none, cost=0.0, choice=none, converged=True))
+        for value in (-1.0, 0.0, 1.0)
+    ]  # fmt: skip
+    assert _dips(family, members, list(slopes)) == []
+    assert [Y.tolist() for Y in asked] == ([[[-5.0], [5.0]]] if near else [])

@@ -35,10 +35,12 @@ def test_members_equal_separate_solves(landing: Problem) -> None:
     assert family.points[1].solution.objective == pytest.approx(alone.objective, rel=1e-10)
 
 
-def walked(reach: float, power: int = 2, halvings: int = 6, told: float = 1.0) -> tuple[list[float], Member | None]:
-    """Steps tried from 0 to 1 along value^power, where Newton's method converges from so near the root, and the end.
+def walked(
+    reach: float, power: int = 2, halvings: int = 6, told: float = 1.0, base: float = 0.0
+) -> tuple[list[float], Member | None]:
+    """Steps tried from 0 to 1 along base + value^power, and the member that was reached.
 
-    The slope that predicts is `told` times the true one.
+    Newton's method converges from as near to the root as `reach`; the slope that predicts is `told` times the true one.
     """
     tried, at, none = list[float](), [0.0], np.zeros(0)
 
@@ -52,9 +54,10 @@ def walked(reach: float, power: int = 2, halvings: int = 6, told: float = 1.0) -
 
     def correct(predicted: np.ndarray, value: float) -> Root:
         tried.append(value - at[0])
-        return root(value**power, abs(predicted[0] - value**power) <= reach)
+        y = base + value**power
+        return root(y, abs(predicted[0] - y) <= reach)
 
-    (end,) = follow(Member(value=0.0, root=root(0.0, True)), [1.0], correct, tangent, halvings)
+    (end,) = follow(Member(value=0.0, root=root(base, True)), [1.0], correct, tangent, halvings)
     return tried, end
 
 
@@ -72,6 +75,7 @@ def test_a_correction_longer_than_its_prediction_is_of_another_branch() -> None:
     """Newton's method converges from anywhere here; from 0, where a parabola is level, only a near root is believed."""
     tried, end = walked(9.0)
     assert tried[:4] == [1.0, 0.5, 0.25, 0.125] and end is not None
+    assert walked(9.0, base=3.0)[0][:4] == [1.0, 0.5, 0.25, 0.5]  # near beside the root: 0.02 (1 + |y|)
     # Of the way to 1, 0.7 is predicted, and then 0.6: the corrections are 3/7 and 2/3 of it.
     assert walked(9.0, power=1, told=0.7)[0] == [1.0]
     assert walked(9.0, power=1, told=0.6)[0][:2] == [1.0, 0.5]

@@ -22,7 +22,7 @@ from command_line import HYBRID, ROOT, read_json
 from many_problems import transfer
 from perilune.cli import run
 from perilune.io.export import save, solution_document, whole_document
-from perilune.io.reload import SOLUTION_FILE, solution_of
+from perilune.io.format import SOLUTION_FILE
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import quantity_in, told
 from perilune.report.beside import proved_directory
@@ -421,6 +421,12 @@ def saved(precise: Solution, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     return json.loads((place / SOLUTION_FILE).read_text(encoding="utf-8"))
 
 
+def loaded_as(document: dict[str, Any], place: Path) -> Solution:
+    """What a file of this content gives."""
+    (place / SOLUTION_FILE).write_text(json.dumps(document), encoding="utf-8")
+    return pl.load(place)
+
+
 @pytest.mark.parametrize(
     ("stated", "said"),
     [
@@ -439,16 +445,16 @@ def saved(precise: Solution, tmp_path_factory: pytest.TempPathFactory) -> dict[s
         ("position 1 mm", "tolerance"),
     ],
 )
-def test_a_strangers_tolerance_is_checked(saved: dict[str, Any], stated: Any, said: str) -> None:
+def test_a_strangers_tolerance_is_checked(saved: dict[str, Any], stated: Any, said: str, tmp_path: Path) -> None:
     document = {**saved, "verification": {**saved["verification"], "tolerance": stated}}
     with pytest.raises(PeriluneError, match=said):
-        solution_of(document)
+        loaded_as(document, tmp_path)
 
 
 @pytest.mark.parametrize("claims", [None, "PROVED", {}, {"tolerance": None}, {"tolerance": {}}])
-def test_a_file_that_states_none_has_none(saved: dict[str, Any], claims: Any) -> None:
+def test_a_file_that_states_none_has_none(saved: dict[str, Any], claims: Any, tmp_path: Path) -> None:
     """As those of earlier versions; what it claims of its checks, that they needed none, opens nothing."""
-    found = pl.prove(solution_of({**saved, "verification": claims}), 1)
+    found = pl.prove(loaded_as({**saved, "verification": claims}, tmp_path), 1)
     assert found.outcome is Outcome.NOT_PROVED and found.verification.tolerance == pl.Tolerance()
 
 
