@@ -64,15 +64,15 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         )  # fmt: skip
         return
     arcs = [arc for arc, _ in flown]
-    nu = [end_multipliers(arc) for arc in arcs]
-    for (arc, flight), (multipliers, residual) in zip(flown, nu, strict=True):
+    nu = all_multipliers(arcs)
+    for (arc, flight), multipliers in zip(flown, nu, strict=True):
         yield from _costates(arc, flight)
-        yield _transversality(arc, residual)
+        yield _transversality(arc, end_multipliers(arc)[1])
         yield from _signs(arc, multipliers)
         yield _hamiltonian_constant(arc)
-    yield from _multipliers(solution, arcs, [v for v, _ in nu])
+    yield from _multipliers(solution, arcs, nu)
     for free in solution.problem.free:
-        yield _stationary(solution, free, parameter_gradient(arcs, [v for v, _ in nu], free.name))
+        yield _stationary(solution, free, parameter_gradient(arcs, nu, free.name))
     for arc in arcs:
         if arc.phase.controls:
             yield from minimality(arc)
@@ -111,6 +111,38 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     if met.any():
         nu[met] = np.linalg.lstsq(psi[met].T / size[met], wanted, rcond=None)[0] / size[met]
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
+
+
+def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
+    """Multipliers nu [J per unit] of the end conditions of all phases.
+
+    A condition on parameters alone, as that durations have a given sum, stands in no lam(t_f): its multiplier is what
+    makes J stationary in the free parameters, by least squares, as far as there is one.
+    """
+    nu, size = [end_multipliers(arc)[0] for arc in arcs], objective_scale(arcs[0].solution)
+    bare = [
+        (k, i)
+        for k, arc in enumerate(arcs)
+        for i in np.nonzero(~end_slopes(arc).any(axis=1) & (end_sides(arc) != INSIDE))[0].tolist()
+    ]
+    inside = [f for f in arcs[0].problem.free if not any(at_bound(arcs[0].solution, f))]
+    if not bare or not inside:
+        return nu
+
+    def slopes() -> Vector:
+        own = [parameter_gradient(arcs, nu, f.name) * free_size(arcs[0].solution, f) for f in inside]
+        return np.array(own) / size
+
+    left, columns = slopes(), list[Vector]()
+    for k, i in bare:
+        unit = size / arcs[k].end_scale[i]
+        nu[k][i] = unit
+        columns.append(slopes() - left)
+        nu[k][i] = 0.0
+    found = np.linalg.lstsq(np.array(columns).T, -left, rcond=None)[0]
+    for (k, i), value in zip(bare, found, strict=True):
+        nu[k][i] = value * size / arcs[k].end_scale[i]
+    return nu
 
 
 def end_sides(arc: Arc) -> Vector:
@@ -226,7 +258,7 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
 
     The second variation takes the latter to both sides, which asks for more than is necessary.
     """
-    nu, slack = [end_multipliers(arc)[0] for arc in arcs], STATIONARY_LIMIT * objective_scale(solution)
+    nu, slack = all_multipliers(arcs), STATIONARY_LIMIT * objective_scale(solution)
     return [
         f.name
         for f in solution.problem.free
