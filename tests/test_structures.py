@@ -83,6 +83,19 @@ def test_the_direct_method_finds_the_closed_form_from_a_straight_line(
     assert failed == (["state_c"] if rides else [])  # the control is not smooth where S >= 0 is met
 
 
+def test_a_boundary_arc_by_the_indirect_method() -> None:
+    """The times of the joints are simple roots: they are exact where J is."""
+    problem, structure = bryson_denham(1 / 9, as_bound=True), riding("x.upper")
+    restated = restate(problem, structure)
+    solution = pl.Indirect().run(restated, pl.solve(restated, pl.Pseudospectral(), level=0))
+    assert solution.objective == pytest.approx(4.0, abs=1e-12)
+    assert [t.duration for t in solution.trajectories] == pytest.approx([1 / 3] * 3, abs=1e-12)
+    assert solution.multipliers["swing-1.enter_x_upper"] == pytest.approx(-36.0, abs=1e-10)
+    whole = joined(problem, solution, structure)
+    assert pl.verify(whole, level=1).passed
+    assert [arc.text for arc in whole.structure] == ["along the upper bound of x 0.3333 to 0.6667 s"]
+
+
 def test_a_touch_by_the_indirect_method() -> None:
     """To the last digit; the costate of the place jumps by dJ/dl."""
     problem, structure = bryson_denham(1 / 5), touching("room")
@@ -90,6 +103,8 @@ def test_a_touch_by_the_indirect_method() -> None:
     solution = pl.Indirect().run(restated, pl.solve(restated, ONE_MESH, level=0))
     assert solution.objective == pytest.approx(2.24, abs=1e-12)
     assert solution.multipliers["swing-1.touch_room"] == pytest.approx(-9.6, abs=1e-11)
+    proof = pl.verify(solution, level=3)  # the condition on the durations, 1 s together, stands in no costate
+    assert proof.passed and "multipliers" in {c.name for c in proof.checks}
     whole = joined(problem, solution, structure)
     assert pl.verify(whole, level=1).passed
     costate = whole.trajectories[0].costate
@@ -116,6 +131,17 @@ def test_the_constrained_brachistochrone() -> None:
     assert [(a.words, a.begin, a.end) for a in whole.structure] == [("along above", *ends[:2])]
     assert ends[:2] == pytest.approx([entered, left], abs=1e-3)
     assert pl.verify(whole, level=1).passed
+    exact = pl.Indirect().run(guess.problem, solution)
+    assert np.cumsum([t.duration for t in exact.trajectories]) == pytest.approx([entered, left, least], abs=1e-10)
+
+
+def test_a_touch_at_a_wrong_time_is_no_extremal() -> None:
+    """One multiplier of the durations' sum cannot make both stationary."""
+    restated = restate(bryson_denham(1 / 5), touching("room"))
+    early = restated.with_given(**{"T-1": 0.45})
+    solution = pl.Indirect().run(early, pl.solve(early, ONE_MESH, level=0))
+    proof = pl.verify(replace(solution, problem=restated, free={"T-1": 0.45, **solution.free}), level=2)
+    assert {c.name for c in proof.failed} >= {"stationary_T-1", "stationary_T-2"}
 
 
 def test_the_range_of_a_duration_is_one_of_the_sum() -> None:

@@ -324,6 +324,11 @@ def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX,
     return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
 
 
+def control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
+    """The minimising control, that of the mode in which H is least."""
+    return _of_mode([report(z, numbers)[0] for report in extremal.reports], extremal.mode(z, numbers))
+
+
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
     """H on the minimising control, that of the mode in which it is least."""
     return _of_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))

@@ -29,6 +29,7 @@ import casadi as ca
 
 from perilune.conditions.canonical import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
 from perilune.conditions.held import Held, keepable
+from perilune.conditions.joints import smooth_joints
 from perilune.problem.neighbours import unmoved
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
@@ -60,7 +61,8 @@ class Conditions:
     free_at, costate_at
         Slices of y: the free parameters, and each phase's lambda(0).
     stationarity_at
-        Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals.
+        Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals; but for
+        durations that end where something begins or ceases to be held (`perilune.conditions.joints`).
     ranges
         (row of the residual, unknown nu) of each end condition with a finite bound: its row holds psi, which only has
         to lie between the bounds.
@@ -159,9 +161,13 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
         costates.append(lam_end - ca.gradient(boundary, x_end))
         lagrangian += ca.dot(nu[k], psi) + ca.dot(lam0[k], initial_states[k](ends[k - 1] if k else ca.SX(0, 1)))
     stationarity = ca.gradient(lagrangian, p.free)
+    sides = [(zf, ca.vertcat(initial_states[k + 1](zf), lam0[k + 1])) for k, zf in enumerate(ends[:-1])]
+    joints = list(smooth_joints(problem, p, phases, sides, numbers, ca.SX(stationarity)))
     for phase, extremal, zf in zip(problem.phases, phases, ends, strict=True):
         if phase.duration in problem.free_names:
             stationarity[problem.free_names.index(phase.duration)] += hamiltonian_at(extremal, zf, numbers)
+    for i, _, row in joints:
+        stationarity[i] = row
     residual = ca.vertcat(*conditions, *costates, stationarity)
     zf = ca.vertcat(*ends)
     silent = tuple(_silent(e, z, rows) for e, z, rows in zip(phases, ends, costates, strict=True))
@@ -170,7 +176,7 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
     read = ca.vertcat(residual, cost)
     needed = _needed(phases, ends, read, starts, silent, {row for row, _ in silent_rows})
     count = sum(e.half for e in phases)
-    unknowns, residuals = _names(problem, tuple(phases))
+    unknowns, residuals = _names(problem, tuple(phases), {i: name for i, name, _ in joints})
     return Conditions(
         phases=tuple(phases),
         starts=starts,
@@ -275,8 +281,8 @@ def _slices(lengths: list[int]) -> tuple[slice, ...]:
 Names = tuple[tuple[str, str], ...]
 
 
-def _names(problem: Problem, phases: tuple[PhaseExtremal, ...]) -> tuple[Names, Names]:
-    """(name, unit) of each unknown and of each residual."""
+def _names(problem: Problem, phases: tuple[PhaseExtremal, ...], joints: dict[int, str]) -> tuple[Names, Names]:
+    """(name, unit) of each unknown and of each residual; `joints` are the rows of `smooth_joints` by parameter."""
     cost = problem.objective_unit
     lam, nu, psi, transversality = [], [], [], []
     for phase, extremal in zip(problem.phases, phases, strict=True):
@@ -288,5 +294,7 @@ def _names(problem: Problem, phases: tuple[PhaseExtremal, ...]) -> tuple[Names, 
             nu.append((f"{phase.name}.nu_{c.name}", quotient(cost, c.unit)))
             psi.append((f"{phase.name}: {c.name}", c.unit))
     free = [(f.name, f.unit) for f in problem.free]
-    stationarity = [(f"stationarity in {f.name}", quotient(cost, f.unit)) for f in problem.free]
+    stationarity = [
+        (joints.get(i, f"stationarity in {f.name}"), quotient(cost, f.unit)) for i, f in enumerate(problem.free)
+    ]
     return (*lam, *free, *nu), (*psi, *transversality, *stationarity)

@@ -44,6 +44,7 @@ from perilune.words.types import Matrix, Physics, Vector
 from perilune.words.units import Scales
 
 _NOTHING = 1e-18  # of a canonical unit
+STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
 BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
 # Of what a state reaches: so much rounds, some hundred times the last digit, beside limits of 3e-10 of a size.
 ROUNDS = 1e-4
@@ -287,19 +288,26 @@ class Problem:
         own = named.scale if isinstance(named, Variable) else None
         return self.scales.of(named.unit) if own is None else own
 
-    def reached_sizes(self, phase: Phase, values: Matrix) -> Vector:
+    def reached_sizes(
+        self, phase: Phase, values: Matrix, elsewhere: Mapping[str, float] = MappingProxyType({})
+    ) -> Vector:
         """By what errors of the states of a flight are judged [SI], from their values along it, (n, times).
 
         That is what they reach, as far as the span that they cover bears it out, and at least their canonical units;
         or, where a state has a scale of its own, a thousandth of that. So an answer is judged alike whatever scale it
-        was computed with, and wherever its states are counted from; what they reach still rounds.
+        was computed with, and wherever its states are counted from; what they reach still rounds. `elsewhere` are the
+        spans on other phases, by unit: what stands still on this one, as on a limit that it rides along, is judged by
+        them.
         """
         reached, spans = np.abs(values).max(axis=1).tolist(), np.ptp(values, axis=1).tolist()
         sizes = []
         for v, most, span in zip(phase.states, reached, spans, strict=True):
             alike = [i for i, other in enumerate(phase.states) if other.unit == v.unit]
             # What stands still, with all states of its unit, has covered no span that would say anything.
-            together = max(spans[i] for i in alike) or max(reached[i] for i in alike)
+            together = max(spans[i] for i in alike)
+            if together <= STILL * (other := elsewhere.get(v.unit, 0.0)):
+                together = other
+            together = together or max(reached[i] for i in alike)
             unit = likely(self.scales.of(v.unit), together)
             own = unit if v.scale is None else borne_out(v.scale, unit, span) / BEYOND
             sizes.append(max(borne_out(most, unit, span), own, ROUNDS * most))

@@ -115,7 +115,11 @@ class Arc:
     @cached_property
     def state_scale(self) -> Vector:
         """Sizes of the states [SI]."""
-        return self.problem.reached_sizes(self.phase, self.trajectory.state.values.T)
+        others = dict[str, float]()
+        for phase, flown in zip(self.problem.phases, self.solution.trajectories, strict=True):
+            for state, span in zip(phase.states, np.ptp(flown.state.values, axis=0).tolist(), strict=True):
+                others[state.unit] = max(others.get(state.unit, 0.0), span)
+        return self.problem.reached_sizes(self.phase, self.trajectory.state.values.T, others)
 
     @cached_property
     def end_scale(self) -> Vector:

@@ -65,14 +65,14 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         return
     arcs = [arc for arc, _ in flown]
     nu = all_multipliers(arcs)
-    for (arc, flight), (multipliers, residual) in zip(flown, nu, strict=True):
+    for (arc, flight), multipliers in zip(flown, nu, strict=True):
         yield from _costates(arc, flight)
-        yield _transversality(arc, residual)
+        yield _transversality(arc, end_multipliers(arc)[1])
         yield from _signs(arc, multipliers)
         yield _hamiltonian_constant(arc)
-    yield from _multipliers(solution, arcs, [v for v, _ in nu])
+    yield from _multipliers(solution, arcs, nu)
     for free in solution.problem.free:
-        yield _stationary(solution, free, parameter_gradient(arcs, [v for v, _ in nu], free.name))
+        yield _stationary(solution, free, parameter_gradient(arcs, nu, free.name))
     for arc in arcs:
         if arc.phase.controls:
             yield from minimality(arc)
@@ -113,38 +113,36 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
 
 
-def all_multipliers(arcs: Sequence[Arc]) -> list[tuple[Vector, Vector]]:
-    """`end_multipliers` of every phase; of a condition on parameters alone that which the free parameters imply.
+def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
+    """Multipliers nu [J per unit] of the end conditions of all phases.
 
-    lam(t_f) knows nothing of it, but dJ/dp + nu.dpsi/dp = 0 does, by least squares over the p that no bound holds.
+    A condition on parameters alone, as that durations have a given sum, stands in no lam(t_f): its multiplier is what
+    makes J stationary in the free parameters, by least squares, as far as there is one.
     """
-    found, solution = [end_multipliers(arc) for arc in arcs], arcs[0].solution
-    loose = [
+    nu, size = [end_multipliers(arc)[0] for arc in arcs], objective_scale(arcs[0].solution)
+    bare = [
         (k, i)
         for k, arc in enumerate(arcs)
-        if arc.phase.end_conditions
         for i in np.nonzero(~end_slopes(arc).any(axis=1) & (end_sides(arc) != INSIDE))[0].tolist()
     ]
-    inner = [free for free in solution.problem.free if not any(at_bound(solution, free))]
-    if not loose or not inner:
-        return found
-    nu = [values for values, _ in found]
-    size = np.array([free_size(solution, free) for free in inner]) / objective_scale(solution)
-    wanted = np.array([parameter_gradient(arcs, nu, free.name) for free in inner]) * size
-    scales = np.array([arcs[k].end_scale[i] for k, i in loose])
-    slopes = np.array([[_end_slope(arcs[k], i, free.name) for k, i in loose] for free in inner]) * size[:, None]
-    values = -np.linalg.lstsq(slopes * (1 / scales), wanted, rcond=None)[0] / scales
-    for (k, i), value in zip(loose, values.tolist(), strict=True):
-        nu[k][i] = value
-    return found
+    inside = [f for f in arcs[0].problem.free if not any(at_bound(arcs[0].solution, f))]
+    if not bare or not inside:
+        return nu
 
+    def slopes() -> Vector:
+        own = [parameter_gradient(arcs, nu, f.name) * free_size(arcs[0].solution, f) for f in inside]
+        return np.array(own) / size
 
-def _end_slope(arc: Arc, i: int, name: str) -> float:
-    """Derivative of an end condition by a parameter, in SI."""
-    step = STEP * arc.problem.scales.of(arc.problem.unit_of(name))
-    stepped = SimpleNamespace(**{**vars(arc.p), name: getattr(arc.p, name) + 1j * step})
-    end = arc.state(np.array([arc.duration]))[:, 0].tolist()
-    return float(np.imag(arc.phase.evaluate("end", end, (), stepped, COMPLEX)[i])) / step
+    left, columns = slopes(), list[Vector]()
+    for k, i in bare:
+        unit = size / arcs[k].end_scale[i]
+        nu[k][i] = unit
+        columns.append(slopes() - left)
+        nu[k][i] = 0.0
+    found = np.linalg.lstsq(np.array(columns).T, -left, rcond=None)[0]
+    for (k, i), value in zip(bare, found, strict=True):
+        nu[k][i] = value * size / arcs[k].end_scale[i]
+    return nu
 
 
 def end_sides(arc: Arc) -> Vector:
@@ -260,13 +258,12 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
 
     The second variation takes the latter to both sides, which asks for more than is necessary.
     """
-    bound = [f for f in solution.problem.free if any(at_bound(solution, f))]
-    held: set[str] = set()
-    if bound:
-        nu, slack = [nu for nu, _ in all_multipliers(arcs)], STATIONARY_LIMIT * objective_scale(solution)
-        slopes = {f: parameter_gradient(arcs, nu, f.name) * free_size(solution, f) for f in bound}
-        held = {f.name for f, slope in slopes.items() if not abs(slope) <= slack}
-    return [name for name in solution.problem.free_names if name not in held]
+    nu, slack = all_multipliers(arcs), STATIONARY_LIMIT * objective_scale(solution)
+    return [
+        f.name
+        for f in solution.problem.free
+        if not any(at_bound(solution, f)) or abs(parameter_gradient(arcs, nu, f.name)) * free_size(solution, f) <= slack
+    ]
 
 
 def _stationary(solution: Solution, free: Free, gradient: float) -> Check:

@@ -7,7 +7,7 @@ be equal to it.
 
 A condition that is ridden decides the control there (`Phase.held`), and is no path condition of that arc. On the others
 it stays one, as the arc that leads to it needs it: without S >= 0 the cost has no minimum at the time of entry, but a
-slope that vanishes and does not change its sign (before it H of the best control is at most H of the one that rides).
+slope that vanishes and does not change its sign (`perilune.conditions.joints`).
 """
 
 from __future__ import annotations
