@@ -264,6 +264,8 @@ def _active(arc: Arc, flight: Flight) -> str:
     if arc.allowed:  # whose multipliers are known where the control lies on it
         known = zip(arc.allowed.places, arc.allowed.active(inside.x, inside.u), strict=True)
         for place, active in known:
+            if place >= len(margins):  # held, not of the path
+                continue
             name, size, value = margins[place]
             margins[place] = name, size, np.where(active, np.inf, value)
     for state, size, value in zip(arc.phase.states, arc.state_scale, x, strict=True):
