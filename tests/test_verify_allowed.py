@@ -242,12 +242,14 @@ def test_released_where_it_should_be_held_the_condition_is_broken() -> None:
     assert "stationary_direction_along_aside_up" not in failed(verification)
 
 
-@pytest.mark.parametrize("inside", [1e-6, 1e-2])
+@pytest.mark.parametrize("inside", [5e-7, 1e-2])
 def test_short_of_the_cone_there_is_no_multiplier(inside: float) -> None:
     verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt - inside * held, held)),
                           level=2)  # fmt: skip
     assert {"stationary_direction_along_aside_up", "minimum_of_hamiltonian"} <= failed(verification)
     assert "path_upright" not in failed(verification)
+    said = "upright >= 0 is met too loosely for a multiplier" in check(verification, "costate_y").meaning
+    assert said == (inside < 1e-5)
 
 
 def on_the_cone(turn: float, aside: float = ASIDE, *, held: bool = False) -> Solution:
@@ -277,6 +279,45 @@ def test_conditions_that_leave_a_circle_are_proved_and_its_worst_point_is_not(he
     # Where the thrust does not turn, its own values at other times tell nothing.
     assert failed(verify(on_the_cone(math.pi, aside=0.0, held=held), level=2)) == {"minimum_of_hamiltonian"}
     assert "stationary_direction_along_aside_up" in failed(verify(on_the_cone(1e-3, held=held), level=2))
+
+
+def with_engine(share: float = 1.0) -> Solution:
+    """A throttle beside the direction, full all along, and the thrust's component up is what must be large enough."""
+    solution = cone()
+    (phase,) = solution.problem.phases
+    engine = replace(
+        phase, controls=(*phase.controls, Bounded(name="share", lower=0.0, upper=1.0)),
+        dynamics=lambda x, u, p, m: (
+            x.vz, x.vy, p.thrust * u.share * u.along, p.thrust * u.share * u.aside, p.thrust * u.share * u.up,
+        ),
+        path=lambda x, u, p, m: (x.y + p.depth, u.share * u.up - m.cos(p.tilt)),
+    )  # fmt: skip
+    full = replace(solution, problem=replace(solution.problem, phases=(engine,)))
+
+    def beside(table: Curve) -> Curve:
+        more = np.full((len(table.time), 1), share)
+        return replace(table, values=np.hstack([table.values, more]), rates=np.hstack([table.rates, 0 * more]))
+
+    return flown(full, "control", beside)
+
+
+def test_a_scalar_on_its_bound_has_a_multiplier_of_its_own_beside_the_condition() -> None:
+    """dH/dshare is no equation for mu; what mu leaves of it is the switching function, negative at the upper bound."""
+    verification = verify(with_engine(), resolve=cone_again)
+    assert verification.passed, str(verification)
+    assert verification.level == 3
+    # dL/dshare = lam_v.u - mu up, mu that of the meridian: there dH/dangle = mu sin(tilt).
+    tau = np.linspace(0.0, TIME, 4001)
+    u, _ = steering(tau, ASIDE, LIFT, TILT)
+    mu = np.maximum(np.sqrt(1 + (ASIDE * tau) ** 2) / math.tan(TILT) + LIFT * tau, 0.0)
+    S = -u[0] + ASIDE * tau * u[1] + LIFT * tau * u[2] - mu * u[2]
+    apart = np.abs(tau - meets(ASIDE, LIFT, TILT))
+    least = (np.abs(S) / apart).min() * TIME / np.abs(S).max()
+    assert check(verification, "strict_share").value == pytest.approx(-least, rel=2e-3)
+
+
+def test_an_engine_that_is_not_full_is_no_extremal() -> None:
+    assert "switching_share" in failed(verify(with_engine(0.999), level=2))
 
 
 # --- a limit that rises with the flight: mu dc/dx enters lam' --------------------------------------------------------
