@@ -242,16 +242,18 @@ def test_released_where_it_should_be_held_the_condition_is_broken() -> None:
     assert "stationary_direction_along_aside_up" not in failed(verification)
 
 
-@pytest.mark.parametrize("inside", [1e-6, 1e-2])
+@pytest.mark.parametrize("inside", [5e-7, 1e-2])
 def test_short_of_the_cone_there_is_no_multiplier(inside: float) -> None:
     verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt - inside * held, held)),
                           level=2)  # fmt: skip
     assert {"stationary_direction_along_aside_up", "minimum_of_hamiltonian"} <= failed(verification)
     assert "path_upright" not in failed(verification)
+    said = "upright >= 0 is met too loosely for a multiplier" in check(verification, "costate_y").meaning
+    assert said == (inside < 1e-5)
 
 
-def on_the_cone(turn: float, aside: float = ASIDE) -> Solution:
-    """The same with u_up = cos(tilt) asked for by two inequalities: what is allowed has no inside."""
+def on_the_cone(turn: float, aside: float = ASIDE, *, held: bool = False) -> Solution:
+    """The same with u_up = cos(tilt), held or asked for by two inequalities: what is allowed has no inside."""
     tilted = cone(aside, steer=lambda tau, b, c, tilt, held: beside(turn)(tau, b, c, tilt, True))
     (phase,) = tilted.problem.phases
     both = replace(
@@ -259,18 +261,63 @@ def on_the_cone(turn: float, aside: float = ASIDE) -> Solution:
         path=lambda x, u, p, m: (u.up - m.cos(p.tilt), m.cos(p.tilt) - u.up),
         path_conditions=(Variable(name="upright"), Variable(name="leaning")),
     )
+    if held:
+        both = replace(
+            phase, path=None, path_conditions=(), held=lambda x, u, p, m: (u.up - m.cos(p.tilt),),
+            held_conditions=(Variable(name="leaning"),),
+        )  # fmt: skip
     end = tilted.trajectories[0].state.values[-1]
     return replace(tilted, problem=replace(tilted.problem, phases=(both,)).with_given(side=end[0], height=end[1]))
 
 
-def test_conditions_that_leave_a_circle_are_proved_and_its_worst_point_is_not() -> None:
-    """Their slopes are opposite: the one of the right sign has the multiplier. Only samples on the circle see all."""
-    verification = verify(on_the_cone(0.0), level=2)
+@pytest.mark.parametrize("held", [False, True])
+def test_conditions_that_leave_a_circle_are_proved_and_its_worst_point_is_not(held: bool) -> None:
+    """Slopes of two are opposite: the one of the right sign has the multiplier. Only samples on the circle see all."""
+    verification = verify(on_the_cone(0.0, held=held), level=2)
     assert verification.passed, str(verification)
-    assert failed(verify(on_the_cone(math.pi), level=2)) == {"minimum_of_hamiltonian"}
+    assert failed(verify(on_the_cone(math.pi, held=held), level=2)) == {"minimum_of_hamiltonian"}
     # Where the thrust does not turn, its own values at other times tell nothing.
-    assert failed(verify(on_the_cone(math.pi, aside=0.0), level=2)) == {"minimum_of_hamiltonian"}
-    assert "stationary_direction_along_aside_up" in failed(verify(on_the_cone(1e-3), level=2))
+    assert failed(verify(on_the_cone(math.pi, aside=0.0, held=held), level=2)) == {"minimum_of_hamiltonian"}
+    assert "stationary_direction_along_aside_up" in failed(verify(on_the_cone(1e-3, held=held), level=2))
+
+
+def with_engine(share: float = 1.0) -> Solution:
+    """A throttle beside the direction, full all along, and the thrust's component up is what must be large enough."""
+    solution = cone()
+    (phase,) = solution.problem.phases
+    engine = replace(
+        phase, controls=(*phase.controls, Bounded(name="share", lower=0.0, upper=1.0)),
+        dynamics=lambda x, u, p, m: (
+            x.vz, x.vy, p.thrust * u.share * u.along, p.thrust * u.share * u.aside, p.thrust * u.share * u.up,
+        ),
+        path=lambda x, u, p, m: (x.y + p.depth, u.share * u.up - m.cos(p.tilt)),
+    )  # fmt: skip
+    full = replace(solution, problem=replace(solution.problem, phases=(engine,)))
+
+    def beside(table: Curve) -> Curve:
+        more = np.full((len(table.time), 1), share)
+        return replace(table, values=np.hstack([table.values, more]), rates=np.hstack([table.rates, 0 * more]))
+
+    return flown(full, "control", beside)
+
+
+def test_a_scalar_on_its_bound_has_a_multiplier_of_its_own_beside_the_condition() -> None:
+    """dH/dshare is no equation for mu; what mu leaves of it is the switching function, negative at the upper bound."""
+    verification = verify(with_engine(), resolve=cone_again)
+    assert verification.passed, str(verification)
+    assert verification.level == 3
+    # dL/dshare = lam_v.u - mu up, mu that of the meridian: there dH/dangle = mu sin(tilt).
+    tau = np.linspace(0.0, TIME, 4001)
+    u, _ = steering(tau, ASIDE, LIFT, TILT)
+    mu = np.maximum(np.sqrt(1 + (ASIDE * tau) ** 2) / math.tan(TILT) + LIFT * tau, 0.0)
+    S = -u[0] + ASIDE * tau * u[1] + LIFT * tau * u[2] - mu * u[2]
+    apart = np.abs(tau - meets(ASIDE, LIFT, TILT))
+    least = (np.abs(S) / apart).min() * TIME / np.abs(S).max()
+    assert check(verification, "strict_share").value == pytest.approx(-least, rel=2e-3)
+
+
+def test_an_engine_that_is_not_full_is_no_extremal() -> None:
+    assert "switching_share" in failed(verify(with_engine(0.999), level=2))
 
 
 # --- a limit that rises with the flight: mu dc/dx enters lam' --------------------------------------------------------
@@ -562,6 +609,32 @@ def test_a_parameter_within_a_condition_that_holds_is_varied_with_the_control(be
     assert check(verification, "second_order_s").value == pytest.approx(-beyond / solution.objective, rel=0.05)
     expected = set() if beyond > 0 else {"second_variation", "second_order_s"}
     assert failed(verification) - {"second_order_s"} == expected - {"second_order_s"}, str(verification)
+
+
+def held_leash(duration: float, q: float) -> Solution:
+    """The condition is held all along whichever way it pulls."""
+    free = leash(duration, q, gamma=0.0)
+    (phase,) = free.problem.phases
+    stiff = replace(phase, path=None, path_conditions=(), held=phase.path, held_conditions=phase.path_conditions)
+    return replace(free, problem=replace(free.problem, phases=(stiff,)))
+
+
+@pytest.mark.parametrize("q", [3.0, -3.0])
+@pytest.mark.parametrize("duration", [3.5, 4.1])
+def test_a_condition_that_is_held_all_along_may_pull_either_way(duration: float, q: float) -> None:
+    verification = verify(held_leash(duration, q), resolve=leash_again)
+    kappa = (1 - BETA**2) * (duration / math.pi) ** 2
+    assert check(verification, "conjugate_point").value == pytest.approx(kappa, rel=3e-4)
+    assert failed(verification) == (set() if kappa < 1 else {"conjugate_point"}), str(verification)
+    assert not {c.name for c in verification.checks} & {"multiplier_taut", "strict_taut"}
+
+
+def test_what_is_held_is_not_left() -> None:
+    """Held or not, b is one that its condition asks for; a costate that forgets the pull on x fails."""
+    right = held_leash(1.0, -3.0)
+    assert "held_taut" in failed(verify(flown(right, "control", lambda c: replace(c, values=c.values + 1e-9)), level=1))
+    slipped = replace(right, problem=right.problem.with_given(q=-2.9))
+    assert "costate_x" in failed(verify(slipped, level=2))
 
 
 def test_a_leash_that_pulls_the_wrong_way_is_no_extremal() -> None:

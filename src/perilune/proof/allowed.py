@@ -1,9 +1,9 @@
-"""What the path conditions allow in which the control appears, and the multipliers of those that hold the flight back.
+"""What the conditions allow in which the control appears, and the multipliers of those that hold the flight back.
 
-Where such a condition c(x, u, p) >= 0 is met it is *active*: u minimises H among the controls that keep it. Along the
-tangents of the control, and at an active condition only (Karush-Kuhn-Tucker),
+Where a path condition c(x, u, p) >= 0 is met it is *active*; what a phase holds, c = 0, is active all along: u
+minimises H among the controls that keep it. Along the tangents of the control (Karush-Kuhn-Tucker)
 
-    dH/du = sum of mu_i dc_i/du,   mu_i >= 0,
+    dH/du = sum of mu_i dc_i/du,   mu_i >= 0 for c_i >= 0, of any sign for c_i = 0, and 0 where it is not active,
 
 and L = H - mu.c has H's place: lam' = -dL/dx, and a parameter's derivative of J is that of L. No table holds the mu.
 They are read off dH/du at each time, by least squares; what they leave of it is another check's, as is their sign. A
@@ -15,6 +15,7 @@ section 4.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,13 @@ from perilune.problem.controls import Bounded, admissible, normalised, placed, t
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
 from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
+from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
 ON_BOUND = 1e-7  # a control this close to its bound or to a condition, in canonical units, lies on it
 _DEPENDENT = 1e-10  # of the largest: conditions whose slopes differ by less leave their multipliers open
 _ROUNDS, _FARTHEST = 10, 0.5  # of Newton's method, and of each of its steps in canonical units
+KEPT = 1e-11  # the same of sampled controls: by so much they may leave a condition
 _REACHED = 1e-12  # how far from a condition's surface it may end
 
 
@@ -68,7 +71,7 @@ class Allowed:
     state_scale, control_scale
         Sizes of the components [SI].
     places
-        Of the conditions among those of the path.
+        Of the conditions among those of the path and those held, in that order.
     sizes
         The most that each condition changes with the control, per canonical unit of it, (r,).
     """
@@ -83,7 +86,7 @@ class Allowed:
     @classmethod
     def along(cls, phase: Phase, p: Any, scales: tuple[Vector, Vector], x: Matrix, u: Matrix) -> Allowed | None:
         """None where no condition depends on the control at any of the points x (n, N), u (k, N) of the tables."""
-        count = len(phase.path_conditions)
+        count = len(phase.path_conditions) + len(phase.held_conditions)
         every = cls(
             phase=phase, p=p, state_scale=scales[0], control_scale=scales[1], places=tuple(range(count)),
             sizes=np.ones(count),
@@ -92,16 +95,30 @@ class Allowed:
         places = np.nonzero(sizes)[0]
         return replace(every, places=tuple(places.tolist()), sizes=sizes[places]) if len(places) else None
 
-    @property
+    @cached_property
     def conditions(self) -> tuple[Variable, ...]:
         """The conditions, in order."""
-        return tuple(self.phase.path_conditions[place] for place in self.places)
+        every = *self.phase.path_conditions, *self.phase.held_conditions
+        return tuple(every[place] for place in self.places)
 
-    def values(self, x: Any, u: Any, p: Any = None) -> Any:
+    @cached_property
+    def equal(self) -> Any:
+        """Which of them are held all along, (r,)."""
+        return np.array(self.places) >= len(self.phase.path_conditions)
+
+    @property
+    def of_path(self) -> Vector:
+        """Sizes of all conditions of the path, 0 of one that does not depend on the control."""
+        sizes = np.zeros(len(self.phase.path_conditions) + len(self.phase.held_conditions))
+        sizes[list(self.places)] = self.sizes
+        return sizes[: len(self.phase.path_conditions)]
+
+    def values(self, x: Any, u: Any, p: Any = None, m: Any = COMPLEX, dtype: Any = complex) -> Any:
         """The conditions, complex-safe, (r, ...), for x (n, ...) and u (k, ...)."""
-        values = self.phase.evaluate("path", list(x), list(u), self.p if p is None else p, COMPLEX)
+        p = self.p if p is None else p
+        values = [v for which in ("path", "held") for v in self.phase.evaluate(which, list(x), list(u), p, m)]
         shape = np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:])
-        return stacked([values[place] for place in self.places], shape)
+        return stacked([values[place] for place in self.places], shape, dtype)
 
     def slopes(self, x: Matrix, u: Matrix, moves: Any = None) -> Any:
         """Derivatives (r, k, N) as the control moves along `moves` (components, k, N), by default its tangents."""
@@ -118,9 +135,8 @@ class Allowed:
 
     def active(self, x: Matrix, u: Matrix) -> Any:
         """Where each condition is met, (r, N)."""
-        values = self.phase.evaluate("path", list(x), list(u), self.p)
-        rows = stacked([values[place] for place in self.places], x.shape[1:], float)
-        return np.abs(rows) <= ON_BOUND * self.sizes[:, None]
+        rows = self.values(x, u, m=NUMERIC, dtype=float)
+        return (np.abs(rows) <= ON_BOUND * self.sizes[:, None]) | self.equal[:, None]
 
     def multipliers(self, x: Matrix, u: Matrix, lam: Matrix) -> Multipliers:
         """Multipliers at points x, lam (n, N) and u (components, N), directions normalised."""
@@ -132,7 +148,8 @@ class Allowed:
             x, u, lam = x[:, at], u[:, at], lam[:, at]
             slopes[:, :, at] = C = self.slopes(x, u) * active[:, None, at]
             g = self._moved(lambda x, u: (lam[:, None] * self._rates(x, u)).sum(axis=0), x, u)
-            mu[:, at] = _least(C / self.sizes[:, None, None] * self._open(u), g * self._open(u)) / self.sizes[:, None]
+            least = _least(C / self.sizes[:, None, None] * self._open(u), g * self._open(u), self.equal)
+            mu[:, at] = least / self.sizes[:, None]
         return Multipliers(mu=mu, slopes=slopes)
 
     def _rates(self, x: Any, u: Any) -> Any:
@@ -149,28 +166,29 @@ class Allowed:
             rows += [~held] * control.freedom
         return np.array(rows, dtype=float)
 
-    def onto(self, row: int, x: Matrix, tried: Any, along: Vector) -> tuple[Any, Any]:
-        """Controls `tried` (components, S, N) moved onto the surface c = 0 of one condition, and where they get there.
+    def onto(self, rows: list[int], x: Matrix, tried: Any, along: Vector) -> tuple[Any, Any]:
+        """Controls `tried` (components, S, N) moved to where conditions are 0, and where they get there.
 
         By Newton's method, each of its steps the shortest `along` some tangents (k,): 1 or 0; x is (n, N).
         """
-        controls, size, shape = self.phase.controls, self.sizes[row], tried.shape
+        controls, sizes, shape = self.phase.controls, self.sizes[rows, None], tried.shape
         u = np.array(tried).reshape(len(tried), -1)
         x = np.broadcast_to(x[:, None], (len(x), *shape[1:])).reshape(len(x), -1)
         far = np.arange(u.shape[1])
         for _ in range(_ROUNDS):
-            c = self.values(x[:, far], u[:, far])[row].real / size
-            far, c = far[np.abs(c) > _REACHED], c[np.abs(c) > _REACHED]
+            c = self.values(x[:, far], u[:, far])[rows].real / sizes
+            left = (np.abs(c) > _REACHED).any(axis=0)
+            far, c = far[left], c[:, left]
             if not len(far):
                 break
-            C = self.slopes(x[:, far], u[:, far])[row] * along[:, None] / size
-            square = (C**2).sum(axis=0)
-            step = np.divide(-c * C, square, out=np.zeros(C.shape), where=square > 0)
+            C = self.slopes(x[:, far], u[:, far])[rows] * along[:, None] / sizes[:, None]
+            step = _least(C.swapaxes(0, 1), -c, np.ones(len(along), dtype=bool))
             long = np.sqrt((step**2).sum(axis=0)) / _FARTHEST
             moves = tangents(controls, self.control_scale, u[:, far])
             moved = u[:, far] + (moves * (step / np.maximum(long, 1.0))).sum(axis=1)
             u[:, far] = admissible(controls, moved, self.p)
-        return u.reshape(shape), (np.abs(self.values(x, u)[row].real) <= _REACHED * size).reshape(shape[1:])
+        there = (np.abs(self.values(x, u)[rows].real) <= _REACHED * sizes).all(axis=0)
+        return u.reshape(shape), there.reshape(shape[1:])
 
     def push(self, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
         """sum of mu dc/dx, which lam' has beside -dH/dx: J per second and canonical unit of each state, (n, N)."""
@@ -181,20 +199,24 @@ class Allowed:
         return out
 
 
-def _least(C: Any, g: Matrix) -> Matrix:
+def _least(C: Any, g: Matrix, equal: Any) -> Matrix:
     """mu (r, N) with g = sum of mu C in the sense of least squares: C (r, k, N), g (k, N).
 
-    Where conditions whose slopes depend on each other leave it open, mu >= 0 that is best so.
+    Where conditions whose slopes depend on each other leave it open, the shortest; where that is negative but where
+    `equal` (r,) allows it, one that is not.
     """
-    if len(C) == 1:
-        square = (C[0] ** 2).sum(axis=0)
-        return np.divide((C[0] * g).sum(axis=0), square, out=np.zeros(g.shape[1]), where=square > 0)[None]
-    A = C.transpose(2, 1, 0)
-    mu = (np.linalg.pinv(A, rcond=_DEPENDENT) @ g.T[:, :, None])[:, :, 0]
-    count = (A != 0).any(axis=1).sum(axis=1)
-    for i in np.nonzero((mu < 0).any(axis=1) & (count > 1))[0]:
-        if np.linalg.matrix_rank(A[i], tol=_DEPENDENT * np.abs(A[i]).max()) < count[i]:
+    if len(C) == 1 or C.shape[1] == 1:  # one condition, or one way to go
+        square = (C**2).sum(axis=(0, 1))
+        mu = np.divide((C * g).sum(axis=1), square, out=np.zeros((len(C), g.shape[1])), where=square > 0)
+    else:
+        mu = (np.linalg.pinv(C.transpose(2, 1, 0), rcond=_DEPENDENT) @ g.T[:, :, None])[:, :, 0].T
+    count = (C != 0).any(axis=1).sum(axis=0)
+    for i in np.nonzero((mu[~equal] < 0).any(axis=0) & (count > 1))[0]:
+        A = C[:, :, i].T
+        if np.linalg.matrix_rank(A, tol=_DEPENDENT * np.abs(A).max()) < count[i]:
             from scipy.optimize import nnls
 
-            mu[i] = nnls(A[i], g[:, i])[0]
-    return mu.T
+            found = nnls(np.hstack([A, -A[:, equal]]), g[:, i])[0]
+            mu[:, i] = found[: len(C)]
+            mu[equal, i] -= found[len(C) :]
+    return mu

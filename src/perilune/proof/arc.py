@@ -129,9 +129,8 @@ class Arc:
     @cached_property
     def path_scale(self) -> Vector:
         """Sizes of the path conditions [SI]."""
-        by_control = np.zeros(len(self.phase.path_conditions))
-        if self.allowed:  # one that is met all along goes through nothing
-            by_control[list(self.allowed.places)] = self.allowed.sizes
+        # One that is met all along goes through nothing.
+        by_control = self.allowed.of_path if self.allowed else 0.0
         return self._condition_sizes("path", self.phase.path_conditions, by_control)
 
     @cached_property
@@ -287,8 +286,8 @@ class Arc:
 
     @cached_property
     def allowed(self) -> Allowed | None:
-        """The path conditions in which the control appears, if there are any."""
-        if not self.phase.path_conditions or not self.phase.controls:
+        """The conditions in which the control appears, if there are any."""
+        if not (self.phase.path_conditions or self.phase.held_conditions) or not self.phase.controls:
             return None
         t = self.cut.left[:: len(self.cut) // _TRIED + 1]
         scales = self.state_scale, self.control_scale

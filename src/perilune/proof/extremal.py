@@ -293,11 +293,11 @@ def _active(arc: Arc, flight: Flight) -> str:
     x = flight.inside.reshape(len(arc.phase.states), -1)
     paths = zip(arc.phase.path_conditions, arc.path_scale, arc.path(x, inside.u), strict=True)
     margins = [(f"{condition.name} >= 0", size, value) for condition, size, value in paths]
-    if arc.allowed:  # whose multipliers are known where the control lies on it
-        known = zip(arc.allowed.places, arc.allowed.active(inside.x, inside.u), strict=True)
-        for place, active in known:
-            name, size, value = margins[place]
-            margins[place] = name, size, np.where(active, np.inf, value)
+    loose = []  # where the control lies on one of these its multiplier is known
+    if arc.allowed:
+        known = dict(zip(arc.allowed.places, arc.allowed.active(inside.x, inside.u), strict=True))
+        loose = [(*margins[k][:2], np.where(known[k], np.inf, margins[k][2])) for k in known if k < len(margins)]
+        margins = [margin for k, margin in enumerate(margins) if k not in known]
     for state, size, value in zip(arc.phase.states, arc.state_scale, x, strict=True):
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower):
@@ -305,7 +305,12 @@ def _active(arc: Arc, flight: Flight) -> str:
         if np.isfinite(upper):
             margins.append((f"{state.name} <= {upper:g}", size, upper - value))
     near, long = float(np.fmax(_TOUCHING, _MESH * arc.solution.statistics.residual)), _WHILE * arc.duration
-    stays = [text for text, size, margin in margins if inside.weights[margin <= near * size].sum() > long]
-    if not stays:
-        return ""
-    return f"; {' and '.join(stays)} {'is' if len(stays) == 1 else 'are'} active, whose multiplier no table holds"
+    said = ""
+    for group, what in (
+        (margins, "active, whose multiplier no table holds"),
+        (loose, "met too loosely for a multiplier"),
+    ):
+        stays = [text for text, size, margin in group if inside.weights[margin <= near * size].sum() > long]
+        if stays:
+            said += f"; {' and '.join(stays)} {'is' if len(stays) == 1 else 'are'} {what}"
+    return said

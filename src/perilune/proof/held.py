@@ -91,7 +91,7 @@ def held_along(arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any) -> tuple
     allowed, found = arc.allowed, arc.allowed.multipliers(x, u, lam)
     pulls = np.abs(found.falls) * arc.time_scale / arc.objective_scale > SLOPE_LIMIT
     always = allowed.active(x, u).all(axis=1)
-    rows = np.nonzero(pulls.any(axis=1))[0].tolist()
+    rows = np.nonzero(pulls.any(axis=1) | allowed.equal)[0].tolist()
     if not rows or not always[rows].all():
         return None, basis, not rows
     size = allowed.sizes[rows]
@@ -112,8 +112,10 @@ def held_along(arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any) -> tuple
 
 def strict_conditions(arc: Arc, spans: Sequence[tuple[float, float, Held | None]]) -> Iterator[Check]:
     """Checks of level 3 of the conditions that hold on pieces from one time to another: with strict multipliers."""
-    rows = sorted({row for _, _, held in spans if held for row in held.rows})
-    if not rows or arc.allowed is None:
+    if arc.allowed is None:
+        return
+    rows = sorted({row for _, _, held in spans if held for row in held.rows if not arc.allowed.equal[row]})
+    if not rows:
         return
     t, _, _, found = gradient_along(arc)
     assert found is not None, "where conditions depend on the control"

@@ -25,7 +25,7 @@ import numpy as np
 
 from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars, tangents
 from perilune.problem.verification import Check
-from perilune.proof.allowed import ON_BOUND, Allowed, Multipliers
+from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
 from perilune.proof.arc import Arc
 from perilune.proof.numerics import STEP, jacobian
 from perilune.proof.pieces import just_before
@@ -69,7 +69,9 @@ def minimality(arc: Arc) -> Iterator[Check]:
 
 
 def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
-    for condition, falls in zip(allowed.conditions, found.falls, strict=True):
+    for condition, falls, equal in zip(allowed.conditions, found.falls, allowed.equal, strict=True):
+        if equal:  # its multiplier may have either sign
+            continue
         yield Check(
             name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
             value=float(np.maximum(-falls, 0.0).max()) * arc.time_scale / arc.objective_scale,
@@ -192,16 +194,21 @@ def _minimum(arc: Arc) -> Check:
 
 
 def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix]]) -> tuple[list[list[Matrix]], Any]:
-    """Samples of each control with some more on every active condition that it changes alone; and those of several."""
+    """Samples of each control with some more on the conditions that it changes alone; and those of several controls.
+
+    They are moved onto what is held all along, and to each condition that is active beside it.
+    """
     controls, active = allowed.phase.controls, allowed.active(x, u)
     slopes, joint = np.abs(allowed.slopes(x, u)).max(axis=2), []
     more = [list(part) for part in parts]
     owner = np.repeat(np.arange(len(controls)), [control.freedom for control in controls])
-    for row in np.nonzero(active.any(axis=1))[0].tolist():
-        changes, at = {int(i) for i in owner[slopes[row] > 0]}, active[row]
+    held = np.nonzero(allowed.equal)[0].tolist()
+    others = np.nonzero(active.any(axis=1) & ~allowed.equal)[0].tolist()
+    for rows in ([held] if held else []) + [[*held, row] for row in others]:
+        changes, at = {int(i) for i in owner[(slopes[rows] > 0).any(axis=0)]}, active[rows].all(axis=0)
         thinned = [np.stack(part[::_EVERY] if i in changes else part[:1], axis=1) for i, part in enumerate(parts)]
         tried = _product([part[:, :, at] for part in thinned])
-        moved, reached = allowed.onto(row, x[:, at], tried, np.isin(owner, list(changes)).astype(float))
+        moved, reached = allowed.onto(rows, x[:, at], tried, np.isin(owner, list(changes)).astype(float))
         tried = np.repeat(u[:, None], tried.shape[1], axis=1)
         tried[:, :, at] = np.where(reached, moved, tried[:, :, at])
         if len(changes) == 1:
@@ -225,8 +232,15 @@ def _product(parts: Sequence[Any]) -> Any:
 def _gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix) -> float:
     """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast."""
     H = arc.hamiltonian(x, tried, lam)
-    for size, value in zip(arc.path_scale, arc.path(x, tried), strict=True):
-        H = np.where(value < -ADMISSIBLE * size, np.inf, H)
+    slack = ADMISSIBLE * np.concatenate([arc.path_scale, arc.held_scale])
+    if arc.allowed:  # what a condition gives away times its multiplier is no gain
+        places = list(arc.allowed.places)
+        slack[places] = np.minimum(slack[places], KEPT * arc.allowed.sizes)
+    count = len(arc.path_scale)
+    for near, value in zip(slack[:count], arc.path(x, tried), strict=True):
+        H = np.where(value < -near, np.inf, H)
+    for near, value in zip(slack[count:], arc.held(x, tried), strict=True):
+        H = np.where(np.abs(value) > near, np.inf, H)
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 
