@@ -9,6 +9,18 @@ of every arc that rides along S = 0, and proved as an answer of the problem rest
 (`perilune.structures.restate`), whose conditions at the cuts are S = 0 and its derivatives. Where to cut is found here,
 by the tables themselves. A neighbour of the flight that does not touch S pays to first order where nu < 0 strictly.
 
+Along an arc of order q the multiplier eta of S^(q) = 0, L = H - eta S^(q), stands for that of S >= 0 itself, which is
+
+    mu = (-1)^q d^q eta/dt^q >= 0,
+
+and for the jumps of its costates at both ends. Those of lam differ from them by eta dS/dx at q = 1, and by
+eta dS'/dx - eta' dS/dx at q = 2; as at a touch they lie along dS/dx, with nu <= 0:
+
+    q = 1:  eta >= 0 at the end,               nu + eta <= 0 at the beginning,
+    q = 2:  eta = 0, eta' <= 0 at the end,     nu' + eta = 0, nu - eta' <= 0 at the beginning,
+
+nu and nu' being the multipliers of S = 0 and S' = 0 there.
+
 Source: Bryson and Ho (1975), sections 3.11-3.13; Hartl, Sethi, Vickson (1995), sections 4 and 5.
 """
 
@@ -18,6 +30,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
@@ -31,6 +44,8 @@ from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
 _JUMP = 1e-9  # of a costate's size: less is no jump
+# The multiplier along an arc is a polynomial through so many points; its derivatives are noise below a share of it.
+_FITTED, _DEGREE, _ALONG = 40, 12, 1e-4
 _SIDEWAYS = 1e-6  # the same of what H told: it is continuous there to a double root only
 _STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
@@ -95,7 +110,7 @@ def _jumps(arc: Arc, time: float) -> bool:
 
 
 def signs(solution: Solution, parts: Solution, structure: Structure) -> Iterator[Check]:
-    """Checks of levels 2 and 3: the multipliers at what is touched, and what is not shown of what is ridden.
+    """Checks of levels 2 and 3: the multipliers at what is touched and of what is ridden.
 
     Parameters
     ----------
@@ -109,12 +124,8 @@ def signs(solution: Solution, parts: Solution, structure: Structure) -> Iterator
             part = Arc(solution=parts, index=number)
             number += 1
             yield from (check for name in arc.touches for check in _touch(part, conditions[name]))
-            for name in arc.along:
-                yield Check(
-                    name=f"along_{part.phase.name}", level=2, value=float("nan"), limit=0.0, unit="1",
-                    meaning=f"sign of the multiplier with which {name} holds the flight along {part.phase.name}: not "
-                    "available for arcs that ride along a condition on states",
-                )  # fmt: skip
+            before = Arc(solution=parts, index=part.index - 1) if arc is not arcs[0] else None
+            yield from (check for name in arc.along for check in _ridden(part, before, conditions[name]))
 
 
 def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
@@ -136,4 +147,40 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
         name=f"{part.prefix}strict_touch", level=3, unit="1", limit=-_STRICT, value=float(scaled[at]),
         meaning=f"multiplier of {name} where it is touched (scaled): strictly negative, so that a flight that does not "
         "touch it pays to first order",
+    )  # fmt: skip
+
+
+def _ridden(part: Arc, before: Arc | None, condition: Condition) -> Iterator[Check]:
+    """Signs of the multiplier along an arc, and at its beginning where the flight enters it there."""
+    name, q = condition.name, condition.order
+    value = ends = float("nan")
+    if q <= 2 and part.allowed:
+        row = [c.name for c in part.allowed.conditions].index(condition.rated(q, "", 1.0).name)
+        nodes = 0.5 * part.duration * (1 - np.cos(np.pi * (np.arange(_FITTED) + 0.5) / _FITTED))
+        eta = part.allowed.multipliers(part.state(nodes), part.control(nodes), part.costate(nodes)).mu[row]
+        size, T = float(np.abs(eta).max()) or 1.0, part.duration
+        curve = Chebyshev.fit(nodes / T, eta / size, _DEGREE, domain=[0.0, 1.0])
+        mu = (-1) ** q * curve.deriv(q)(nodes / T)
+        slope = curve.deriv(1)
+        value = max(0.0, -float(mu.min()))
+        wrong = [-curve(1.0)] if q == 1 else [abs(curve(1.0)), slope(1.0)]
+        if before is not None:
+            nu, _ = end_multipliers(before)
+            at = {c.name: i for i, c in enumerate(before.phase.end_conditions)}
+            entered = [nu[at[condition.rated(i, "enter_", 1.0).name]] / size for i in range(q)]
+            if q == 1:
+                wrong.append(entered[0] + curve(0.0))
+            else:
+                wrong += [abs(entered[1] + curve(0.0)), entered[0] * T - slope(0.0)]
+        ends = max(0.0, *(float(w) for w in wrong))
+    beyond = "" if q <= 2 else f"; not available for a condition of order {q}"
+    yield Check(
+        name=f"{part.prefix}along", level=2, unit="1", limit=_ALONG, value=value,
+        meaning=f"multiplier of {name} along the arc, where it is negative (scaled): what J would gain if the flight "
+        f"left it{beyond}",
+    )  # fmt: skip
+    yield Check(
+        name=f"{part.prefix}along_ends", level=2, unit="1", limit=_SIDEWAYS, value=ends,
+        meaning=f"jumps of the costates where the flight meets and leaves {name}, of a wrong sign or not along its "
+        f"slope (scaled){beyond}",
     )  # fmt: skip
