@@ -51,7 +51,7 @@ def problem_of(task: Task) -> Any:
 
 
 def _meditch(task: Task) -> Any:
-    from perilune.problem.problem import Bounded, Free, Given, Phase, Problem, Variable
+    from perilune import Bounded, Free, Given, Phase, Problem, Variable
 
     phase = Phase(
         name="descent",
