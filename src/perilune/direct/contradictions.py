@@ -44,9 +44,10 @@ def check_consistent(problem: Problem) -> None:
     InfeasibleError
         Naming the bound and what breaks it, in SI.
     """
+    p = problem.parameters({})
     for phase in problem.phases:
         for _, control in scalars(phase.controls):
-            lower, upper = control.limits(problem.parameters({}))
+            lower, upper = control.limits(p)
             if not lower <= upper:
                 raise InfeasibleError(
                     f"bounds of control {control.name} are empty",

@@ -129,7 +129,7 @@ class _Search:
         w = self.inside(np.concatenate([start[self.order], np.zeros(len(self.ranged))]))[:n]
         here.evaluate(w, np.zeros(len(self.equal)), np.zeros(len(self.ranged)))
         point = self.first_multipliers(self.inside(np.concatenate([w, here.g_ranged])))
-        here.evaluate(w, point.y, point.ranged)
+        here.curve(point.y, point.ranged)
         found, best = None, self.tolerance
         for iteration in range(iterations + 1):
             error, apart = self.errors(point)
@@ -164,10 +164,8 @@ class _Search:
         pull = self.onto(self.sign)
         ranged = -pull[self.n :]
         slope = here.gradient - pull[: self.n] + ranged @ here.A_ranged
-        found = Reduced(here.A, np.zeros(len(self.equal)), self.sizes, self.segments).step(
-            np.eye(self.n), np.column_stack([slope, slope])
-        )
-        y = np.full(len(self.equal), math.inf) if found is None else found[1][:, 0]
+        found = self.reduced().step(np.eye(self.n), np.column_stack([slope, slope]))
+        y = np.zeros(len(self.equal)) if found is None else found[1][:, 1]
         y = y if np.abs(y).max() < LARGEST else np.zeros(len(y))
         return _Point(v, self.sign * (v[self.at] - self.bound), z, y, ranged)
 
@@ -187,6 +185,13 @@ class _Search:
         """Of equations and of ranges, whose slacks are not their values yet."""
         return np.abs(here.g - self.wanted), np.abs(here.g_ranged - v[self.n :])
 
+    def reduced(self) -> Reduced:
+        """The equations at the current point, solved for the states once."""
+        here = self.here
+        if here.reduced is None:
+            here.reduced = Reduced(here.A, here.g - self.wanted, self.sizes, self.segments)
+        return here.reduced
+
     def directions(self, point: _Point) -> tuple[_Step, _Step] | None:
         """The affine step, and what each unit of mu adds to it."""
         here, n, d = self.here, self.n, point.d
@@ -198,7 +203,7 @@ class _Search:
         if len(missed):
             H += (A_r.T * sigma[n:]) @ A_r
             right += A_r.T @ np.column_stack([sigma[n:] * missed, -pull[n:]])
-        reduced = Reduced(here.A, here.g - self.wanted, self.sizes, self.segments)
+        reduced = self.reduced()
         found, larger = reduced.step(H, right), 1e-4
         for _ in range(LARGER):
             if found is not None:
@@ -272,20 +277,28 @@ class _Evaluated:
         self._call.taken[1][:] = posed.given
         self._call.taken[2][:] = 1.0
         self.all = np.zeros(len(posed.lower))
+        self.reduced: Reduced | None = None
 
     def evaluate(self, w: Vector, y: Vector, ranged: Vector) -> None:
         """J, rows and first derivatives at w, and the second ones of the Lagrangian."""
         self.all[self.order] = w
         self._call.taken[0][:] = self.all
-        self._call.taken[3][self.rows] = np.concatenate([y, ranged])
-        J, g, gradient, jacobian, hessian = self._call()
+        self.reduced = None
+        J, g, gradient, jacobian = self.curve(y, ranged)
         self.objective, self.gradient = float(J[0]), gradient[self.order]
         self.g, self.g_ranged = np.split(g[self.rows], [self._equations])
-        A, H = np.zeros(len(self.rows) * self._n), np.zeros(self._n**2)
+        A = np.zeros(len(self.rows) * self._n)
         A[self._slots] = jacobian[self._own]
-        H[self._upper] = H[self._lower] = hessian[self._both]
         self.A, self.A_ranged = np.split(A.reshape(-1, self._n), [self._equations])
+
+    def curve(self, y: Vector, ranged: Vector) -> list[Vector]:
+        """The second derivatives of the Lagrangian with these multipliers, where it was evaluated last."""
+        self._call.taken[3][self.rows] = np.concatenate([y, ranged])
+        *others, hessian = self._call()
+        H = np.zeros(self._n**2)
+        H[self._upper] = H[self._lower] = hessian[self._both]
         self.H: Matrix = H.reshape(self._n, self._n)
+        return others
 
     def optimum(self, y: Vector, ranged: Vector, iterations: int) -> Optimum:
         """The current point as the answer."""
