@@ -290,7 +290,7 @@ def test_a_miss_within_the_error_of_the_mesh_is_no_refusal():
 
 def test_too_few_refinements_are_reported_with_the_error_of_each_state():
     with pytest.raises(NotConvergedError, match=r"requested accuracy[\s\S]*descent: h [\d.e-]+ m, v "):
-        Pseudospectral(refine=1).run(meditch())
+        Pseudospectral(refine=1, tolerance=1e-9).run(meditch())
 
 
 def test_a_jump_is_named_where_the_mesh_cannot_follow_it():
@@ -306,7 +306,7 @@ def test_a_jump_is_named_where_the_mesh_cannot_follow_it():
         Pseudospectral(refine=1).run(replace(problem, phases=(replace(phase, dynamics=heavier_below),)))
     assert "H_u" not in str(e.value)
     with pytest.raises(NotConvergedError, match="H_u"):
-        Pseudospectral(refine=1).run(problem)
+        Pseudospectral(refine=1, tolerance=1e-9).run(problem)
 
 
 def test_what_is_undefined_on_the_way_is_not_printed(capfd):

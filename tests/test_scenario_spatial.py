@@ -6,9 +6,11 @@ import csv
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import perilune as pl
 from command_line import ROOT, read_json
 from perilune.cli import run
 from perilune.cli.methods import NAMES, method_of
@@ -195,6 +197,34 @@ def test_methods_by_name(name: str) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "typed", "made"),
+    [
+        ("indirect", {"starts": 7, "seed": 3}, pl.Indirect(starts=7, seed=3)),
+        ("direct", {"nodes": 9, "tolerance": 1e-5}, pl.Pseudospectral(nodes=9, tolerance=1e-5)),
+        ("hybrid", {"nodes": 9, "seed": 2}, pl.Hybrid(pl.Genetic(seed=2), pl.Pseudospectral(nodes=9))),
+        ("hybrid", {"tolerance": 1e-5}, pl.Hybrid(pl.Genetic(), pl.Pseudospectral(tolerance=1e-5))),
+        ("direct", {"nodes": None, "starts": None}, pl.Pseudospectral()),
+    ],
+)
+def test_settings_of_methods_by_name(name: str, typed: dict[str, Any], made: Any) -> None:
+    assert method_of(name, typed) == made
+
+
+def test_settings_reach_the_method(capsys: pytest.CaptureFixture[str]) -> None:
+    """Four points are refined to the tolerance that is asked for, and one family is solved on as few."""
+    told = [str(POLAR), "--method", "direct", "--nodes", "4", "--level", "0"]
+    assert run(["solve", *told, "--tolerance", "1e-3", "--json"]) == 5  # as no proof is asked for
+    loose = read_json(capsys.readouterr().out)
+    assert run(["solve", *told, "--json"]) == 5
+    tight = read_json(capsys.readouterr().out)
+    assert "4 nodes" in loose["statistics"]["rung"]
+    assert 1e-6 < loose["statistics"]["residual"] < 1e-3
+    assert tight["statistics"]["residual"] <= 1e-6
+    assert run(["sweep", *told, "--tolerance", "1e-3", "--vary", "site.longitude=0:3:3 deg"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 3
+
+
 def test_the_direct_method_starts_at_the_pole_of_the_papers_coordinates(capsys: pytest.CaptureFixture[str]) -> None:
     """Bounded angles in the paper's coordinates, singular at the start; the same flight time."""
     spherical = ["solve", str(POLAR), "--set", "problem.coordinates=spherical", "--json"]
@@ -210,6 +240,17 @@ def test_the_direct_method_starts_at_the_pole_of_the_papers_coordinates(capsys: 
         (["solve", str(POLAR), "--method", "shooting"], "no method of this name"),
         (["sweep", str(PRECISION), "--vary", "problem.kind=0.1:0.3:0.1"], "no key with a quantity of this name"),
         (["reproduce", "peng-2013", "--out", "x"], "no paper of this name"),
+        (["solve", str(POLAR), "--nodes", "12"], "the indirect method has no setting nodes"),
+        (["solve", str(POLAR), "--tolerance", "1e-4"], "try: --method direct or --method hybrid"),
+        (["solve", str(POLAR), "--method", "direct", "--seed", "1"], "expected: --nodes, --tolerance"),
+        (["solve", str(POLAR), "--method", "hybrid", "--starts", "9"], "the hybrid method has no setting starts"),
+        (["sweep", str(POLAR), "--vary", "site.longitude=0:6:3 deg", "--nodes", "9"], "no setting nodes"),
+        (["solve", str(POLAR), "--method", "direct", "--nodes", "1"], "at least two collocation points"),
+        (["solve", str(POLAR), "--method", "direct", "--nodes", "few"], "invalid whole number value: 'few'"),
+        (["solve", str(POLAR), "--method", "direct", "--tolerance", "nan"], "tolerance must lie between 0 and 1"),
+        (["solve", str(POLAR), "--method", "direct", "--tolerance", "1 mm"], "invalid number value: '1 mm'"),
+        (["solve", str(POLAR), "--starts", "0"], "starts is too small"),
+        (["solve", str(POLAR), "--seed", "-1"], "-1 is not at least 0"),
     ],
 )
 def test_commands_refuse_by_name(arguments: list[str], what: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,8 @@
 """What a script for one package shares with the others: it states its answer, and its times are taken, in one way.
 
 A script gives `main` a function that sets a task up and returns the one that solves it, which returns the one that
-reads the answer. The first two are timed, apart; reading is not. The answer's control is handed over *as the package
+reads the answer. The first two are timed, apart; reading is not. The task is solved from nothing, and then with other
+values, again and again. The answer's control is handed over *as the package
 defines it between its nodes*: a polynomial on each piece of time, by its values at nodes.
 """
 
@@ -17,9 +18,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
-from task import TASKS, Task
+from task import OTHERS, TASKS, Task
 
-REPEATS = 3
+OTHERS_SOLVED = 9  # times with other values; medians count
 BUDGET = 45.0  # seconds that no repetition may be expected to pass, as a script is stopped after 60 s
 
 
@@ -80,17 +81,47 @@ def main(module: str, package: str, setup: Setup) -> None:
     imported = time.perf_counter() - launched
     read, first = timed(setup, TASKS[name])
     found = read()
-    runs = [first]
-    while len(runs) <= REPEATS and time.perf_counter() - launched + sum(first[:2]) < BUDGET:
-        runs.append(timed(setup, TASKS[name])[1])
-    result = {"version": _version(module, package), "imported": imported, "seconds": runs, **asdict(found)}
+    others, other = list[Times](), None
+    while len(others) < OTHERS_SOLVED and time.perf_counter() - launched + first.setup + first.solve < BUDGET:
+        read, times = timed(setup, OTHERS[name])
+        others.append(times)
+        other = read()
+    result = {
+        "version": _version(module, package),
+        "imported": imported,
+        "first": asdict(first),
+        "others": [asdict(times) for times in others],
+        "other_mass": other and other.mass,
+        **asdict(found),
+    }
     Path(file).write_text(json.dumps(result), encoding="utf-8")
 
 
-def timed(setup: Setup, task: Task) -> tuple[Read, tuple[float, float, float]]:
-    """Set up and solve: how to read the answer; seconds of set-up, of solution, and of the processor in the latter."""
-    began = time.perf_counter()
+@dataclass(frozen=True, kw_only=True)
+class Times:
+    """Seconds of set-up and of solution, on the clock and of the processor."""
+
+    setup: float
+    setup_busy: float
+    solve: float
+    solve_busy: float
+
+
+def timed(setup: Setup, task: Task) -> tuple[Read, Times]:
+    """Set up and solve: how to read the answer, and the times."""
+    clock, busy = [time.perf_counter()], [time.process_time()]
+
+    def passed() -> None:
+        clock.append(time.perf_counter())
+        busy.append(time.process_time())
+
     solve = setup(task)
-    ready, busy = time.perf_counter(), time.process_time()
+    passed()
     read = solve()
-    return read, (ready - began, time.perf_counter() - ready, time.process_time() - busy)
+    passed()
+    return read, Times(
+        setup=clock[1] - clock[0],
+        setup_busy=busy[1] - busy[0],
+        solve=clock[2] - clock[1],
+        solve_busy=busy[2] - busy[1],
+    )

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from fly import fly
-from task import TASKS, Task
+from task import OTHERS, TASKS, Task
 
 HERE = Path(__file__).parent
 LIMIT = 60.0
@@ -34,8 +34,8 @@ PEERS = {  # name: script and module
     "yapss": ("with_yapss.py", "yapss"),
 }
 HEADS = (
-    "package", "claimed J - J*", "flown J - J*", "flown misses", "import", "set-up", "solve (CPU)", "again: set-up",
-    "again: solve (CPU)", "grid",
+    "package", "claimed J - J*", "flown J - J*", "flown misses", "import", "first: set-up + solve (CPU)",
+    "other values: set-up + solve (CPU)", "other values: J - J*", "grid",
 )  # fmt: skip
 
 
@@ -66,27 +66,33 @@ def answer(command: list[str]) -> dict[str, Any] | str:
         return json.loads(file.read_text(encoding="utf-8"))
 
 
-def row(name: str, task: Task, found: dict[str, Any]) -> list[str]:
-    """One line of the table, in the order of `HEADS`."""
+def row(name: str, task: Task, other: Task, found: dict[str, Any]) -> list[str]:
+    """One line of the table, in the order of `HEADS`; `other` is the task with other values."""
     flown = fly(task, found["control"])
     unit = "kg" if task.control == "beta" else "N s"
     misses = ", ".join(f"{miss:+.0e} {u}" for miss, u in zip(flown.misses, task.end_units, strict=True))
     if flown.outside > 1e-9:
         misses += f"; {task.control} outside its bounds by {flown.outside:.0e}"
-    first, again = found["seconds"][0], found["seconds"][1:]
-    setup, solve, busy = (statistics.median(part) for part in zip(*again, strict=True)) if again else (None,) * 3
+    first, others = found["first"], found["others"]
+    later = {name: statistics.median(times[name] for times in others) for name in first} if others else None
     return [
         f"{name} {found['version']}",
         f"{task.objective(found['mass']) - task.optimum:+.1e} {unit}",
         f"{flown.objective - task.optimum:+.1e} {unit}",
         misses,
         f"{found['imported']:.2f} s",
-        f"{first[0]:.3f} s",
-        f"{first[1]:.3f} s ({first[2]:.3f} s)",
-        "not run" if setup is None else f"{setup:.3f} s",
-        "not run" if solve is None else f"{solve:.3f} s ({busy:.3f} s)",
+        _told(first),
+        "not run" if later is None else _told(later),
+        "not run" if later is None else f"{other.objective(found['other_mass']) - other.optimum:+.1e} {unit}",
         found["grid"],
     ]
+
+
+def _told(times: dict[str, float]) -> str:
+    setup, solve = times["setup"], times["solve"]
+    return (
+        f"{1e3 * setup:.1f} + {1e3 * solve:.1f} ms ({1e3 * times['setup_busy']:.1f} + {1e3 * times['solve_busy']:.1f})"
+    )
 
 
 def main() -> None:
@@ -113,7 +119,7 @@ def main() -> None:
             if isinstance(found, str):
                 refused.append(f"{name}: {found}")
             else:
-                rows.append(row(name, task, found))
+                rows.append(row(name, task, OTHERS[title], found))
         show(f"{title}: J* = {task.optimum:.12g}", rows, refused, options.markdown)
 
 
@@ -128,7 +134,7 @@ def show(title: str, rows: list[list[str]], refused: list[str], markdown: bool) 
     for cells in rows[1:]:
         print("\n" + cells[0])
         for head, cell in zip(HEADS[1:], cells[1:], strict=True):
-            print(f"    {head:20s}{cell}")
+            print(f"    {head:36s}{cell}")
     print(*refused, sep="\n", flush=True)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 MU, RADIUS, ROTATION = 4902.7779e9, 1738.14e3, 2.6617e-6
@@ -21,6 +21,7 @@ PERILUNE, PARKING = RADIUS + 15e3, RADIUS + 100e3
 PERILUNE_SPEED = math.sqrt(MU * (2 / PERILUNE - 2 / (PERILUNE + PARKING)))
 MASS_FLOW = THRUST / EXHAUST_SPEED
 LANDED_MASS = 154.541346870902  # kg: ../../tests/landing_by_scipy.py; certified to 154.54134687
+HEAVIER, LANDED_HEAVIER = 303.0, 155.700211020163  # kg: the same, for another mass at ignition
 
 GRAVITY, EXHAUST, FULL = 1.0, 2.349, 1.227
 
@@ -135,6 +136,12 @@ MEDITCH = Task(
 )
 
 TASKS = {"landing": LANDING, "meditch": MEDITCH}
+# The same tasks with other values: a heavier lander, a higher start.
+HIGHER = 1.02
+OTHERS = {
+    "landing": replace(LANDING, start=(*LANDING.start[:-1], HEAVIER), optimum=-LANDED_HEAVIER),
+    "meditch": replace(MEDITCH, start=(HIGHER, *MEDITCH.start[1:]), optimum=_meditch_optimum(HIGHER, MEDITCH.start[1])),
+}
 
 
 def straight(task: Task, fraction: float) -> list[float]:

@@ -28,10 +28,10 @@ def problem_of(task: Task) -> Any:
     from perilune.models.bodies import Body
     from perilune.models.landing import Orbit, Vehicle, hybrid_landing
 
-    if task is LANDING:
+    if task.control == LANDING.control:
         return hybrid_landing(
             Vehicle(
-                mass=numbers.MASS,
+                mass=task.start[-1],
                 thrust=numbers.THRUST,
                 specific_impulse=numbers.SPECIFIC_IMPULSE,
                 standard_gravity=numbers.STANDARD_GRAVITY,
@@ -51,7 +51,7 @@ def problem_of(task: Task) -> Any:
 
 
 def _meditch(task: Task) -> Any:
-    from perilune.problem.problem import Bounded, Free, Given, Phase, Problem, Variable
+    from perilune import Bounded, Free, Given, Phase, Problem, Variable
 
     phase = Phase(
         name="descent",
@@ -97,7 +97,7 @@ def setup(task: Task) -> Any:
             time = flown.control.time
             nodes = [a + (b - a) * SAMPLES for a, b in pairwise(time)]
             values = [flown.control(t) for t in nodes]
-            if task is LANDING:  # (cos beta, sin beta)
+            if task.control == LANDING.control:  # (cos beta, sin beta)
                 values = [math.pi + np.arctan2(-u[:, 1], -u[:, 0]) for u in values]
             else:
                 values = [u[:, 0] for u in values]

@@ -41,6 +41,11 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     return typed
 
 
+def settings(typed: argparse.Namespace) -> dict[str, Any]:
+    """The settings of the method, by name; None where none was typed."""
+    return {name: getattr(typed, name) for name in ("nodes", "tolerance", "starts", "seed")}
+
+
 def help_text() -> str:
     """The help of the whole program."""
     return _parsers()[0].format_help()
@@ -87,6 +92,13 @@ def _number(least: int, most: int | None = None) -> Callable[[str], int]:
     return whole
 
 
+def _real(text: str) -> float:
+    return float(text)
+
+
+_real.__name__ = "number"  # what argparse calls it
+
+
 def _range(least: int, most: int | None) -> str:
     return f"at least {least}" if most is None else f"from {least} to {most}"
 
@@ -128,6 +140,18 @@ _METHOD = _option(
     default="indirect",
     help="indirect (unless given); direct, which also flies along a limit; hybrid: genetic search, then direct.",
 )
+_SETTINGS = (
+    _option("--nodes", metavar="N", type=_number(0), help="Points of the direct method's first mesh. Usually 20."),
+    _option(
+        "--tolerance",
+        metavar="PART",
+        type=_real,
+        help="Relative error at which the direct method's mesh has converged. Usually 1e-6. "
+        "What a proof may leave open is stated in the file, under [proof].",
+    ),
+    _option("--starts", metavar="N", type=_number(0), help="Random starts of the indirect method. Usually 24."),
+    _option("--seed", metavar="N", type=_number(0), help="Of random starts, and of the genetic search. Usually 0."),
+)
 
 
 def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
@@ -154,8 +178,9 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
 
     find = (_SET, _OUT, _VERBOSE, _FORCE)
     command(
-        "solve", "Find the best landing, without a guess, and prove it.", _FILE, *find, _level(0, 3), _METHOD, _NO_CACHE
-    )
+        "solve", "Find the best landing, without a guess, and prove it.", _FILE, *find, _level(0, 3), _METHOD,
+        *_SETTINGS, _NO_CACHE,
+    )  # fmt: skip
     command(
         "sweep",
         "Solve along parameters; table as CSV on stdout, with --out also as JSON and figure, and every member.",
@@ -170,6 +195,7 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         *find,
         _level(0, 1),
         _METHOD,
+        *_SETTINGS,
         _option(
             "--workers",
             metavar="N",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from perilune.cli.answer import Answer, aside, deliver, refusal, say, tell
-from perilune.cli.arguments import Told, help_text, parsed
+from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
 from perilune.words.outcome import InfeasibleError, PeriluneError, unknown_name
@@ -42,7 +42,7 @@ def _solve(typed: Namespace) -> Answer:
     from perilune.problem.preflight import preflight
     from perilune.scenario import load_file
 
-    chosen, out = method_of(typed.method), typed.out
+    chosen, out = method_of(typed.method, settings(typed)), typed.out
     scenario = load_file(typed.file, typed.changes)
     refuse_used(out, typed.force)
     warn(preflight(scenario.problem))

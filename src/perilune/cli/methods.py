@@ -1,36 +1,50 @@
-"""The methods by the names that the command line gives them."""
+"""The methods by the names that the command line gives them, and their settings that it can change."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-from perilune.words.outcome import unknown_name
+from perilune.words.outcome import PeriluneError, unknown_name
 
 if TYPE_CHECKING:
     from perilune.methods.method import Method
 
-NAMES = ("indirect", "direct", "hybrid")
+# What each method can be told; of the hybrid the seed is the search's, the others are the direct method's.
+SETTINGS = {"indirect": ("starts", "seed"), "direct": ("nodes", "tolerance"), "hybrid": ("seed", "nodes", "tolerance")}
+NAMES = tuple(SETTINGS)
 
 
-def method_of(name: str) -> Method:
-    """The method of a name, with its default settings.
+def method_of(name: str, settings: Mapping[str, Any] | None = None) -> Method:
+    """The method of a name, with its default settings but for those given; None is not given.
 
     Raises
     ------
     PeriluneError
-        If there is none.
+        If there is none, or if it has no such setting or no such value of one.
     """
     if name not in NAMES:
         raise unknown_name("method", name, list(NAMES))
+    chosen = {key: value for key, value in (settings or {}).items() if value is not None}
+    for key, value in chosen.items():
+        if key not in SETTINGS[name]:
+            having = " or ".join(f"--method {other}" for other in NAMES if key in SETTINGS[other])
+            raise PeriluneError(
+                f"the {name} method has no setting {key}",
+                got=f"--{key} {value:g}",
+                expected=", ".join(f"--{known}" for known in SETTINGS[name]),
+                advice=having,
+            )
     if name == "indirect":
         from perilune.methods.indirect import Indirect
 
-        return Indirect()
+        return Indirect(**chosen)
     from perilune.methods.pseudospectral import Pseudospectral
 
     if name == "direct":
-        return Pseudospectral()
+        return Pseudospectral(**chosen)
     from perilune.methods.genetic import Genetic
     from perilune.methods.hybrid import Hybrid
 
-    return Hybrid(Genetic(), Pseudospectral())
+    seed = {key: chosen.pop(key) for key in ("seed",) if key in chosen}
+    return Hybrid(Genetic(**seed), Pseudospectral(**chosen))

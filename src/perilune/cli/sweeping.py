@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from perilune.cli.answer import INTERRUPTED, Answer
+from perilune.cli.arguments import settings
 from perilune.cli.methods import method_of
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
@@ -27,10 +28,10 @@ def sweep_answer(order: Namespace) -> Answer:
     """Solve the family and show it."""
     if order.resume and order.out is None:
         raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
-    method = method_of(order.method)
+    method = method_of(order.method, settings(order))
     over = _ranges(order)
     scenario = _varied(order.file, order.changes, over)
-    options: dict[str, Any] = {} if order.method == "indirect" else {"method": method}
+    options: dict[str, Any] = {"method": method}
     if order.out is not None:
         _refuse_used(order)
         options["store"] = order.out / MEMBERS

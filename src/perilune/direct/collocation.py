@@ -14,7 +14,7 @@ that no degree in use is ill-conditioned.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -57,6 +57,11 @@ class Rule:
     def first(self) -> int:
         """Index of the first collocation point in the support."""
         return 1 if self.scheme == "gauss" else 0
+
+    @cached_property
+    def integration(self) -> Matrix:
+        """Integrals from -1 to each later support point, from values at the points, shape (n, n)."""
+        return np.linalg.inv(self.differentiation[:, 1:])
 
     @property
     def stride(self) -> int:
@@ -110,6 +115,12 @@ def _radau(n: int) -> tuple[Vector, Vector]:
 
 def barycentric_weights(points: Vector) -> Vector:
     """Weights 1/prod(x_j - x_k), scaled by the interval's capacity so that no product under- or overflows."""
+    return _weights(points.tobytes())
+
+
+@lru_cache(maxsize=512)
+def _weights(of: bytes) -> Vector:
+    points = np.frombuffer(of)
     capacity = 0.25 * (points[-1] - points[0]) if len(points) > 1 else 1.0
     difference = (points[:, None] - points[None, :]) / capacity
     np.fill_diagonal(difference, 1.0)
@@ -118,6 +129,12 @@ def barycentric_weights(points: Vector) -> Vector:
 
 def differentiation_matrix(points: Vector) -> Matrix:
     """Derivatives at the points of the polynomial through values at the points, shape (n, n)."""
+    return _differentiation(points.tobytes())
+
+
+@lru_cache(maxsize=512)
+def _differentiation(of: bytes) -> Matrix:
+    points = np.frombuffer(of)
     w = barycentric_weights(points)
     difference = points[:, None] - points[None, :]
     np.fill_diagonal(difference, 1.0)
@@ -150,7 +167,12 @@ class Polynomial:
         """Values at tau, shape (len(tau), k)."""
         return interpolation_matrix(self.points, tau) @ self.values
 
-    @property
+    def with_slopes(self, tau: Vector) -> tuple[Matrix, Matrix]:
+        """Values at tau and derivatives with respect to it."""
+        matrix = interpolation_matrix(self.points, tau)
+        return matrix @ self.values, matrix @ self.derivative.values
+
+    @cached_property
     def derivative(self) -> Polynomial:
         """Its derivative with respect to tau."""
         return Polynomial(points=self.points, values=differentiation_matrix(self.points) @ self.values)

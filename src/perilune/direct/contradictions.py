@@ -7,6 +7,8 @@ infeasibility, and cheap. After: the largest violations of the best iterate, eac
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -17,6 +19,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
+    Unnumbered,
     canonical_given,
     column,
     state_scales,
@@ -41,9 +44,10 @@ def check_consistent(problem: Problem) -> None:
     InfeasibleError
         Naming the bound and what breaks it, in SI.
     """
+    p = problem.parameters({})
     for phase in problem.phases:
         for _, control in scalars(phase.controls):
-            lower, upper = control.limits(problem.parameters({}))
+            lower, upper = control.limits(p)
             if not lower <= upper:
                 raise InfeasibleError(
                     f"bounds of control {control.name} are empty",
@@ -58,42 +62,52 @@ def check_consistent(problem: Problem) -> None:
                 got=f"at most {longest[name]:g} s",
                 expected="> 0 s",
             )
-    _check_start(problem)
-    for phase in problem.canonical.phases:
-        _check_end(problem, phase)
-
-
-def _check_start(problem: Problem) -> None:
-    """Components of the start that depend on no free parameter must lie within their bounds."""
-    p = trace_parameters(problem)
-    start = column(problem.canonical.start(p.record, SYMBOLIC))
-    values = np.array(ca.Function("start", [p.free, p.given], [start])(np.nan, canonical_given(problem))).ravel()
+    start, ends = _known(Unnumbered(problem))
+    given = canonical_given(problem)
+    values = np.array(start(math.nan, given)).ravel()
     phase = problem.phases[0]
     for state, value, scale in zip(phase.states, values, state_scales(problem, phase), strict=True):
         # The free parameters were NaN: what is a number does not depend on them.
         if not math.isnan(value):
             _check_inside(f"the start puts {state.name}", state, problem.bounds(state), value * scale, scale)
-
-
-def _check_end(problem: Problem, phase: Phase) -> None:
-    """End conditions that are affine in one state, with known coefficients, fix that state; ranges do not."""
-    if not phase.end_conditions:
-        return
-    p = trace_parameters(problem)
-    x = ca.SX.sym("x", len(phase.states))
-    unknown = ca.vertcat(x, p.free)
-    conditions = trace_at_end(phase, x, p.record)
-    for i, condition in enumerate(phase.end_conditions):
-        slope = ca.jacobian(conditions[i], unknown)
-        touched = slope.sparsity().get_triplet()[1]
-        if condition.ranged or len(touched) != 1 or touched[0] >= x.numel() or ca.depends_on(slope, unknown):
-            continue
-        j = touched[0]
-        at_zero = ca.Function("end", [x, p.free, p.given], [conditions[i], slope[j]])
-        value, gradient = (float(v) for v in at_zero(0.0, 0.0, canonical_given(problem)))
-        state, scale = phase.states[j], state_scales(problem, phase)[j]
-        what = f"the end condition {condition.name} of {phase.name} puts {state.name}"
+    for end in ends:
+        phase = problem.phases[end.phase]
+        state, scale = phase.states[end.state], state_scales(problem, phase)[end.state]
+        value, gradient = (float(v) for v in end.line(0.0, 0.0, given))
+        what = f"the end condition {phase.end_conditions[end.condition].name} of {phase.name} puts {state.name}"
         _check_inside(what, state, problem.bounds(state), -value / gradient * scale, scale)
+
+
+class _Fixed(NamedTuple):
+    """An end condition that is affine in one state, with known coefficients, and so fixes it: value and slope at 0."""
+
+    phase: int
+    condition: int
+    state: int
+    line: ca.Function
+
+
+@lru_cache(maxsize=32)
+def _known(unnumbered: Unnumbered) -> tuple[ca.Function, tuple[_Fixed, ...]]:
+    """The start, and the end conditions that fix a state; ranges do not."""
+    problem = unnumbered.problem
+    p = trace_parameters(problem)
+    start = ca.Function("start", [p.free, p.given], [column(problem.start(p.record, SYMBOLIC))])
+    found = []
+    for k, phase in enumerate(problem.phases):
+        if not phase.end_conditions:
+            continue
+        x = ca.SX.sym("x", len(phase.states))
+        unknown = ca.vertcat(x, p.free)
+        conditions = trace_at_end(phase, x, p.record)
+        for i, condition in enumerate(phase.end_conditions):
+            slope = ca.jacobian(conditions[i], unknown)
+            touched = slope.sparsity().get_triplet()[1]
+            if condition.ranged or len(touched) != 1 or touched[0] >= x.numel() or ca.depends_on(slope, unknown):
+                continue
+            line = ca.Function("end", [x, p.free, p.given], [conditions[i], slope[touched[0]]])
+            found.append(_Fixed(k, i, touched[0], line))
+    return start, tuple(found)
 
 
 def _check_inside(what: str, state: Variable, bounds: tuple[float, float], value: float, scale: float) -> None:

@@ -19,7 +19,14 @@ from perilune.problem.guess import fitting_guess
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Trajectory
-from perilune.problem.symbolic import Unnumbered, canonical_free, state_scales, trace_parameters, trace_rates
+from perilune.problem.symbolic import (
+    Unnumbered,
+    canonical_free,
+    canonical_given,
+    state_scales,
+    trace_parameters,
+    trace_rates,
+)
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -114,17 +121,16 @@ def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vect
     if not len(middle):
         return np.empty((len(states), 0))
     model = _linear_in_control(Unnumbered(problem), problem.phases.index(phase))
-    given = [g.value / problem.scales.of(g.unit) for g in problem.given.values()]
-    found = []
-    for x in states:
-        rates, slopes = (np.array(v) for v in model(x / x_scale, middle, canonical_free(problem, free), given))
-        wanted = slope / x_scale * problem.scales.time - rates[:, 0]
-        if not (np.isfinite(wanted).all() and np.isfinite(slopes).all()):
-            found.append(middle)
-            continue
-        step = np.linalg.lstsq(slopes, wanted, rcond=1e-10)[0]
-        found.append(middle + np.clip(step, -reach, reach))
-    controls = (np.array(found) * u_scale).T
+    at = (states / x_scale).T, middle, canonical_free(problem, free), canonical_given(problem)
+    rates, slopes = (np.array(v).T for v in model(*at))
+    # One matrix (states, controls) for each point, which CasADi has side by side.
+    slopes = slopes.reshape(len(states), len(middle), -1).transpose(0, 2, 1)
+    wanted = slope / x_scale * problem.scales.time - rates
+    found = np.tile(middle, (len(states), 1))
+    known = np.isfinite(wanted).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+    step = np.linalg.pinv(slopes[known], rcond=1e-10) @ wanted[known][:, :, None]
+    found[known] += np.clip(step[:, :, 0], -reach, reach)
+    controls = (found * u_scale).T
     for here, control in placed(phase.controls):
         controls[here] = control.rough(controls[here], problem.parameters({}))
     return controls.T
@@ -132,10 +138,12 @@ def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vect
 
 @lru_cache(maxsize=32)
 def _linear_in_control(unnumbered: Unnumbered, index: int) -> ca.Function:
+    """Rates and their slopes in u at the fitted points, side by side."""
     p, phase = trace_parameters(unnumbered.problem), unnumbered.problem.phases[index]
     x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
     rates = trace_rates(phase, x, u, p.record)
-    return ca.Function("linear", [x, u, p.free, p.given], [rates, ca.jacobian(rates, u)])
+    one = ca.Function("linear", [x, u, p.free, p.given], [rates, ca.densify(ca.jacobian(rates, u))])
+    return one.map("fitted", "serial", FITTED, [1, 2, 3], [])
 
 
 def _control_middle(problem: Problem, phase: Phase) -> tuple[Vector, Vector]:

@@ -1,10 +1,4 @@
-"""What a mesh costs in accuracy, measured by explicit simulation, and a better mesh.
-
-Each segment is flown again from its own start, by SciPy's DOP853 on the user's numpy dynamics under the
-control that the solution exports. The largest difference from the state polynomial is the error of the
-segment, for each state, relative to 1 + max|x| in canonical units (Patterson, Rao 2014, section 4, but by
-simulation instead of quadrature). What bounds of states and path and held conditions are exceeded by *between* the
-points counts as an error as well.
+"""A better mesh, from the errors of the last one (`perilune.direct.errors`).
 
 A segment that is not accurate enough is split where a bounded control switches, and where a bound of a control
 or a state is met or left: there arcs of another kind begin (Goddard's singular arc, a constrained arc). The new
@@ -26,16 +20,14 @@ import numpy as np
 
 from perilune.direct.collocation import Mesh
 from perilune.direct.segments import Segment
-from perilune.problem.controls import admissible, scalars
+from perilune.problem.controls import scalars
 from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.symbolic import state_scales
 from perilune.words.types import Matrix, Vector
 
 HIGHEST_DEGREE = 40
 LOWEST_DEGREE = 5
 HALVED_DEGREE = 10
-SWITCHED_DEGREE = 8
+SWITCHED_DEGREE = 12
 # Legendre coefficients below this part of a curve's size are noise of the solve.
 ROUNDING = 1e-11
 # A control switches between two neighbouring points where it changes by more than this part of its range.
@@ -44,83 +36,14 @@ SWITCH = 0.4
 AT_BOUND = 0.02
 # The same for a state, which the program holds to its bound far more closely.
 STATE_AT_BOUND = 1e-5
-# Of its canonical unit: a state that stays as small is simulated no more closely than one of this size.
-NOTHING = 1e-3
 # Distance to the next joint that a free joint may use up.
 REACH = 0.45
 
 
-def segment_error(phase: Phase, segment: Segment, p: Any, tolerance: float, sizes: Vector) -> Vector:
-    """Error of each state and excess of each path and held condition [SI], shape (states + conditions,).
+def switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) -> list[float]:
+    """Fractions of the phase where a control jumps or a bound is met or left, as far as collocation points tell.
 
-    `sizes` are the canonical units of the states. NaN where the simulation could not be flown to the end.
-    """
-    at = np.union1d(segment.state.points, np.linspace(-1.0, 1.0, 3 * len(segment.state.points)))
-    x, u = segment.state(at), admissible(phase.controls, segment.control(at).T, p).T
-    lower, upper = np.array([s.limits(p) for s in phase.states]).T
-    outside = np.maximum(0.0, np.maximum(lower - x, x - upper)).max(axis=0)
-    path = [np.maximum(0.0, -np.asarray(value)).max() for value in phase.evaluate("path", list(x.T), list(u.T), p)]
-    held = [np.abs(value).max() for value in phase.evaluate("held", list(x.T), list(u.T), p)]
-    return np.concatenate([np.maximum(_simulated(phase, segment, p, tolerance, at, x, sizes), outside), path, held])
-
-
-def _simulated(
-    phase: Phase, segment: Segment, p: Any, tolerance: float, at: Vector, expected: Matrix, sizes: Vector
-) -> Vector:
-    from scipy.integrate import solve_ivp
-
-    def flow(t: float, x: Vector) -> Vector:
-        u = admissible(phase.controls, segment.control(segment.tau(np.array([t]))).T, p)[:, 0]
-        return np.array(phase.rates(list(x), list(u), p), dtype=float)
-
-    flown = solve_ivp(
-        flow, (segment.begin, segment.end), expected[0], "DOP853",
-        np.clip(segment.time(at), segment.begin, segment.end),
-        rtol=tolerance, atol=tolerance * np.maximum(np.abs(expected).max(axis=0), NOTHING * sizes),
-    )  # fmt: skip
-    if flown.y.shape[1] != len(at):
-        return np.full(expected.shape[1], math.nan)
-    return np.abs(flown.y.T - expected).max(axis=0)
-
-
-def mesh_errors(problem: Problem, segments: Sequence[Sequence[Segment]], p: Any, tolerance: float) -> list[Matrix]:
-    """Error of every segment [SI], for each phase an array (segments, states + conditions on the way).
-
-    `tolerance` is the relative accuracy that is asked of the mesh.
-    """
-    fine = min(1e-8, max(1e-12, 1e-2 * tolerance))
-    return [
-        np.array([segment_error(phase, segment, p, fine, state_scales(problem, phase)) for segment in flown])
-        for phase, flown in zip(problem.phases, segments, strict=True)
-    ]
-
-
-def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], errors: Sequence[Matrix]) -> list[Matrix]:
-    """The same relative to 1 + max|x| in canonical units; what cannot be flown counts as infinitely wrong."""
-    found = []
-    for phase, flown, error in zip(problem.phases, segments, errors, strict=True):
-        largest = np.max([np.abs(s.state.values).max(axis=0) for s in flown], axis=0)
-        along = [problem.size_of(c) for c in (*phase.path_conditions, *phase.held_conditions)]
-        relative = error / np.concatenate([state_scales(problem, phase) + largest, along])
-        found.append(np.where(np.isnan(relative), math.inf, relative))
-    return found
-
-
-def error_text(problem: Problem, errors: Sequence[Matrix]) -> str:
-    """The largest error of each state and condition on the way of each phase, in SI, as one line."""
-    return "; ".join(
-        f"{phase.name}: " + ", ".join(
-            f"{named.name} {value:.1e} {named.unit}".removesuffix(" 1")
-            for named, value in zip(
-                (*phase.states, *phase.path_conditions, *phase.held_conditions), error.max(axis=0), strict=True
-            )
-        )
-        for phase, error in zip(problem.phases, errors, strict=True)
-    )  # fmt: skip
-
-
-def switches(phase: Phase, flown: Sequence[Segment], p: Any) -> list[float]:
-    """Fractions of the phase, between neighbouring collocation points, where a control jumps or a bound is met or left.
+    What happens between two points that a `known` joint lies between happens there, and is not listed.
 
     A bound of a control or a state is met or left where two points on it have two points off it as neighbours: there a
     singular arc, a saturated control or a constrained arc begins or ends.
@@ -129,23 +52,38 @@ def switches(phase: Phase, flown: Sequence[Segment], p: Any) -> list[float]:
     fraction = (time - flown[0].begin) / (flown[-1].end - flown[0].begin)
     control = np.concatenate([s.control.values for s in flown])
     state = np.concatenate([s.state(s.control.points) for s in flown])
+    # Places in the order of the points: i + 1/2 is between point i and the next.
     found = _met(state, [s.limits(p) for s in phase.states], STATE_AT_BOUND)
     for at, bounded in scalars(phase.controls):
         if bounded.bounded:
             share = bounded.share(control[:, [at]], p)
-            jump = np.abs(np.diff(share[:, 0])) > SWITCH
-            found |= _met(share, [(0.0, 1.0)], AT_BOUND) | set(np.nonzero(jump)[0].tolist())
-    return [float(0.5 * (fraction[i] + fraction[i + 1])) for i in sorted(found)]
+            found |= _met(share, [(0.0, 1.0)], AT_BOUND) | _jumps(share[:, 0])
+    between = {int(np.searchsorted(fraction, joint)) - 0.5 for joint in known}
+    return np.interp(sorted(found - between), np.arange(len(fraction)), fraction).tolist()
 
 
-def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -> set[int]:
-    """Indices i such that points i - 1, i lie at a bound and i + 1, i + 2 do not, or the other way round."""
-    found: set[int] = set()
+def _jumps(share: Vector) -> set[float]:
+    """Places where a control jumps, from its share of its range; two jumps to the same side are one, at their point."""
+    change = np.diff(share)
+    jump = np.where(np.abs(change) > SWITCH, np.sign(change), 0.0)
+    found, before = set[float](), -1
+    for i in np.nonzero(jump)[0].tolist():
+        if before == i - 1 and jump[before] == jump[i]:
+            found = found - {before + 0.5} | {float(i)}
+        else:
+            found.add(i + 0.5)
+        before = i
+    return found
+
+
+def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -> set[float]:
+    """Places i + 1/2 such that points i - 1, i lie at a bound and i + 1, i + 2 do not, or the other way round."""
+    found: set[float] = set()
     for value, (lower, upper) in zip(values.T, limits, strict=True):
         reach = within * (upper - lower if math.isfinite(upper - lower) else float(np.ptp(value)))
         side = np.where(value > upper - reach, 1, np.where(value < lower + reach, -1, 0))
         met = (side[1:-2] != side[2:-1]) & (side[:-3] == side[1:-2]) & (side[2:-1] == side[3:])
-        found |= set((np.nonzero(met)[0] + 1).tolist())
+        found |= set((np.nonzero(met)[0] + 1.5).tolist())
     return found
 
 
@@ -154,7 +92,7 @@ def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix
     begin, total = flown[0].begin, flown[-1].end - flown[0].begin
     joints = [0.0] + [(s.end - begin) / total for s in flown[:-1]] + [1.0]
     movable = {j for j, reach in zip(joints[1:-1], mesh.free, strict=True) if reach > 0}
-    at_switches = switches(phase, flown, p)
+    at_switches = switches(phase, flown, movable, p)
     new_joints, new_degrees = [0.0], []
     for a, b, segment, error in zip(joints[:-1], joints[1:], flown, relative.max(axis=1), strict=True):
         degree = len(segment.control.points)
@@ -186,9 +124,10 @@ def _pins(
     values = np.concatenate([s.control.values for s in flown])
     pins = []
     for a, b in pairwise(joints):
-        # Points beside a switch hold values in between.
-        inner = np.sort(np.abs(fraction - 0.5 * (a + b)))[: max(1, int(((a < fraction) & (fraction < b)).sum()) - 2)]
-        near = np.abs(fraction - 0.5 * (a + b)) <= inner[-1]
+        # A point beside a switch may hold a value in between.
+        inside = np.nonzero((a < fraction) & (fraction < b))[0]
+        near = inside[int(a in movable) : len(inside) - int(b in movable)]
+        near = near if len(near) else np.argmin(np.abs(fraction - 0.5 * (a + b)), keepdims=True)
         row = [0] * len(phase.control_names)
         for at, control in scalars(phase.controls):
             if (a in movable or b in movable) and control.bounded:

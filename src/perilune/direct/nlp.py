@@ -1,4 +1,4 @@
-"""The sparse nonlinear program of a direct transcription: built on CasADi, solved by IPOPT, explained in SI.
+"""The sparse nonlinear program of a direct transcription: solved, explained in SI.
 
 On each segment of width h the state polynomial X (see `perilune.direct.collocation`) is held to the dynamics F,
 
@@ -7,8 +7,12 @@ On each segment of width h the state polynomial X (see `perilune.direct.collocat
 with the phase's start and end conditions, unit directions, path and held conditions at the collocation points
 and bounds. All in the problem's canonical units, with exact sparse first and second derivatives.
 
-Given values are parameters of the program, so that one program serves every problem of the same physics and
-mesh.
+Given values and mesh widths are numbers of the program and not of its functions, so that one program serves every
+problem of the same physics on every mesh of the same degrees. What is differentiated is differentiated once for each
+traced problem (`perilune.direct.blocks`); another mesh is put together from that (`perilune.direct.assembly`).
+
+Of programs of moderate size a search of our own (`perilune.direct.interior`) finds most optima, in about half the time;
+what it does not find, the others, and the least misses are for IPOPT.
 """
 
 from __future__ import annotations
@@ -16,98 +20,34 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from threading import Lock
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from perilune.direct.collocation import Mesh, Rule, Scheme, rule
-from perilune.problem.controls import directions
+from perilune.direct.assembly import Assembled, assembled
+from perilune.direct.blocks import blocks
+from perilune.direct.collocation import Mesh, Scheme
+from perilune.direct.interior import Optimum, Posed, optimum
+from perilune.direct.layout import Layout, PhaseValues, by_kind, determined, layout_of, packed, unpacked
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import (
-    SYMBOLIC,
-    Unnumbered,
-    canonical_given,
-    column,
-    elements,
-    free_scales,
-    state_scales,
-    trace_at_end,
-    trace_parameters,
-    trace_rates,
-)
+from perilune.problem.symbolic import Unnumbered, canonical_given, free_scales, state_scales
 from perilune.problem.variables import Variable
 from perilune.words.types import Matrix, Vector
 
-
-class Layout(NamedTuple):
-    """Where one phase's unknowns and rows lie; hashable, it is half of the key of a program."""
-
-    scheme: Scheme
-    degrees: tuple[int, ...]
-    states: int
-    controls: int
-    directions: tuple[tuple[int, int], ...]
-    held: int
-    path: int
-    end: int
-
-    @property
-    def rules(self) -> tuple[Rule, ...]:
-        """The rule of each segment."""
-        return tuple(rule(self.scheme, degree) for degree in self.degrees)
-
-    @property
-    def nodes(self) -> int:
-        """Collocation points."""
-        return sum(self.degrees)
-
-    @property
-    def starts(self) -> tuple[int, ...]:
-        """Index of the state point at which each segment starts, and of the last one."""
-        return tuple(int(i) for i in np.cumsum([0, *(r.stride for r in self.rules)]))
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """Unknowns: inner joints, state values, control values."""
-        return len(self.degrees) - 1, self.states * (self.starts[-1] + 1), self.controls * self.nodes
-
-    @property
-    def collocated(self) -> list[int]:
-        """State points at which the dynamics are collocated."""
-        return [s + r.first + i for s, r in zip(self.starts, self.rules, strict=False) for i in range(r.degree)]
-
-    @property
-    def rows(self) -> dict[str, int]:
-        """Number of rows of each kind of condition, in their order."""
-        gauss = self.states * len(self.degrees) if self.scheme == "gauss" else 0
-        return {
-            "start": self.states,
-            "defect": self.states * self.nodes,
-            "quadrature": gauss,
-            "direction": len(self.directions) * self.nodes,
-            "held": self.held * self.nodes,
-            "path": self.path * self.nodes,
-            "end": self.end,
-        }
-
-
-@dataclass(frozen=True, kw_only=True)
-class PhaseValues:
-    """Values of one phase in canonical units: joints (K + 1,), state (points, nx), control (nodes, nu)."""
-
-    joints: Vector
-    state: Matrix
-    control: Matrix
+# State values up to which the dense search of our own is quicker than IPOPT, and iterations after which it is given up.
+MODERATE, PATIENCE = 160, 50
+SUCCESS = "Solve_Succeeded"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What IPOPT returned, in canonical units.
+    """What was found, in canonical units.
 
     `free` are the free parameters, `phases` the values, `rows` the multipliers and `residuals` the
-    violations, by (phase, kind of condition); `status` is IPOPT's word, for the history only.
+    violations, by (phase, kind of condition); `status` is in IPOPT's words.
     """
 
     status: str
@@ -136,7 +76,7 @@ class Answer:
     @property
     def converged(self) -> bool:
         """Whether the optimality conditions of the program hold."""
-        return self.status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+        return self.status in (SUCCESS, "Solved_To_Acceptable_Level")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +91,7 @@ class Program:
     def layouts(self) -> tuple[Layout, ...]:
         """One for each phase."""
         return tuple(
-            _layout(self.scheme, phase, mesh) for phase, mesh in zip(self.problem.phases, self.meshes, strict=True)
+            layout_of(self.scheme, phase, mesh) for phase, mesh in zip(self.problem.phases, self.meshes, strict=True)
         )
 
     def solve(
@@ -173,32 +113,34 @@ class Program:
         KeyboardInterrupt
             If the user stopped it.
         """
-        solver = _solver(Unnumbered(self.problem), self.layouts, iterations, tolerance, nearest)
+        low, high = self._row_bounds()
         lower, upper = self._bounds()
-        first = np.concatenate([free, *(_pack(g) for g in guesses)])
-        low_rows, high_rows = self._row_bounds()
+        start = np.concatenate([free, *(packed(g) for g in guesses)])
         misses = sum(layout.path + 2 * layout.end for layout in self.layouts) if nearest else 0
-        out = solver(
-            x0=np.append(np.clip(first, lower, upper), np.full(misses, 0.1)),
-            lbx=np.append(lower, np.zeros(misses)), ubx=np.append(upper, np.full(misses, math.inf)),
-            p=canonical_given(self.problem), lbg=low_rows, ubg=high_rows,
+        states, dynamics, segments = determined(self.layouts, len(free))
+        posed = Posed(
+            program=_assembled(Unnumbered(self.problem), self.layouts, nearest), given=canonical_given(self.problem),
+            lower=np.append(lower, np.zeros(misses)), upper=np.append(upper, np.full(misses, math.inf)),
+            low=low, high=high, states=states, dynamics=dynamics, segments=segments, sizes=_sizes(guesses),
         )  # fmt: skip
-        stats = solver.stats()
-        # Ctrl-C inside a derivative reaches IPOPT as a foreign exception.
-        if stats["return_status"] in ("User_Requested_Stop", "NonIpopt_Exception_Thrown"):
-            raise KeyboardInterrupt
-        w, g, lam = (np.array(out[key]).ravel() for key in ("x", "g", "lam_g"))
-        w, missed = np.split(w, [len(first)])
-        g = g - self._lent(missed) if nearest else g
-        violation = np.maximum(low_rows - g, 0.0) + np.maximum(g - high_rows, 0.0)
+        first = np.append(np.clip(start, lower, upper), np.full(misses, 0.1))
+        found = None
+        if len(states) <= MODERATE and not nearest:
+            found, status = optimum(posed, first, min(iterations, PATIENCE), tolerance), SUCCESS
+        if found is None:
+            key = Unnumbered(self.problem), self.layouts, iterations, tolerance, nearest
+            found, status = _solver(*key)(posed, first)
+        w, missed = np.split(found.w, [len(start)])
+        g = found.rows - self._lent(missed) if nearest else found.rows
+        violation = np.maximum(low - g, 0.0) + np.maximum(g - high, 0.0)
         return Answer(
-            status=stats["return_status"],
-            iterations=int(stats["iter_count"]),
-            objective=float(out["f"]),
+            status=status,
+            iterations=found.iterations,
+            objective=found.objective,
             free=w[: len(free)],
-            phases=tuple(self._unpack(w)),
-            rows=self._split(lam),
-            residuals=self._split(violation),
+            phases=unpacked(self.layouts, w[len(free) :]),
+            rows=by_kind(self.layouts, found.multipliers),
+            residuals=by_kind(self.layouts, violation),
         )
 
     def _lent(self, missed: Vector) -> Vector:
@@ -234,27 +176,14 @@ class Program:
                 upper.append(pairs[:, 1])
         return np.concatenate(lower), np.concatenate(upper)
 
-    def _unpack(self, w: Vector) -> list[PhaseValues]:
-        at, found = len(self.problem.free), []
-        for layout in self.layouts:
-            joints, states, controls = np.split(w[at : at + sum(layout.sizes)], np.cumsum(layout.sizes)[:-1])
-            at += sum(layout.sizes)
-            found.append(
-                PhaseValues(
-                    joints=np.concatenate([[0.0], joints, [1.0]]),
-                    state=states.reshape(-1, layout.states),
-                    control=controls.reshape(layout.nodes, layout.controls),
-                )
-            )
-        return found
 
-    def _split(self, values: Vector) -> dict[tuple[int, str], Vector]:
-        at, found = 0, {}
-        for k, layout in enumerate(self.layouts):
-            for kind, size in layout.rows.items():
-                found[k, kind] = values[at : at + size]
-                at += size
-        return found
+def _sizes(guesses: tuple[PhaseValues, ...]) -> Vector:
+    """Of every state value: how large that state is along its phase, or 1."""
+    found = []
+    for values in guesses:
+        largest = np.abs(values.state).max(axis=0)
+        found.append(np.tile(np.where(largest > 0, largest, 1.0), len(values.state)))
+    return np.concatenate(found)
 
 
 def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
@@ -262,13 +191,6 @@ def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
     scale = problem.size_of(condition)
     lower, upper = condition.limits(problem.parameters({}))
     return (lower / scale, upper / scale) if condition.ranged else (0.0, 0.0)
-
-
-def _layout(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
-    return Layout(
-        scheme, mesh.degrees, len(phase.states), len(phase.control_names), directions(phase.controls),
-        len(phase.held_conditions), len(phase.path_conditions), len(phase.end_conditions),
-    )  # fmt: skip
 
 
 def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> Matrix:
@@ -288,72 +210,53 @@ def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> 
     return np.array(rows).reshape(mesh.nodes, len(both))
 
 
-def _pack(values: PhaseValues) -> Vector:
-    return np.concatenate([values.joints[1:-1], values.state.ravel(), values.control.ravel()])
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """A compiled program; what it tells of its last run is of that run as long as one thread at a time has it."""
+
+    function: ca.Function
+    lock: Lock
+
+    def __call__(self, posed: Posed, first: Vector) -> tuple[Optimum, str]:
+        """What IPOPT reaches from the first values, and its word for it.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the user stopped it.
+        """
+        with self.lock:
+            out = self.function(
+                x0=first, p=posed.given, lbx=posed.lower, ubx=posed.upper, lbg=posed.low, ubg=posed.high
+            )
+            stats = self.function.stats()
+        # Ctrl-C inside a derivative reaches IPOPT as a foreign exception.
+        if stats["return_status"] in ("User_Requested_Stop", "NonIpopt_Exception_Thrown"):
+            raise KeyboardInterrupt
+        w, g, multipliers = (np.array(out[key]).ravel() for key in ("x", "g", "lam_g"))
+        return Optimum(w, float(out["f"]), g, multipliers, int(stats["iter_count"])), stats["return_status"]
 
 
-def _traced(problem: Problem) -> tuple[list[tuple[ca.Function, ...]], ca.Function]:
-    """Start, rates, held, path, end and duration of each phase in canonical units, and the objective."""
-    p = trace_parameters(problem)
-    phases: list[tuple[ca.Function, ...]] = []
-    arguments = [p.free, p.given]
-    x = ca.SX.sym("x", 0)
-    for k, phase in enumerate(problem.phases):
-        start = problem.start(p.record, SYMBOLIC) if k == 0 else problem.links[k - 1](
-            problem.phases[k - 1].state_record(*elements(x)), p.record, SYMBOLIC
-        )  # fmt: skip
-        before, x = x, ca.SX.sym("x", len(phase.states))
-        u = ca.SX.sym("u", len(phase.control_names))
-        duration = ca.SX(getattr(p.record, phase.duration))
-        held, path = (
-            column(phase.evaluate(name, elements(x), elements(u), p.record, SYMBOLIC)) for name in ("held", "path")
-        )
-        phases.append((
-            ca.Function("start", [before, *arguments], [column(start)]),
-            ca.Function("rates", [x, u, *arguments], [trace_rates(phase, x, u, p.record)]),
-            ca.Function("held", [x, u, *arguments], [held]),
-            ca.Function("path", [x, u, *arguments], [path]),
-            ca.Function("end", [x, *arguments], [trace_at_end(phase, x, p.record)]),
-            ca.Function("duration", arguments, [duration]),
-        ))  # fmt: skip
-    last = problem.phases[-1].state_record(*elements(x))
-    objective = ca.Function("objective", [x, *arguments], [ca.SX(problem.objective(last, p.record, SYMBOLIC))])
-    return phases, objective
+@lru_cache(maxsize=64)
+def _assembled(unnumbered: Unnumbered, layouts: tuple[Layout, ...], nearest: bool) -> Assembled:
+    return assembled(layouts, blocks(unnumbered), len(unnumbered.stated.free), nearest)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=64)
 def _solver(
     unnumbered: Unnumbered, layouts: tuple[Layout, ...], iterations: int, tolerance: float, nearest: bool
-) -> ca.Function:
+) -> _Solver:
     """The compiled program: its cache is what makes the second solve of the same physics cheap."""
-    phases, objective = _traced(unnumbered.problem)
-    free = ca.MX.sym("free", objective.numel_in(1))
-    given = ca.MX.sym("given", objective.numel_in(2))
-    unknowns, rows, misses = [free], [], list[ca.MX]()
-    before = ca.MX(0, 1)
-    for functions, layout in zip(phases, layouts, strict=True):
-        own, conditions, before = _phase(functions, layout, before, free, given)
-        unknowns += own
-        if nearest:  # a miss of every path condition, the same all along, and two of each end condition
-            below, over = ca.MX.sym("below", layout.path + layout.end), ca.MX.sym("over", layout.end)
-            at = len(conditions) - (layout.path > 0) - (layout.end > 0)
-            if layout.path:
-                conditions[at] += ca.repmat(below[: layout.path], layout.nodes, 1)
-            if layout.end:
-                conditions[-1] += below[layout.path :] - over
-            misses += [below, over]
-        rows += conditions
-    J = ca.sum1(ca.vertcat(*misses)) if nearest else objective(before, free, given)
-    program = {
-        "x": ca.vertcat(*unknowns, *misses),
-        "p": given,
-        "f": J,
-        "g": ca.vertcat(*rows),
-    }
+    program = _assembled(unnumbered, layouts, nearest)
     options = {
         "print_time": False,
         "error_on_fail": False,
         "show_eval_warnings": False,  # a NaN on the way is the search's to deal with, not C++'s to print
+        "no_nlp_grad": True,
+        "calc_lam_p": False,
+        "grad_f": program.gradient,
+        "jac_g": program.jacobian,
+        "hess_lag": program.hessian,
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.max_iter": iterations,
@@ -364,35 +267,4 @@ def _solver(
         "ipopt.honor_original_bounds": "yes",
         "ipopt.bound_relax_factor": 0.0,
     }
-    return ca.nlpsol("transcription", "ipopt", program, options)
-
-
-def _phase(
-    functions: tuple[ca.Function, ...], layout: Layout, before: ca.MX, free: ca.MX, given: ca.MX
-) -> tuple[list[ca.MX], list[ca.MX], ca.MX]:
-    """Unknowns, rows (in the order of `Layout.rows`) and end state of one phase."""
-    start, rates, held, path, end, duration = functions
-    joints = ca.MX.sym("joints", len(layout.degrees) - 1)
-    states = ca.MX.sym("x", layout.states, layout.starts[-1] + 1)
-    controls = ca.MX.sym("u", layout.controls, layout.nodes)
-    ends = ca.vertcat(0, joints, 1)
-    shared = [ca.repmat(free, 1, layout.nodes), ca.repmat(given, 1, layout.nodes)]
-    at_nodes = states[:, layout.collocated]
-    flow = rates.map(layout.nodes)(at_nodes, controls, *shared)
-    defects, quadratures, node = [], [], 0
-    for k, (first, r) in enumerate(zip(layout.starts, layout.rules, strict=False)):
-        half = 0.5 * duration(free, given) * (ends[k + 1] - ends[k])
-        here = flow[:, node : node + r.degree]
-        support = states[:, first : first + r.degree + 1]
-        defects.append(ca.vec(support @ r.differentiation.T - half * here))
-        if layout.scheme == "gauss":
-            quadratures.append(states[:, first + r.stride] - states[:, first] - half * (here @ r.weights))
-        node += r.degree
-    norms = [ca.sum1(controls[a:b, :] ** 2).T - 1 for a, b in layout.directions]
-    rows = [states[:, 0] - start(before, free, given), *defects, *quadratures, *norms]
-    for along, count in ((held, layout.held), (path, layout.path)):
-        if count:
-            rows.append(ca.vec(along.map(layout.nodes)(at_nodes, controls, *shared)))
-    if layout.end:
-        rows.append(end(states[:, -1], free, given))
-    return [joints, ca.vec(states), ca.vec(controls)], rows, states[:, -1]
+    return _Solver(ca.nlpsol("transcription", "ipopt", program.value, options), Lock())

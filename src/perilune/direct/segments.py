@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from perilune.direct.collocation import Polynomial, Rule
-from perilune.direct.nlp import Answer, PhaseValues, Program
+from perilune.direct.layout import PhaseValues
+from perilune.direct.nlp import Answer, Program
 from perilune.problem.controls import admissible, admissible_rates, control_scales
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -164,8 +165,8 @@ def _nodes(phase: Phase, segment: Segment, fine: Vector, p: Any) -> tuple[Vector
 
     def evaluate(t: Vector) -> tuple[Matrix, Matrix]:
         tau = segment.tau(segment.begin + t)
-        values = [part(tau) for part in parts]
-        rates = [part.derivative(tau) * slope for part in parts]
+        values, slopes = (list(both) for both in zip(*(part.with_slopes(tau) for part in parts), strict=True))
+        rates = [slope * rate for rate in slopes]
         values[2], rates[2] = (a.T for a in admissible_rates(phase.controls, values[2].T, rates[2].T, p))
         return np.hstack(values), np.hstack(rates)
 

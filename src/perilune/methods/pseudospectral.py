@@ -22,7 +22,8 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch, silent
 
 if TYPE_CHECKING:
-    from perilune.direct.nlp import Answer, PhaseValues, Program
+    from perilune.direct.layout import PhaseValues
+    from perilune.direct.nlp import Answer, Program
     from perilune.direct.segments import Segment
 
 # Most iterations of the first attempt and of a search for the least miss; what ends well takes 10 to 60 and 10 to 130.
@@ -152,7 +153,7 @@ class _Run:
 
     def looked_at(self, program: Program, answer: Answer) -> tuple[list[list[Segment]], list[Matrix], list[Matrix]]:
         """Segments of an answer, and the mesh errors of each: in SI, and relative."""
-        from perilune.direct.mesh import mesh_errors, relative_errors
+        from perilune.direct.errors import mesh_errors, relative_errors
         from perilune.direct.segments import flown_segments
 
         segments, p = flown_segments(program, answer), self.problem.parameters(answer.free_si(self.problem))
@@ -177,10 +178,12 @@ class _Run:
 
         s = self.settings
         program = self.program(tuple(Mesh.uniform(s.segments, s.nodes) for _ in self.problem.phases))
-        starts = [(free, sampled(program, by), name) for free, by, name in first_guesses(self.problem, guess)]
+        every = ((free, sampled(program, by), name) for free, by, name in first_guesses(self.problem, guess))
+        starts = [next(every)]
         first = self.attempt(program, *starts[0], most=BRIEF)
         if first.converged:
             return program, first
+        starts += every
         tries: list[Answer] = [first]
         misses: list[Answer] = []
         vanished: list[Answer] = []
@@ -270,7 +273,7 @@ class _Run:
 
     def fail_mesh(self, errors: list[Matrix], worst: float, after: str) -> None:
         """Refuse an answer whose mesh is not as accurate as asked for."""
-        from perilune.direct.mesh import error_text
+        from perilune.direct.errors import error_text
         from perilune.words.outcome import NotConvergedError
 
         jumps = [phase.name for k, phase in enumerate(self.problem.phases) if self.problem.form.chooses(k)]
@@ -327,7 +330,7 @@ def _violation(answer: Answer) -> float:
 
 
 def _mesh_line(problem: Problem, program: Program, errors: list[Matrix], worst: float, number: int) -> str:
-    from perilune.direct.mesh import error_text
+    from perilune.direct.errors import error_text
 
     nodes = sum(mesh.nodes for mesh in program.meshes)
     segments = sum(len(mesh.degrees) for mesh in program.meshes)

@@ -402,17 +402,20 @@ def hermite_nodes(
     """
     time = np.linspace(0.0, duration, 101)
     values, rates = evaluate(time)
-    while len(time) < limit:
-        middle = 0.5 * (time[1:] + time[:-1])
-        exact, exact_rates = evaluate(middle)
-        error = np.abs(Curve(time=time, values=values, rates=rates)(middle) - exact) / tolerance
-        bad = np.nonzero(error.max(axis=1) > 1.0)[0]
-        if not len(bad):
+    found, count = [time], len(time)
+    left, right = (time[:-1], values[:-1], rates[:-1]), (time[1:], values[1:], rates[1:])
+    while count < limit:
+        width = right[0] - left[0]
+        middle = 0.5 * (right[0] + left[0])
+        exact, slopes = evaluate(middle)
+        interpolated = 0.5 * (left[1] + right[1]) + 0.125 * width[:, None] * (left[2] - right[2])
+        bad = (np.abs(interpolated - exact) / tolerance).max(axis=1) > 1.0
+        if not bad.any():
             break
-        at = bad + 1
-        time = np.insert(time, at, middle[bad])
-        values, rates = (
-            np.insert(values, at, exact[bad], axis=0),
-            np.insert(rates, at, exact_rates[bad], axis=0),
-        )
-    return time
+        # What is good enough stays so: only the halves of the others are looked at again.
+        new = middle[bad], exact[bad], slopes[bad]
+        left = tuple(np.concatenate([a[bad], b]) for a, b in zip(left, new, strict=True))
+        right = tuple(np.concatenate([b, a[bad]]) for a, b in zip(right, new, strict=True))
+        found.append(new[0])
+        count += len(new[0])
+    return np.sort(np.concatenate(found))

@@ -1,0 +1,133 @@
+"""Where the unknowns and the rows of one phase lie in a program: all that a mesh changes in it, as numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from perilune.direct.collocation import Mesh, Rule, Scheme, rule
+from perilune.problem.controls import directions
+from perilune.problem.phase import Phase
+from perilune.words.types import Matrix, Vector
+
+
+class Layout(NamedTuple):
+    """Where one phase's unknowns and rows lie; hashable, it is half of the key of a program."""
+
+    scheme: Scheme
+    degrees: tuple[int, ...]
+    states: int
+    controls: int
+    directions: tuple[tuple[int, int], ...]
+    held: int
+    path: int
+    end: int
+
+    @property
+    def rules(self) -> tuple[Rule, ...]:
+        """The rule of each segment."""
+        return tuple(rule(self.scheme, degree) for degree in self.degrees)
+
+    @property
+    def nodes(self) -> int:
+        """Collocation points."""
+        return sum(self.degrees)
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """Index of the state point at which each segment starts, and of the last one."""
+        return tuple(int(i) for i in np.cumsum([0, *(r.stride for r in self.rules)]))
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Unknowns: inner joints, state values, control values."""
+        return len(self.degrees) - 1, self.states * (self.starts[-1] + 1), self.controls * self.nodes
+
+    @property
+    def collocated(self) -> list[int]:
+        """State points at which the dynamics are collocated."""
+        return [s + r.first + i for s, r in zip(self.starts, self.rules, strict=False) for i in range(r.degree)]
+
+    @property
+    def rows(self) -> dict[str, int]:
+        """Number of rows of each kind of condition, in their order."""
+        gauss = self.states * len(self.degrees) if self.scheme == "gauss" else 0
+        return {
+            "start": self.states,
+            "defect": self.states * self.nodes,
+            "quadrature": gauss,
+            "direction": len(self.directions) * self.nodes,
+            "held": self.held * self.nodes,
+            "path": self.path * self.nodes,
+            "end": self.end,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseValues:
+    """Values of one phase in canonical units: joints (K + 1,), state (points, nx), control (nodes, nu)."""
+
+    joints: Vector
+    state: Matrix
+    control: Matrix
+
+
+def layout_of(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
+    """The layout of a phase on a mesh."""
+    return Layout(
+        scheme, mesh.degrees, len(phase.states), len(phase.control_names), directions(phase.controls),
+        len(phase.held_conditions), len(phase.path_conditions), len(phase.end_conditions),
+    )  # fmt: skip
+
+
+def packed(values: PhaseValues) -> Vector:
+    """The unknowns of one phase in their order."""
+    return np.concatenate([values.joints[1:-1], values.state.ravel(), values.control.ravel()])
+
+
+def unpacked(layouts: tuple[Layout, ...], w: Vector) -> tuple[PhaseValues, ...]:
+    """The values of every phase from the unknowns behind the free parameters."""
+    at, found = 0, []
+    for layout in layouts:
+        joints, states, controls = np.split(w[at : at + sum(layout.sizes)], np.cumsum(layout.sizes)[:-1])
+        at += sum(layout.sizes)
+        found.append(
+            PhaseValues(
+                joints=np.concatenate([[0.0], joints, [1.0]]),
+                state=states.reshape(-1, layout.states),
+                control=controls.reshape(layout.nodes, layout.controls),
+            )
+        )
+    return tuple(found)
+
+
+def by_kind(layouts: tuple[Layout, ...], values: Vector) -> dict[tuple[int, str], Vector]:
+    """Values of all rows by (phase, kind of condition)."""
+    at, found = 0, {}
+    for k, layout in enumerate(layouts):
+        for kind, size in layout.rows.items():
+            found[k, kind] = values[at : at + size]
+            at += size
+    return found
+
+
+def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, list[slice]]:
+    """Unknowns that are states, rows that determine them when all else is known, and the segments of both, in order.
+
+    The first segment of a phase is its start; of each the rows are as many as the states, and take those before only.
+    """
+    states, dynamics, at, row = list[Vector](), list[Vector](), free, 0
+    for layout in layouts:
+        states.append(at + layout.sizes[0] + np.arange(layout.sizes[1]))
+        sizes = list(layout.rows.values())
+        start, defect, over, *_ = np.split(row + np.arange(sum(sizes)), np.cumsum(sizes))
+        ends = layout.states * np.cumsum(layout.degrees)[:-1]
+        last = np.split(over, len(layout.degrees))
+        dynamics += [start, *(np.concatenate(both) for both in zip(np.split(defect, ends), last, strict=True))]
+        at += sum(layout.sizes)
+        row += sum(sizes)
+    ends = [0, *np.cumsum([len(rows) for rows in dynamics]).tolist()]
+    return np.concatenate(states), np.concatenate(dynamics), [slice(a, b) for a, b in pairwise(ends)]
