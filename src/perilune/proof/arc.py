@@ -37,8 +37,7 @@ class Slopes:
     Attributes
     ----------
     state, costate
-        f, and -dH/dx with what active conditions add to it (`allowed`), shape (n, N, 4); the costate's are empty where
-        there is none.
+        f, and -dL/dx (`allowed`), shape (n, N, 4); the costate's are empty where there is none.
     matrix
         df/dx, shape (N, 4, n, n).
     """
@@ -129,8 +128,7 @@ class Arc:
     @cached_property
     def path_scale(self) -> Vector:
         """Sizes of the path conditions [SI]."""
-        # One that is met all along goes through nothing.
-        by_control = self.allowed.of_path if self.allowed else 0.0
+        by_control = self.allowed.of_path if self.allowed else 0.0  # one that is met all along goes through nothing
         return self._condition_sizes("path", self.phase.path_conditions, by_control)
 
     @cached_property
@@ -287,11 +285,10 @@ class Arc:
     @cached_property
     def allowed(self) -> Allowed | None:
         """The conditions in which the control appears, if there are any."""
-        if not (self.phase.path_conditions or self.phase.held_conditions) or not self.phase.controls:
+        phase, t = self.phase, self.cut.left[:: len(self.cut) // _TRIED + 1]
+        if not (phase.path_conditions or phase.held_conditions) or not phase.controls:
             return None
-        t = self.cut.left[:: len(self.cut) // _TRIED + 1]
-        scales = self.state_scale, self.control_scale
-        return Allowed.along(self.phase, self.p, scales, self.state(t), self.control(t))
+        return Allowed.along(phase, self.p, (self.state_scale, self.control_scale), self.state(t), self.control(t))
 
     def read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix, Matrix]:
         """State, control (directions normalised) and costate on pieces, (components, N, shares)."""
@@ -307,9 +304,8 @@ class Arc:
         f = self.rates(x[:, None] + (1j * STEP * np.diag(scale))[:, :, None], u)
         matrix = f.imag / STEP / scale[:, None, None]
         known = self.trajectory.costate is not None
-        costate = -(lam[:, None] / self.costate_scale[:, None, None] * matrix).sum(axis=0)
-        if known and self.allowed:
-            costate = costate + self.allowed.push(x, u, lam) / self.objective_scale
+        pushed = self.allowed.push(x, u, lam) / self.objective_scale if known and self.allowed else 0.0
+        costate = pushed - (lam[:, None] / self.costate_scale[:, None, None] * matrix).sum(axis=0)
         return Slopes(
             state=(f[:, 0].real / scale[:, None]).reshape(shape), costate=costate.reshape(shape)[: n * known],
             matrix=np.moveaxis(matrix.reshape(n, n, count, -1), (2, 3), (0, 1)),
