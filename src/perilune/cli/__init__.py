@@ -22,7 +22,7 @@ def main() -> NoReturn:
     # Before NumPy is loaded: the matrices are tiny, and threads that wait for each other cost more than they give.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports make a hundred thousand objects that stay: looking through them again and again takes long.
-    gc.set_threshold(50_000)
+    gc.set_threshold(200_000)
     _fill_closed_streams()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a job in the background ignores Ctrl-C
         signal.signal(signal.SIGINT, _stop)

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 from perilune.methods.ladder import Ladder
 from perilune.methods.search import Search
-from perilune.methods.structured import Polish
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.outcome import InfeasibleError, NotConvergedError
@@ -84,4 +83,6 @@ class Indirect(Ladder):
         return solution
 
     def _structured(self, search: Search, rough: Solution) -> Solution | None:
+        from perilune.methods.structured import Polish
+
         return Polish(settings=self, problem=search.problem, watch=search.watch, tried=search.tried).run(rough)

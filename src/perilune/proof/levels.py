@@ -25,7 +25,6 @@ from perilune.proof.flight import flights
 from perilune.proof.resolved import Resolve, neighbours
 from perilune.proof.second_order import local_optimality
 from perilune.proof.stated import raised, sensible
-from perilune.proof.touched import cut, signs
 from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
 
@@ -97,10 +96,13 @@ def _checks(
     flown = flights(solution)
     yield from feasibility(solution, flown)
     if level >= 2:
-        parts, structure = cut(solution)
-        yield from extremality(parts, flown if structure is None else flights(parts))
-        if structure is not None:
+        parts = solution
+        if any(len(arc.breaks) for arc, _ in flown):  # what is touched or ridden begins and ends at one
+            from perilune.proof.touched import cut, signs
+
+            parts, structure = cut(solution)
             yield from signs(solution, parts, structure)
+        yield from extremality(parts, flown if parts is solution else flights(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
             yield from local_optimality(parts)
             yield from neighbours(parts, resolve)

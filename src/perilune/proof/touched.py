@@ -50,7 +50,7 @@ _SIDEWAYS = 1e-6  # the same of what H told: it is continuous there to a double 
 _STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
 
-def cut(solution: Solution) -> tuple[Solution, Structure | None]:
+def cut(solution: Solution) -> tuple[Solution, Structure]:
     """The solution as one of the problem restated with what it touches and rides along; itself if nothing."""
     phases = []
     for k, flown in enumerate(solution.trajectories):
@@ -58,7 +58,7 @@ def cut(solution: Solution) -> tuple[Solution, Structure | None]:
         names = of_states(solution.problem, k) if flown.costate is not None else []
         phases.append(arcs_of([c for name in names for c in _contacts(arc, name)], flown.duration))
     structure = Structure(tuple(phases))
-    return (solution, None) if structure.plain else (split(solution, structure), structure)
+    return solution if structure.plain else split(solution, structure), structure
 
 
 def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
