@@ -26,7 +26,9 @@ def main() -> NoReturn:
     _fill_closed_streams()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a job in the background ignores Ctrl-C
         signal.signal(signal.SIGINT, _stop)
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    gc.freeze()  # nor at the end, where all of them go anyway
+    sys.exit(code)
 
 
 def _stop(*_: object) -> NoReturn:
