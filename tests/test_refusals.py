@@ -19,6 +19,7 @@ from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
 from perilune.methods.judge import Breach
 from perilune.methods.refusals import refusal, ridden_condition
+from perilune.methods.structured import Polish
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
@@ -94,12 +95,23 @@ def hurried(most: float) -> Problem:
     )
 
 
-@pytest.mark.parametrize("most", [1.01, 1.2])
-def test_what_only_a_coarse_mesh_misses_is_not_refused(most: float) -> None:
+def test_what_only_a_coarse_mesh_misses_is_not_refused() -> None:
     """A steep trapezoid flies it, too steep for the segments of a coarse mesh."""
     with pytest.raises(NotConvergedError) as e:
-        solve(hurried(most))
+        solve(hurried(1.01))
     assert e.value.exit_code == 4
+
+
+def test_where_the_mesh_is_fine_enough_the_bound_is_ridden() -> None:
+    """The acceleration falls evenly to 0 in t = 1.5 (1 - 1/V), at the speed V: J = 4 V^2/(3 t)."""
+    most = 1.2
+    solution = solve(hurried(most), level=2)
+    t = 1.5 * (1 - 1 / most)
+    assert solution.objective == pytest.approx(4 * most**2 / (3 * t), abs=1e-10)
+    assert [(arc.words, arc.begin, arc.end) for arc in solution.structure] == [
+        ("along the upper bound of v", pytest.approx(t, abs=1e-9), pytest.approx(1 - t, abs=1e-9))
+    ]
+    assert solution.outcome is Outcome.PROVED, str(solution.verification)
 
 
 def test_extremals_that_break_the_path_refuse_nothing() -> None:
@@ -114,8 +126,9 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
     assert refusal(known(NotConvergedError("the optimum was not reached")), []) is None
 
 
-def test_where_a_flight_keeps_everything_it_is_kept() -> None:
-    """Every extremal breaks a glide slope of 25 degrees; the direct method's flight does not."""
+def test_where_a_flight_keeps_everything_it_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every smooth extremal breaks a glide slope of 25 degrees, the direct method's flight does not; no structure."""
+    monkeypatch.setattr(Polish, "run", lambda self, rough: None)
     tight = load_file(EXAMPLES / "precision_landing.toml", ("corridor.slope=25 deg",)).problem
     with pytest.raises(
         NotConvergedError, match=r"every extremal breaks[\s\S]*direct method: J = -\d+.*, mesh error"

@@ -70,6 +70,9 @@ def test_the_direct_method_finds_the_closed_form_from_a_straight_line(
     name, problem = "x.upper" if as_bound else "room", bryson_denham(ceiling, as_bound)
     structure = riding(name) if rides else touching(name)
     solution = pl.solve(restate(problem, structure), pl.Pseudospectral(), level=0)
+    if rides:  # J has an inflection at the time of entry, and the mesh an error: 1e-5 of it
+        assert solution.objective == pytest.approx(bryson_denham_truth(ceiling), abs=5e-5)
+        solution = pl.Indirect().run(solution.problem, solution)
     assert solution.objective == pytest.approx(bryson_denham_truth(ceiling), abs=1e-10)
     slope = -4 / (9 * ceiling**2) if rides else -48 * (1 - 4 * ceiling)
     first = next(nu for key, nu in solution.multipliers.items() if "_rate" not in key)
@@ -79,8 +82,7 @@ def test_the_direct_method_finds_the_closed_form_from_a_straight_line(
     assert whole.trajectories[0].duration == pytest.approx(1.0, abs=1e-12)
     ends = np.cumsum([t.duration for t in solution.trajectories])[:-1]
     assert ends == pytest.approx([3 * ceiling, 1 - 3 * ceiling] if rides else [0.5], abs=1e-4)
-    failed = [c.name for c in pl.verify(whole, level=1).failed]
-    assert failed == (["state_c"] if rides else [])  # the control is not smooth where S >= 0 is met
+    assert pl.verify(whole, level=1).passed
 
 
 def test_a_boundary_arc_by_the_indirect_method() -> None:

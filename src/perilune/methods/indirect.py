@@ -15,8 +15,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from perilune.methods.ladder import Ladder
+from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
+from perilune.problem.guess import fitting_guess
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.outcome import InfeasibleError, NotConvergedError
@@ -67,14 +68,19 @@ class Indirect(Ladder):
             direct method finds no flight either.
         """
         search = Search(self, problem, watch or silent)
+        if guess is not None and _may_be_structured(guess := fitting_guess(problem, guess)):
+            found = self._structured(search, guess, guessed=True)
+            if found is not None:
+                return found
         try:
             solution = search.solve(guess)
-        except (NotConvergedError, InfeasibleError):
+        except (NotConvergedError, InfeasibleError) as error:
             # What no single arc keeps, a structure of arcs may.
             rough = search.coarse.solution if guess is None else None
-            if rough is None or (found := self._structured(search, rough)) is None:
-                raise
-            return found
+            if rough is not None and (found := self._structured(search, rough)) is not None:
+                return found
+            error.partial["tried"] = list(search.tried)
+            raise
         if search.outdone and (rough := search.coarse.solve()) is not None and rough.objective < solution.objective:
             found = self._structured(search, rough)
             if found is not None and found.objective < solution.objective:
@@ -82,7 +88,14 @@ class Indirect(Ladder):
                 return replace(found, extremals=(*found.extremals, *others))
         return solution
 
-    def _structured(self, search: Search, rough: Solution) -> Solution | None:
+    def _structured(self, search: Search, rough: Solution, *, guessed: bool = False) -> Solution | None:
         from perilune.methods.structured import Polish
 
-        return Polish(settings=self, problem=search.problem, watch=search.watch, tried=search.tried).run(rough)
+        return Polish(
+            settings=self, problem=search.problem, watch=search.watch, tried=search.tried, guessed=guessed
+        ).run(rough)
+
+
+def _may_be_structured(guess: Solution) -> bool:
+    """Whether a guess may touch or ride along a condition on states: the indirect method knows when its own does."""
+    return guess.statistics.rung == STRUCTURE or guess.method != Indirect.name

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
 
 
+STRUCTURE = "structure"  # the rung of an answer that touches or rides along conditions on states
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
     """What the rungs are tried with; `perilune.methods.indirect.Indirect` says what each means."""

@@ -176,16 +176,18 @@ class Search:
         held = tuple(name for name in self.keepable if name in near)
         search = self._keeping(held) if held else self
         y = search._known(guess)
-        found = search._near(y, search._held_in(guess, y))
+        found = search._near(y, search._held_in(guess, y), guess)
         # A neighbour touches what its guess touches.
         if not is_neighbour(self.problem) and (more := search._worth_keeping(found)):
             search, root = search._keeping(more), found[0].root
             found = search._near(root.y, root.choice)
         return search, found
 
-    def _near(self, y: Vector, choice: Vector) -> list[Found]:
-        """Newton from unknowns."""
+    def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[Found]:
+        """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
         root = self._settled(y[None], choice, limits=self.limits)[0]
+        if not root.converged and guess is not None and not is_neighbour(self.problem):
+            root = self._by_pieces(guess, y, choice, self.settings.segments, self.limits)
         name = self._outside(root)
         if root.converged and name is None:
             held = self.scanned is None or root.choice[self.scanned] > 0
@@ -314,15 +316,20 @@ class Search:
             value = float(y[self.conditions.free_at.start + self.scanned])
             choice[[self.scanned, self.shooting.plan.held + self.scanned]] = 1.0, value
         for segments, rung in ((1, "direct transcription"), (self.settings.segments, "multiple shooting")):
-            shooting = Shooting(self.conditions, segments=segments)
-            Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
-            root = self._settled(Y[None], choice, limits=self.others, shooting=shooting)[0]
-            if root.converged and segments > 1:  # one piece again, for what follows
-                root = self._settled(root.y[None, : len(y)], root.choice, limits=self.others)[0]
+            root = self._by_pieces(rough, y, choice, segments, self.others)
             if root.converged:
                 yield Member(value=value, root=root), rung
                 return
             self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
+
+    def _by_pieces(self, rough: Solution, y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
+        """Newton from a rough solution with so many segments for each phase, then in one piece."""
+        shooting = Shooting(self.conditions, segments=segments)
+        Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
+        root = self._settled(Y[None], choice, limits=limits, shooting=shooting)[0]
+        if root.converged and segments > 1:  # one piece again, for what follows
+            root = self._settled(root.y[None, : len(y)], root.choice, limits=limits)[0]
+        return root
 
     def _settled(
         self,

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from perilune.methods.ladder import Ladder
+from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Nature, Solution
@@ -26,7 +26,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
 
 ATTEMPTS = 6
-RUNG = "structure"
+_GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
@@ -40,16 +40,20 @@ class Polish:
         Of the search that needs it.
     tried
         Receives a line for each structure.
+    guessed
+        Whether it begins with the user's guess, and not with what a search found.
     """
 
     settings: Ladder
     problem: Problem
     watch: Watch
     tried: list[str]
+    guessed: bool = False
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
-        structure, seen = read(self.problem, rough), set[str]()
+        structure = read(self.problem, rough, _GUESSED) if self.guessed else read(self.problem, rough)
+        seen = set[str]()
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
             seen.add(structure.text)
             self.watch(f"structure: {structure.text}")
@@ -68,18 +72,27 @@ class Polish:
         return None
 
     def _composed(self, found: Solution) -> Solution:
-        """It is near a guess of this run's own, and the best, as it is the only one."""
-        natures = {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
+        """Near a guess of this run's own it is the best, as it is the only one."""
+        natures = (
+            {} if self.guessed else {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
+        )
         extremals = (replace(e, nature=natures.get(e.nature, e.nature)) for e in found.extremals)
-        statistics = replace(found.statistics, rung=RUNG, tried=tuple(self.tried))
+        statistics = replace(found.statistics, rung=STRUCTURE, tried=tuple(self.tried))
         return replace(found, extremals=tuple(extremals), statistics=statistics)
 
     def _extremal(self, rough: Solution, structure: Structure) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
-        guess = split(rough, structure)
-        near = Pseudospectral(refine=0).run(guess.problem, guess)  # its phases are smooth: one mesh is fine enough
-        return Search(self.settings, guess.problem, self.watch).solve(near)
+        guess, failure = split(rough, structure), None
+        # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
+        for mesh in (Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=3, tolerance=1e-3)):
+            try:
+                near = mesh.run(guess.problem, guess)
+                return Search(self.settings, guess.problem, self.watch).solve(near)
+            except PeriluneError as error:
+                failure = error
+        assert failure is not None
+        raise failure
 
     def _timed(self, structure: Structure, solved: Solution) -> Structure:
         parts = iter(solved.trajectories)

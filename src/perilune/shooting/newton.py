@@ -91,9 +91,10 @@ def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matri
         inverse = np.linalg.inv(J)
     except np.linalg.LinAlgError:  # one singular matrix stops them all
         inverse = np.array([_inverse(matrix) for matrix in J])
-    step = -(inverse @ h[:, :, None])[:, :, 0]
-    simplified = (old.reshape(lanes, n, n) @ h[:, :, None])[:, :, 0]
-    lengths = [np.sqrt((v * v).sum(axis=1)) for v in (simplified, step, y)]
+    with np.errstate(all="ignore"):  # a lane that ran away is told by its NaN
+        step = -(inverse @ h[:, :, None])[:, :, 0]
+        simplified = (old.reshape(lanes, n, n) @ h[:, :, None])[:, :, 0]
+        lengths = [np.sqrt((v * v).sum(axis=1)) for v in (simplified, step, y)]
     head = np.column_stack([np.abs(h).max(axis=1), *lengths])
     return np.hstack([head, h, step, inverse.reshape(lanes, n * n), extra])
 

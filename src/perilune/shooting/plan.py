@@ -167,7 +167,9 @@ class _Tracing:
     def _leg(self, k: int, j: int, before: _End | None) -> tuple[Leg, _End]:
         extremal, flown = self.conditions.phases[k], self.flown[k]
         kept = flown.kept.tolist()
-        whole_before = self._whole(k - 1, before) if before is not None and k else ca.SX(0, 1)
+        whole_before = ca.SX.zeros(2 * self.conditions.phases[k - 1].half, 1) if k else ca.SX(0, 1)
+        if before is not None and k and not j:  # a later segment begins at an unknown of its own
+            whole_before = self._whole(k - 1, before)
         z0, duration = self.conditions.starts[k](self.y, whole_before, self.p)
         if j:
             z0 = ca.SX.zeros(*z0.shape)

@@ -40,7 +40,7 @@ class Contact:
     ridden: bool
 
 
-def read(problem: Problem, solution: Solution) -> Structure | None:
+def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
     """The arcs of a solution, by its curves.
 
     Parameters
@@ -49,6 +49,8 @@ def read(problem: Problem, solution: Solution) -> Structure | None:
         What it is a solution of.
     solution
         Of any method, however coarse.
+    least
+        As near as counts whatever the mesh, as a share of what a condition goes through.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def read(problem: Problem, solution: Solution) -> Structure | None:
     """
     phases = []
     for k, flown in enumerate(solution.trajectories):
-        found = [c for name in of_states(problem, k) for c in contacts(solution, k, name)]
+        found = [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
         phases.append(arcs_of(found, flown.duration))
     structure = Structure(tuple(phases))
     return None if structure.plain else structure
@@ -68,10 +70,10 @@ def of_states(problem: Problem, k: int) -> list[str]:
     return [name for name, (_, value, _) in margins(problem, k).items() if not acts(value)]
 
 
-def contacts(solution: Solution, k: int, name: str) -> Iterator[Contact]:
+def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
     """Where a condition of phase k is at its limit on the way; a start or an end that lies on it is none."""
     t, room = room_along(solution, k, name)
-    least, most = NEAR[0] * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
+    least, most = share * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
     near = min(max(-BULGE * float(room.min()), least), most)
     for first, last in _groups(room <= near):
         inside = first > 0 and last < len(t) - 1
@@ -82,7 +84,7 @@ def contacts(solution: Solution, k: int, name: str) -> Iterator[Contact]:
             return
         here = t[first : last + 1]
         if stays or (inside and order == 1):
-            on = here[room[first : last + 1] <= max(near / BULGE, float(room[first : last + 1].min()))]
+            on = here[room[first : last + 1] <= near / BULGE + max(0.0, float(room[first : last + 1].min()))]
             yield Contact(name=name, begin=float(on[0]), end=float(on[-1]), ridden=True)
         elif inside:
             at = float(here[np.argmin(room[first : last + 1])])
