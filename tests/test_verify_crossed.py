@@ -9,6 +9,7 @@ import pytest
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.structured import Polish
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Nature, Solution
 from perilune.problem.verification import Check, Verification
@@ -146,8 +147,16 @@ def test_another_method_that_fails_is_a_failed_check(hybrid: Solution) -> None:
     assert "Refuses does not: the engine is cold" in check.meaning
 
 
-def test_an_extremal_that_breaks_the_path_confirms_nothing() -> None:
-    """Riding along a ceiling, a direct answer is better than nothing that the indirect method may do."""
+def test_a_flight_along_a_ceiling_is_crossed_in_states_and_objective() -> None:
+    """Its costates are told in two ways: by the direct method with the multiplier of x <= l itself, here of x'' = 0."""
+    checks = crossed(Pseudospectral(tolerance=1e-4).run(least_energy(CEILING)), Indirect())
+    assert all(checks[name].passed for name in ("cross_solved", "cross_objective", "best_extremal", "cross_state_x"))
+    assert not checks["cross_costate_x"].passed
+
+
+def test_an_extremal_that_breaks_the_path_confirms_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Riding along a ceiling, a direct answer is better than what the indirect method does without a structure."""
+    monkeypatch.setattr(Polish, "run", lambda self, rough: None)
     (check,) = crossed(Pseudospectral(tolerance=1e-4).run(least_energy(CEILING)), Indirect()).values()
     assert not check.passed
     assert "does not" in check.meaning
