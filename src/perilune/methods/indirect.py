@@ -13,6 +13,7 @@ and every extremal on it found (`perilune.shooting.extremals`).
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 from perilune.methods.ladder import STRUCTURE, Ladder
@@ -91,9 +92,13 @@ class Indirect(Ladder):
     def _structured(self, search: Search, rough: Solution, *, guessed: bool = False) -> Solution | None:
         from perilune.methods.structured import Polish
 
-        return Polish(
+        found = Polish(
             settings=self, problem=search.problem, watch=search.watch, tried=search.tried, guessed=guessed
         ).run(rough)
+        if found is None:
+            return None
+        took = time.perf_counter() - search.began
+        return replace(found, statistics=replace(found.statistics, wall_time=took))
 
 
 def _may_be_structured(guess: Solution) -> bool:

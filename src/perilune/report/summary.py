@@ -35,6 +35,8 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     ]
     for name, result in solution.results.items():
         lines.append(f"  {name.replace('_', ' '):16}{quantity(result.value, result.unit):>16} {result.unit}")
+    if solution.structure and not solution.statistics.claimed:
+        lines += ["", "structure", *(f"  {arc.text}" for arc in solution.structure)]
     rows = _extremal_rows(solution)
     if len(rows) > 1:
         head = "extremals, best first" if len(rows) > 2 else "extremal"

@@ -1,0 +1,111 @@
+"""Without a guess: what no smooth arc keeps is touched or ridden along, and proved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.problem.solution import Curve, Solution
+from perilune.report.summary import solution_summary
+from perilune.scenario import load_file
+from problems.constrained import brachistochrone, brachistochrone_truth, bryson_denham, mars_glide_slope
+
+
+def slope(degrees: float) -> pl.Problem:
+    return load_file("examples/precision_landing.toml", (f"corridor.slope={degrees} deg",)).problem
+
+
+@pytest.fixture(scope="module")
+def touching() -> Solution:
+    return pl.solve(bryson_denham(1 / 5))
+
+
+def test_a_touch_is_found_and_proved(touching: Solution) -> None:
+    """J = 2 + 6 (1 - 4 l)^2 = 2.24 (Bryson, Denham, Dreyfus 1963)."""
+    assert touching.objective == pytest.approx(2.24, abs=1e-12)
+    assert touching.outcome is pl.Outcome.PROVED and touching.verification.level == 3
+    assert [arc.text for arc in touching.structure] == ["room touched at 0.5 s"]
+    assert touching.extremals[0].nature.value == "best of the extremals found"
+    assert "room touched at 0.5 s" in solution_summary(touching)
+    assert {"swing-1_touch", "swing-1_touch_jump", "swing-1_strict_touch"} <= {
+        c.name for c in touching.verification.checks
+    }
+
+
+def test_a_boundary_arc_is_found_and_proved_an_extremal() -> None:
+    """J = 4/(9 l) = 4. At level 3 the time of entry is an inflection of J, which is said."""
+    solution = pl.solve(bryson_denham(1 / 9), level=2)
+    assert solution.objective == pytest.approx(4.0, abs=1e-10)
+    assert solution.outcome is pl.Outcome.PROVED
+    (arc,) = solution.structure
+    assert arc.words == "along room"
+    assert (arc.begin, arc.end) == (pytest.approx(1 / 3, abs=1e-9), pytest.approx(2 / 3, abs=1e-9))
+
+
+def test_the_better_extremal_is_the_constrained_one() -> None:
+    """Random costates find a curve that keeps clear and takes 3.07 s; the one that slides along the line takes 1.83 s."""
+    entered, left, least = brachistochrone_truth()
+    solution = pl.solve(brachistochrone(), level=2)
+    assert solution.objective == pytest.approx(least, abs=1e-9)
+    assert solution.outcome is pl.Outcome.PROVED
+    assert [(arc.begin, arc.end) for arc in solution.structure] == [
+        (pytest.approx(entered, abs=1e-6), pytest.approx(left, abs=1e-6))
+    ]
+    first, *others = [e.nature.value for e in solution.extremals]
+    assert first == "best of the extremals found" and set(others) == {"local optimum"}
+
+
+def test_a_glide_slope_is_touched_once() -> None:
+    """As the direct method has it from a coarse mesh refined: 398.06967 kg of propellant."""
+    solution = pl.solve(mars_glide_slope())
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    assert solution.results["propellant"].value == pytest.approx(398.069674, abs=1e-5)
+
+
+@pytest.mark.parametrize("degrees", [25.0, 26.0, 28.0])
+def test_a_precision_landing_touches_its_glide_slope(degrees: float) -> None:
+    problem = slope(degrees)
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    wider = pl.solve(slope(degrees - 0.5), level=0).objective
+    assert wider < solution.objective < wider + 0.1  # a steeper slope costs, and not much
+    again = pl.solve(problem, guess=solution, level=2)
+    assert again.objective == pytest.approx(solution.objective, rel=1e-10)
+    assert again.extremals[0].nature.value == "an extremal near the guess"
+
+
+def jumped(solution: Solution, amount: float) -> Solution:
+    """The costate of x after its jump raised by a share of the jump, as if the touch held the flight back more."""
+    flown = solution.trajectories[0]
+    assert flown.costate is not None
+    at = int(np.nonzero(np.diff(flown.costate.time) == 0)[0][0]) + 1
+    values, rates = flown.costate.values.copy(), flown.costate.rates.copy()
+    jump = values[at, 0] - values[at - 1, 0]
+    values[at:, 0] += amount * jump
+    costate = Curve(time=flown.costate.time, values=values, rates=rates)
+    return replace(solution, trajectories=(replace(flown, costate=costate),))
+
+
+@pytest.mark.parametrize("amount", [1e-6, -1e-6, -1.0, -2.0])
+def test_another_jump_of_the_costates_is_none(touching: Solution, amount: float) -> None:
+    assert not pl.verify(jumped(touching, amount), level=2).passed
+
+
+def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
+    """Forced to touch a ceiling that the best flight stays below, J would fall by leaving it: the sign says so."""
+    from perilune.structures.carry import joined
+    from perilune.structures.restate import restate
+    from perilune.structures.structure import Arc, Structure
+
+    problem: Any = bryson_denham(0.3)  # the free flight rises to 1/4
+    structure = Structure(((Arc(touches=("room",)), Arc()),))
+    restated = restate(problem, structure)
+    forced = pl.Indirect().run(restated, pl.solve(restated, pl.Pseudospectral(refine=0), level=0))
+    whole = joined(problem, forced, structure)
+    assert pl.verify(whole, level=1).passed
+    failed = {c.name for c in pl.verify(whole, level=2).failed}
+    assert "swing-1_touch" in failed
