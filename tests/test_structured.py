@@ -47,7 +47,7 @@ def test_a_boundary_arc_is_found_and_proved_an_extremal() -> None:
 
 
 def test_the_better_extremal_is_the_constrained_one() -> None:
-    """Random costates find a curve that keeps clear and takes 3.07 s; the one that slides along the line takes 1.83 s."""
+    """Random costates find a curve that keeps clear and takes 3.07 s; the one that slides on the line takes 1.83 s."""
     entered, left, least = brachistochrone_truth()
     solution = pl.solve(brachistochrone(), level=2)
     assert solution.objective == pytest.approx(least, abs=1e-9)
