@@ -66,9 +66,11 @@ def test_a_guess_of_several_phases() -> None:
         (TIMES, np.full((15, 5), np.nan), None, {}, "no number: states"),
         ("yesterday", straight_down(), None, {}, "wrong shape: times"),
         (TIMES, straight_down(), None, {"retro_delta": 1.0}, "retro_delta"),
+        (TIMES, straight_down(), None, {"retro_delta_v": "fast"}, "no number: retro_delta_v"),
+        (TIMES, straight_down(), None, {"flight_time": [1.0, 2.0]}, "wrong shape: flight_time"),
     ],
 )
-def test_what_is_no_guess(times: Any, states: Any, controls: Any, free: dict[str, float], said: str) -> None:
+def test_what_is_no_guess(times: Any, states: Any, controls: Any, free: dict[str, Any], said: str) -> None:
     with pytest.raises(pl.PeriluneError, match=said):
         pl.guess(HYBRID, times, states, controls, **free)
 

@@ -48,7 +48,9 @@ def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **fre
     for name in free:
         if name not in problem.free_names:
             raise unknown_name("free parameter", name, sorted(problem.free_names))
-    values = {f.name: f.typical for f in problem.free} | {name: float(value) for name, value in free.items()}
+    values = {f.name: f.typical for f in problem.free} | {
+        name: float(_numbers(value, (), name)) for name, value in free.items()
+    }
     count, flown = len(problem.phases), list[Trajectory]()
     split = [_by_phase(given, count, what) for given, what in ((times, "times"), (states, "states"))]
     steered = [None] * count if controls is None else _by_phase(controls, count, "controls")
