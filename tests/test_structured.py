@@ -109,3 +109,50 @@ def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
     assert pl.verify(whole, level=1).passed
     failed = {c.name for c in pl.verify(whole, level=2).failed}
     assert "swing-1_touch" in failed
+
+
+def at_the_maximum() -> Solution:
+    """Along h = 0 by u = 0, where H = -u^2 has its maximum: a sawtooth lands J = -0.475."""
+    from perilune.models.descent_frames import variables
+
+    phase = pl.Phase(
+        name="go",
+        states=(*variables("m", "h"), *variables("m^2/s", "c")),
+        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (u.u, -0.5 * u.u * u.u),
+        duration="T",
+        path=lambda x, u, p, m: (x.h,),
+        path_conditions=variables("m", "above"),
+    )
+    problem = pl.Problem(
+        name="at_the_maximum", phases=(phase,), start=lambda p, m: (0 * p.T * p.v, 0 * p.T * p.v * p.v),
+        given={"T": pl.Given(value=1.0, unit="s"), "v": pl.Given(value=1.0, unit="m/s")},
+        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+    )  # fmt: skip
+    time = np.array([0.0, 0.4, 0.4, 1.0])
+    still = Curve(time=time, values=np.zeros((4, 2)), rates=np.zeros((4, 2)))
+    costate = Curve(time=time, values=np.tile([0.0, 1.0], (4, 1)), rates=np.zeros((4, 2)))
+    control = Curve(time=time, values=np.zeros((4, 1)), rates=np.zeros((4, 1)))
+    flown = pl.Trajectory(phase="go", state=still, control=control, costate=costate)
+    return Solution(
+        problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free={}, trajectories=(flown,)
+    )
+
+
+def test_riding_along_a_condition_at_a_maximum_of_the_hamiltonian_is_no_extremal() -> None:
+    """Against every control, and not only that which rides."""
+    failed = {c.name for c in pl.verify(at_the_maximum(), level=2).failed}
+    assert {"along_minimum", "along_ends"} <= failed
+
+
+def test_what_rides_is_not_said_to_be_locally_optimal() -> None:
+    solution = pl.solve(bryson_denham(1 / 9))
+    assert solution.outcome is pl.Outcome.NOT_PROVED and solution.verification.level == 2
+    assert "swing-2_along_sufficient" in {c.name for c in solution.verification.failed}
+
+
+def test_a_ceiling_that_is_missed_by_little_is_not_touched() -> None:
+    """The answer for a ceiling 1.5e-8 m lower, shown as one for the ceiling."""
+    lower = pl.solve(bryson_denham(1 / 5 - 1.5e-8), level=0)
+    wrong = replace(lower, problem=bryson_denham(1 / 5))
+    assert "swing-1_met" in {c.name for c in pl.verify(wrong, level=2).failed}

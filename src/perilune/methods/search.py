@@ -38,6 +38,7 @@ from perilune.words.watch import Iteration, Watch
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 _STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
+_JOINED = 300  # unknowns at joints, which cost their number cubed
 _AT_BOUND = 1e-8  # canonical distance at which a guess counts as lying on a bound
 _SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
@@ -186,7 +187,8 @@ class Search:
     def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[Found]:
         """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
         root = self._settled(y[None], choice, limits=self.limits)[0]
-        if not root.converged and guess is not None and not is_neighbour(self.problem):
+        joints = (self.settings.segments - 1) * sum(2 * e.half for e in self.conditions.phases)
+        if not root.converged and guess is not None and joints <= _JOINED and not is_neighbour(self.problem):
             root = self._by_pieces(guess, y, choice, self.settings.segments, self.limits)
         name = self._outside(root)
         if root.converged and name is None:

@@ -25,7 +25,7 @@ from perilune.structures.structure import Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
 
-ATTEMPTS = 6
+ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
@@ -55,6 +55,9 @@ class Polish:
         structure = read(self.problem, rough, _GUESSED) if self.guessed else read(self.problem, rough)
         seen = set[str]()
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
+            if sum(len(arcs) for arcs in structure.phases) > MOST_ARCS:
+                self.tried.append(f"structure of more than {MOST_ARCS} arcs: not tried")
+                return None
             seen.add(structure.text)
             self.watch(f"structure: {structure.text}")
             try:

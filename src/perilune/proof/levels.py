@@ -101,7 +101,7 @@ def _checks(
             from perilune.proof.touched import cut, signs
 
             parts, structure = cut(solution)
-            yield from signs(solution, parts, structure)
+            yield from (check for check in signs(solution, parts, structure) if check.level <= level)
         yield from extremality(parts, flown if parts is solution else flights(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
             yield from local_optimality(parts)

@@ -312,7 +312,8 @@ def _form(pieces: Sequence[_Piece]) -> tuple[Matrix, Matrix, int]:
             dx = after
         at += k * piece.steps
         weighted = step * piece.W.transpose(2, 0, 1) @ path
-        form += path.reshape(-1, columns).T @ weighted.reshape(-1, columns)
+        flat = (piece.steps * (n + m + k), columns)  # which may be none
+        form += path.reshape(flat).T @ weighted.reshape(flat)
         for close in ([_cross] if piece.crossing else []) + ([_finish] if piece.last else []):
             rows, curved = close(piece, dx, parameters)
             form += curved

@@ -184,7 +184,7 @@ def _minimum(arc: Arc) -> Check:
     width = max(1, _AT_ONCE // samples)
     for k in range(0, count, width):
         at = slice(k, k + width)
-        tried = _product([np.stack([value[:, at] for value in part], axis=1) for part in parts])
+        tried = product_of([np.stack([value[:, at] for value in part], axis=1) for part in parts])
         worst = max(worst, _gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
@@ -207,7 +207,7 @@ def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix
     for rows in ([held] if held else []) + [[*held, row] for row in others]:
         changes, at = {int(i) for i in owner[(slopes[rows] > 0).any(axis=0)]}, active[rows].all(axis=0)
         thinned = [np.stack(part[::_EVERY] if i in changes else part[:1], axis=1) for i, part in enumerate(parts)]
-        tried = _product([part[:, :, at] for part in thinned])
+        tried = product_of([part[:, :, at] for part in thinned])
         moved, reached = allowed.onto(rows, x[:, at], tried, np.isin(owner, list(changes)).astype(float))
         tried = np.repeat(u[:, None], tried.shape[1], axis=1)
         tried[:, :, at] = np.where(reached, moved, tried[:, :, at])
@@ -219,7 +219,7 @@ def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix
     return more, joint
 
 
-def _product(parts: Sequence[Any]) -> Any:
+def product_of(parts: Sequence[Any]) -> Any:
     """Every combination of the samples (components, S, N) of each control, (all components, product of S, N)."""
     shape = tuple(part.shape[1] for part in parts)
     rows = []

@@ -28,14 +28,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 
+from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
+from perilune.proof.numerics import COMPLEX, jacobian, stacked
+from perilune.proof.switching import ADMISSIBLE, product_of
 from perilune.structures.carry import split
 from perilune.structures.read import Contact, arcs_of, of_states, room_along
 from perilune.structures.structure import Condition, Structure, conditions_of
@@ -44,8 +48,10 @@ from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
 _JUMP = 1e-9  # of a costate's size: less is no jump
-# The multiplier along an arc is a polynomial through so many points; its derivatives are noise below a share of it.
-_FITTED, _DEGREE, _ALONG = 40, 12, 1e-4
+# The multiplier along an arc is a polynomial in time, to rounding; its derivatives are noise below a share of it.
+_DEGREE, _ROUGH, _ALONG = 12, 1e-6, 1e-4
+_LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
+_MET = 1e-9  # of its size: a condition that is met, or its rate
 _SIDEWAYS = 1e-6  # the same of what H told: it is continuous there to a double root only
 _STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
@@ -133,6 +139,7 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
     name, row = condition.name, {c.name: i for i, c in enumerate(part.phase.end_conditions)}
     at, rate = (row[condition.rated(i, "touch_", 1.0).name] for i in (0, 1))
     scaled = nu * part.end_scale / part.objective_scale
+    yield _met(part, [at, rate], name)
     yield Check(
         name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=max(0.0, float(scaled[at])),
         meaning=f"what J would gain if the flight left {name} where it touches it (scaled): the multiplier is not "
@@ -150,37 +157,100 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
     )  # fmt: skip
 
 
+def _met(part: Arc, rows: list[int], name: str) -> Check:
+    """What was taken as a contact is one: the conditions at the end of the part vanish."""
+    end = part.state(np.array([part.duration]))[:, 0].tolist()
+    values = np.array(part.phase.evaluate("end", end, (), part.p), dtype=float) / part.end_scale
+    return Check(
+        name=f"{part.prefix}met", level=2, unit="1", limit=_MET, value=float(np.abs(values[rows]).max()),
+        meaning=f"{name} and its rates where the flight is said to meet it (scaled): they vanish",
+    )  # fmt: skip
+
+
 def _ridden(part: Arc, before: Arc | None, condition: Condition) -> Iterator[Check]:
     """Signs of the multiplier along an arc, and at its beginning where the flight enters it there."""
-    name, q = condition.name, condition.order
-    value = ends = float("nan")
-    if q <= 2 and part.allowed:
+    name, q, inside = condition.name, condition.order, part.sampled
+    value = ends = gain = float("nan")
+    if part.allowed:
         row = [c.name for c in part.allowed.conditions].index(condition.rated(q, "", 1.0).name)
-        nodes = 0.5 * part.duration * (1 - np.cos(np.pi * (np.arange(_FITTED) + 0.5) / _FITTED))
-        eta = part.allowed.multipliers(part.state(nodes), part.control(nodes), part.costate(nodes)).mu[row]
-        size, T = float(np.abs(eta).max()) or 1.0, part.duration
-        curve = Chebyshev.fit(nodes / T, eta / size, _DEGREE, domain=[0.0, 1.0])
-        mu = (-1) ** q * curve.deriv(q)(nodes / T)
-        slope = curve.deriv(1)
-        value = max(0.0, -float(mu.min()))
-        wrong = [-curve(1.0)] if q == 1 else [abs(curve(1.0)), slope(1.0)]
-        if before is not None:
-            nu, _ = end_multipliers(before)
-            at = {c.name: i for i, c in enumerate(before.phase.end_conditions)}
-            entered = [nu[at[condition.rated(i, "enter_", 1.0).name]] / size for i in range(q)]
-            if q == 1:
-                wrong.append(entered[0] + curve(0.0))
-            else:
-                wrong += [abs(entered[1] + curve(0.0)), entered[0] * T - slope(0.0)]
-        ends = max(0.0, *(float(w) for w in wrong))
+        eta = part.allowed.multipliers(inside.x, inside.u, inside.lam).mu[row]
+        gain = _gain(part, condition, eta)
+        if q <= 2:
+            curve, size = _smooth(inside.t / part.duration, eta)
+            mu = (-1) ** q * curve.deriv(q)(inside.t / part.duration)
+            value = max(0.0, -float(mu.min()))
+            ends = _ends(part, before, condition, curve, size) if before is not None else ends
+    if before is not None:
+        row_of = {c.name: i for i, c in enumerate(before.phase.end_conditions)}
+        yield _met(before, [row_of[condition.rated(i, "enter_", 1.0).name] for i in range(q)], name)
     beyond = "" if q <= 2 else f"; not available for a condition of order {q}"
     yield Check(
         name=f"{part.prefix}along", level=2, unit="1", limit=_ALONG, value=value,
         meaning=f"multiplier of {name} along the arc, where it is negative (scaled): what J would gain if the flight "
-        f"left it{beyond}",
+        f"left it{beyond}; not available where it is no smooth function of time",
     )  # fmt: skip
     yield Check(
         name=f"{part.prefix}along_ends", level=2, unit="1", limit=_SIDEWAYS, value=ends,
         meaning=f"jumps of the costates where the flight meets and leaves {name}, of a wrong sign or not along its "
-        f"slope (scaled){beyond}",
+        f"slope (scaled){beyond}; not available for an arc that begins with its phase",
     )  # fmt: skip
+    yield Check(
+        name=f"{part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=gain,
+        meaning=f"most that a control which leaves {name} lowers the Hamiltonian of the multiplier of {name} itself "
+        "(scaled)",
+    )  # fmt: skip
+    yield Check(
+        name=f"{part.prefix}along_sufficient", level=3, unit="1", limit=0.0, value=float("nan"),
+        meaning=f"that flights which leave {name} for a moment are worse to second order: not available",
+    )  # fmt: skip
+
+
+def _smooth(s: Vector, eta: Vector) -> tuple[Chebyshev, float]:
+    """A polynomial of the multiplier over its size, s from 0 to 1, NaN where it is none; and the size."""
+    size = float(np.abs(eta).max()) or 1.0
+    curve = Chebyshev.fit(s, eta / size, min(_DEGREE, len(s) // 2), domain=[0.0, 1.0])
+    if not np.abs(curve(s) - eta / size).max() <= _ROUGH:
+        curve = Chebyshev([np.nan], domain=[0.0, 1.0])
+    return curve, size
+
+
+def _ends(part: Arc, before: Arc, condition: Condition, curve: Chebyshev, size: float) -> float:
+    """By how much the jumps at both ends are wrong, q = 1 or 2 (above)."""
+    q, slope = condition.order, curve.deriv(1)
+    nu, _ = end_multipliers(before)
+    at = {c.name: i for i, c in enumerate(before.phase.end_conditions)}
+    entered = [nu[at[condition.rated(i, "enter_", 1.0).name]] / size for i in range(q)]
+    if q == 1:
+        wrong = [-curve(1.0), entered[0] + curve(0.0)]
+    else:
+        wrong = [abs(curve(1.0)), slope(1.0), abs(entered[1] + curve(0.0)), entered[0] * part.duration - slope(0.0)]
+    return float(np.max([0.0, *wrong]))
+
+
+def _gain(part: Arc, condition: Condition, eta: Vector) -> float:
+    """Most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled: what S >= 0 itself asks for.
+
+    With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not those alone that
+    keep S^(q) = 0 (Hartl, Sethi, Vickson 1995, section 5). What lam differs by beside is across all controls.
+    """
+    inside, phase = part.sampled, part.phase
+    rate, n = condition.values[condition.order - 1], len(part.phase.states)
+
+    def rates(z: Any) -> Any:
+        u = phase.control_record(*[np.zeros(z.shape[1:])] * len(phase.control_names))
+        return stacked([rate(phase.state_record(*z), u, part.p, COMPLEX)[0]], z.shape[1:])
+
+    slopes = jacobian(rates, inside.x, part.state_scale)[0] / part.state_scale[:, None]
+    lam = inside.lam - eta * slopes
+    few = np.unique(np.linspace(0, len(inside.t) - 1, _LOOKS).astype(int))
+    x, u, lam = inside.x[:, few], inside.u[:, few], lam[:, few]
+    parts = [
+        np.stack(control.samples(u[here], float(part.control_scale[here.start]), part.p), axis=1)
+        for here, control in placed(phase.controls)
+    ]
+    tried = product_of(parts)
+    H = part.hamiltonian(x[:, None], tried, lam[:, None])
+    for size, along in zip(part.path_scale, part.path(np.broadcast_to(x[:, None], (n, *H.shape)), tried), strict=True):
+        H = np.where(along < -ADMISSIBLE * size, np.inf, H)
+    least = part.hamiltonian(x, u, lam) - H.min(axis=0)
+    return float(np.maximum(least, 0.0).max()) * part.time_scale / part.objective_scale
