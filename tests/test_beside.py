@@ -20,7 +20,8 @@ from command_line import HYBRID, ORDINARY, read_json
 from perilune.cli import run
 from perilune.io.export import save
 from perilune.io.reading import LONGEST_TEXT
-from perilune.problem.solution import Curve, Nature, Solution, Trajectory
+from perilune.problem.extremal import Nature
+from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.proof.crossed import agreement
 from perilune.proof.listed import found_again
 from perilune.report import REPORT_FILE

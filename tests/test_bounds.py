@@ -18,9 +18,9 @@ from perilune.methods.hybrid import Hybrid
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.controls import Bounded
+from perilune.problem.extremal import Nature
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Nature
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check
 from perilune.scenario import load_text

@@ -10,8 +10,9 @@ import pytest
 
 from cho import CHO_MOON, cho_landing
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
+from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Nature, Solution
+from perilune.problem.solution import Solution
 from perilune.problem.variables import Given
 from perilune.report.summary import solution_summary
 from perilune.solve import solve

@@ -19,8 +19,9 @@ from perilune.io.export import results, save, solution_document, trajectory_csv
 from perilune.io.files import fresh_directory, json_text
 from perilune.io.reload import hash_of, load
 from perilune.models.landing import Retro
+from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Extremal, Nature, Solution, Statistics
+from perilune.problem.solution import Solution, Statistics
 from perilune.problem.verification import Check, Verification
 from perilune.report import write_all
 from perilune.report.summary import solution_markdown, solution_summary, table

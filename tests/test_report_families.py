@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from perilune.families.family import Family, FamilyPoint, failed_point
-from perilune.problem.solution import Extremal, Nature, Solution
+from perilune.problem.extremal import Extremal, Nature
+from perilune.problem.solution import Solution
 from perilune.report.family import family_csv, family_document, write_family
 from perilune.reproductions.cho2015.case import PRINTED
 from perilune.reproductions.cho2015.compute import best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn

@@ -16,7 +16,8 @@ import perilune as pl
 from perilune.io.export import extremals_document, solution_document
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem.solution import Nature, Result, Solution
+from perilune.problem.extremal import Nature
+from perilune.problem.solution import Result, Solution
 from perilune.problem.variables import Variable
 from perilune.problem.views import Beside, Views
 from perilune.report.figures import label, solution_figures

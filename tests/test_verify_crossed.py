@@ -10,8 +10,9 @@ import pytest
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.methods.structured import Polish
+from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Nature, Solution
+from perilune.problem.solution import Curve, Solution
 from perilune.problem.verification import Check, Verification
 from perilune.proof.crossed import agreement
 from perilune.solve import prove, solve, verify

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
+from perilune.problem.extremal import Nature
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Nature, Solution
+from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, Verification
 from perilune.words.asked import demand, demand_callable, demand_level, refused

@@ -29,10 +29,11 @@ from perilune.io.physics import read_physics
 from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
 from perilune.io.repeated import Repeated
 from perilune.problem.controls import directions
+from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Extremal, Nature, Solution, Statistics, Trajectory
+from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
 from perilune.problem.tolerance import Tolerance, unit_of
 from perilune.problem.variables import Given
 from perilune.problem.verification import Verification

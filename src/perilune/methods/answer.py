@@ -9,8 +9,9 @@ import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import free_values, multipliers, objective_scale, trajectories
+from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Deferred, Extremal, Nature, Solution, Statistics
+from perilune.problem.solution import Deferred, Solution, Statistics
 from perilune.shooting.extremals import Found
 from perilune.words.outcome import Outcome
 

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 from perilune.methods.genetic import Generation, Genetic
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
+from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Extremal, Nature, Solution
+from perilune.problem.solution import Solution
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 

@@ -29,7 +29,7 @@ from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import canonical_free, free_scales
 from perilune.shooting.active import Limits, limits_of, settle
 from perilune.shooting.continuation import Member
-from perilune.shooting.extremals import Found, HeldFamily, scan
+from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -104,14 +104,14 @@ class Search:
                     new, members = self._all_extremals(first)
                     if self._answers(new) and self.base is None:
                         self.base, self.rung = first, name
-                    found += _new(new, found)
+                    found += new_among(new, found)
                     for member in members:
                         self.walked.setdefault(member.value, []).append(member.root.y)
             if i > 0 and (more := self._worth_keeping(found)):
                 search, kept = self._keeping(more).all_extremals()
                 if search._answers(kept) or not self._answers(found):
                     answers = [f for f in found if self.judge.breach(f.root) is None]
-                    return search, [*kept, *_new(answers, kept)]
+                    return search, [*kept, *new_among(answers, kept)]
         return self, found
 
     def _worth_keeping(self, found: list[Found]) -> Held:
@@ -164,7 +164,7 @@ class Search:
         )  # fmt: skip
 
     def _walked_through(self, member: Member) -> bool:
-        return any(_same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
+        return any(same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
 
     def _answers(self, found: list[Found]) -> bool:
         return any(f.minimum and self.judge.breach(f.root) is None for f in found)
@@ -291,7 +291,7 @@ class Search:
         """Different roots within the bounds, best first."""
         kept: list[Root] = []
         for lane in lanes:
-            if not any(_same(root.y, roots.y[lane], 1e-6) for root in kept):
+            if not any(same(root.y, roots.y[lane], 1e-6) for root in kept):
                 root = roots[lane]
                 kept += [root] if self._outside(root) is None else []
         self.met += len(kept)
@@ -398,12 +398,3 @@ class Search:
 
     def _failure(self) -> NotConvergedError:
         return not_converged(self.conditions, self.coarse, self.shooting.iterations, self.best_failure)
-
-
-def _new(found: list[Found], known: list[Found]) -> list[Found]:
-    """Those that are not known yet."""
-    return [f for f in found if not any(_same(f.root.y, other.root.y, 1e-6) for other in known)]
-
-
-def _same(one: Vector, other: Vector, tolerance: float) -> bool:
-    return bool(np.abs(one - other).max() <= tolerance * (1.0 + np.abs(other).max()))

@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
+from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Nature, Solution
+from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
 from perilune.structures.read import Contact, arcs_of, broken, of_states, read
 from perilune.structures.restate import part_name

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from enum import Enum
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from perilune.problem.controls import normalised
+from perilune.problem.extremal import Extremal
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
@@ -150,45 +150,6 @@ class Deferred(Sequence[Trajectory]):
         if self._made is None:
             self._made = self._make()
         return self._made[index]
-
-
-class Nature(Enum):
-    """What an extremal is for the objective, in its free parameters (the control being optimal along each).
-
-    Nothing shows that the best of those found is the best there is. An answer whose proof fails is called no optimum.
-    """
-
-    BEST = "best of the extremals found"
-    BEST_AT_BOUND = "best of the extremals found, at a bound"
-    LOCAL_OPTIMUM = "local optimum"
-    LOCAL_OPTIMUM_AT_BOUND = "local optimum, at a bound"
-    WORST = "locally worst"
-    NEAR_GUESS = "an extremal near the guess"
-    NEAR_GUESS_AT_BOUND = "an extremal near the guess, at a bound"
-    UNPROVED = "not proved an optimum"
-
-    @property
-    def outdone(self) -> Nature:
-        """What the best of those found is where there is a better one."""
-        return {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(self, self)
-
-    @classmethod
-    def _missing_(cls, value: object) -> Nature | None:
-        """Words that older files used."""
-        return {"global optimum": cls.BEST, "global optimum, at a bound": cls.BEST_AT_BOUND}.get(str(value))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Extremal:
-    """One root of the necessary conditions: free parameters [SI], objective, and what it is.
-
-    `unknowns` are those of the indirect method there, canonical, so that it can be found again; empty where not known.
-    """
-
-    free: Mapping[str, float]
-    objective: float
-    nature: Nature
-    unknowns: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

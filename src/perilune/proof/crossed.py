@@ -13,8 +13,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from perilune.methods.method import Method
+from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Extremal, Nature, Solution
+from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.feasible import feasibility

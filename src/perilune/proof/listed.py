@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.methods.indirect import Indirect
-from perilune.problem.solution import Extremal, Nature, Solution
+from perilune.problem.extremal import Extremal, Nature
+from perilune.problem.solution import Solution
 from perilune.proof.levels import examine
 from perilune.proof.resolved import Resolve
 from perilune.words.outcome import PeriluneError

@@ -16,7 +16,8 @@ from pathlib import Path
 from perilune.io.format import SOLUTION_FILE
 from perilune.io.reload import load
 from perilune.io.repeated import compared, is_table
-from perilune.problem.solution import Nature, Solution
+from perilune.problem.extremal import Nature
+from perilune.problem.solution import Solution
 from perilune.report import REPORT_FILE
 from perilune.report.summary import extremal_cells, quantity
 from perilune.solve import as_far_as, judged, prove

@@ -225,3 +225,13 @@ def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> lis
             if root.converged and low <= family.value(root) <= high and new and family.keeps(root):
                 found.append(root)
     return found
+
+
+def new_among(found: list[Found], known: list[Found]) -> list[Found]:
+    """Those that are not known yet."""
+    return [f for f in found if not any(same(f.root.y, other.root.y, 1e-6) for other in known)]
+
+
+def same(one: Vector, other: Vector, tolerance: float) -> bool:
+    """Whether two vectors of unknowns are one root to a relative tolerance."""
+    return bool(np.abs(one - other).max() <= tolerance * (1.0 + np.abs(other).max()))

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Extremal, Solution, Trajectory
+from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.verification import Verification
 from perilune.structures.named import with_names
 from perilune.structures.restate import part_durations, part_name, restate, summed

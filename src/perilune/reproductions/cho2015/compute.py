@@ -9,7 +9,8 @@ from scipy.optimize import brentq
 from perilune.families.family import Family
 from perilune.families.sweep import sweep
 from perilune.models.landing import Retro
-from perilune.problem.solution import Extremal, Solution
+from perilune.problem.extremal import Extremal
+from perilune.problem.solution import Solution
 from perilune.reproductions.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, problem
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
