@@ -89,9 +89,11 @@ class Polish:
 
         guess, failure = split(rough, structure), None
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
-        for mesh in (Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=3, tolerance=1e-3)):
+        meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=3, tolerance=1e-3)
+        # A guess may be an extremal already.
+        for mesh in (None, *meshes) if self.guessed else meshes:
             try:
-                near = mesh.run(guess.problem, guess)
+                near = guess if mesh is None else mesh.run(guess.problem, guess)
                 return Search(self.settings, guess.problem, self.watch).solve(near)
             except PeriluneError as error:
                 failure = error
