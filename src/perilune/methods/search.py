@@ -22,7 +22,6 @@ from perilune.methods.coarse import Coarse, touched
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import not_converged, refusal
-from perilune.problem.guess import fitting_guess
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
@@ -83,7 +82,7 @@ class Search:
     def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
         """From a guess; or by the ladder, after the family through `base` (of another run) where there is one."""
         if guess is not None:
-            search, found = self._from_guess(fitting_guess(self.problem, guess))
+            search, found = self._from_guess(guess)
             # Whether it keeps the rest of the path is for the proof to say.
             return search._compose(found, "guess")
         search, found = self.all_extremals(base)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Given
+from perilune.problem.variables import Free, Given
 from perilune.words.types import Vector
 
 
@@ -70,13 +70,17 @@ def held(problem: Problem, **values: float) -> Problem:
     free = tuple(
         replace(f, lower=v, upper=v, typical=v) if (v := values.get(f.name)) is not None else f for f in problem.free
     )
-    same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
-    return problem.changed(free=free, **same)
+    return _with_free(problem, free)
 
 
 def released(problem: Problem, names: Collection[str]) -> Problem:
     """The problem without the bounds of these free parameters."""
     free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
+    return _with_free(problem, free)
+
+
+def _with_free(problem: Problem, free: tuple[Free, ...]) -> Problem:
+    """The same with other ranges, which do not enter its structure."""
     same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
     return problem.changed(free=free, **same)
 

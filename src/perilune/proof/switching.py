@@ -171,7 +171,7 @@ def _minimum(arc: Arc) -> Check:
     pieces = arc.looked_at[0]
     x, u, lam = arc.read(pieces)
     count = len(pieces)
-    worst = _gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
+    worst = gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
     parts = [
         control.samples(u[here, :, 0], float(arc.control_scale[here.start]), arc.p)
         for here, control in placed(arc.phase.controls)
@@ -179,13 +179,13 @@ def _minimum(arc: Arc) -> Check:
     if arc.allowed:
         parts, joint = _on_surfaces(arc.allowed, x[:, :, 0], u[:, :, 0], parts)
         for tried in joint:
-            worst = max(worst, _gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0]))
+            worst = max(worst, gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0]))
     samples = math.prod(len(part) for part in parts)
     width = max(1, _AT_ONCE // samples)
     for k in range(0, count, width):
         at = slice(k, k + width)
         tried = product_of([np.stack([value[:, at] for value in part], axis=1) for part in parts])
-        worst = max(worst, _gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
+        worst = max(worst, gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
         value=worst * arc.time_scale / arc.objective_scale,
@@ -229,8 +229,11 @@ def product_of(parts: Sequence[Any]) -> Any:
     return np.concatenate(rows)
 
 
-def _gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix) -> float:
-    """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast."""
+def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving: bool = False) -> float:
+    """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast.
+
+    With `leaving` those are admissible too that do not keep what the phase holds.
+    """
     H = arc.hamiltonian(x, tried, lam)
     slack = ADMISSIBLE * np.concatenate([arc.path_scale, arc.held_scale])
     if arc.allowed:  # what a condition gives away times its multiplier is no gain
@@ -239,7 +242,7 @@ def _gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix) -> float:
     count = len(arc.path_scale)
     for near, value in zip(slack[:count], arc.path(x, tried), strict=True):
         H = np.where(value < -near, np.inf, H)
-    for near, value in zip(slack[count:], arc.held(x, tried), strict=True):
+    for near, value in [] if leaving else zip(slack[count:], arc.held(x, tried), strict=True):
         H = np.where(np.abs(value) > near, np.inf, H)
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 

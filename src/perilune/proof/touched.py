@@ -39,7 +39,7 @@ from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
 from perilune.proof.numerics import COMPLEX, jacobian, stacked
-from perilune.proof.switching import ADMISSIBLE, product_of
+from perilune.proof.switching import gain, product_of
 from perilune.structures.carry import split
 from perilune.structures.read import Contact, arcs_of, of_states, room_along
 from perilune.structures.structure import Condition, Structure, conditions_of
@@ -170,11 +170,11 @@ def _met(part: Arc, rows: list[int], name: str) -> Check:
 def _ridden(part: Arc, before: Arc | None, condition: Condition) -> Iterator[Check]:
     """Signs of the multiplier along an arc, and at its beginning where the flight enters it there."""
     name, q, inside = condition.name, condition.order, part.sampled
-    value = ends = gain = float("nan")
+    value = ends = least = float("nan")
     if part.allowed:
         row = [c.name for c in part.allowed.conditions].index(condition.rated(q, "", 1.0).name)
         eta = part.allowed.multipliers(inside.x, inside.u, inside.lam).mu[row]
-        gain = _gain(part, condition, eta)
+        least = _lowered(part, condition, eta)
         if q <= 2:
             curve, size = _smooth(inside.t / part.duration, eta)
             mu = (-1) ** q * curve.deriv(q)(inside.t / part.duration)
@@ -195,7 +195,7 @@ def _ridden(part: Arc, before: Arc | None, condition: Condition) -> Iterator[Che
         f"slope (scaled){beyond}; not available for an arc that begins with its phase",
     )  # fmt: skip
     yield Check(
-        name=f"{part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=gain,
+        name=f"{part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=least,
         meaning=f"most that a control which leaves {name} lowers the Hamiltonian of the multiplier of {name} itself "
         "(scaled)",
     )  # fmt: skip
@@ -227,14 +227,14 @@ def _ends(part: Arc, before: Arc, condition: Condition, curve: Chebyshev, size: 
     return float(np.max([0.0, *wrong]))
 
 
-def _gain(part: Arc, condition: Condition, eta: Vector) -> float:
+def _lowered(part: Arc, condition: Condition, eta: Vector) -> float:
     """Most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled: what S >= 0 itself asks for.
 
     With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not those alone that
     keep S^(q) = 0 (Hartl, Sethi, Vickson 1995, section 5). What lam differs by beside is across all controls.
     """
     inside, phase = part.sampled, part.phase
-    rate, n = condition.values[condition.order - 1], len(part.phase.states)
+    rate = condition.values[condition.order - 1]
 
     def rates(z: Any) -> Any:
         u = phase.control_record(*[np.zeros(z.shape[1:])] * len(phase.control_names))
@@ -248,9 +248,5 @@ def _gain(part: Arc, condition: Condition, eta: Vector) -> float:
         np.stack(control.samples(u[here], float(part.control_scale[here.start]), part.p), axis=1)
         for here, control in placed(phase.controls)
     ]
-    tried = product_of(parts)
-    H = part.hamiltonian(x[:, None], tried, lam[:, None])
-    for size, along in zip(part.path_scale, part.path(np.broadcast_to(x[:, None], (n, *H.shape)), tried), strict=True):
-        H = np.where(along < -ADMISSIBLE * size, np.inf, H)
-    least = part.hamiltonian(x, u, lam) - H.min(axis=0)
-    return float(np.maximum(least, 0.0).max()) * part.time_scale / part.objective_scale
+    lowered = gain(part, x[:, None], u[:, None], product_of(parts), lam[:, None], leaving=True)
+    return lowered * part.time_scale / part.objective_scale
