@@ -93,7 +93,7 @@ class Polish:
         # A guess may be an extremal already.
         for mesh in (None, *meshes) if self.guessed else meshes:
             try:
-                near = guess if mesh is None else mesh.run(guess.problem, guess)
+                near = guess if mesh is None else mesh.near(guess)
                 return Search(self.settings, guess.problem, self.watch).solve(near)
             except PeriluneError as error:
                 failure = error
