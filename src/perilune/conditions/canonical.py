@@ -175,12 +175,13 @@ def canonical_equations(
         law = minimising_control(phase, hamiltonian, u, limits, kept, always)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
         gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
-        for control, found, held in zip(law.control, law.solved, law.held, strict=True):
+        places = [at for at, _ in scalars(phase.controls)]
+        for control, found, held, regimes in zip(law.control, law.solved, law.held, law.regimes, strict=True):
             # A limit that is a free parameter moves the control with it.
             pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, bounds, q))
-            pull -= held_back(
-                phase, hamiltonian, u, [*always.values(), *(kept[name] for name in held)], ca.vertcat(x, q)
-            )
+            between = [at for at, regime in zip(places, regimes, strict=True) if regime == "interior"]
+            holds = [*always.values(), *(kept[name] for name in held)]
+            pull -= held_back(phase, hamiltonian, u, holds, ca.vertcat(x, q), between)
             whole = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)

@@ -24,6 +24,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.held import Held, best_direction, together, told_scalar
+from perilune.conditions.riding import riding
 from perilune.problem.controls import Bounded, Regime, directions, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
@@ -114,7 +115,9 @@ def minimising_control(
             for at, control in scalars(phase.controls)
         ]
         for regimes in product(*(kind.regimes for kind in kinds)):
-            step = _control(phase, reduced, law, u, kinds, regimes)
+            step = _riding(phase, hamiltonian, u, kinds, regimes, here) or _control(
+                phase, reduced, law, u, kinds, regimes
+            )
             modes.append(_Mode(held=held, regimes=regimes, kinds=kinds))
             stepped.append(step)
             controls.append(ca.substitute(*step))
@@ -205,6 +208,29 @@ def _factor(gradient: ca.SX, scalar: ca.SX) -> bool:
         if not np.allclose(a * np.linalg.norm(b), b * np.linalg.norm(a), rtol=1e-9, atol=1e-12):
             return False
     return True
+
+
+def _riding(
+    phase: Phase,
+    hamiltonian: ca.SX,
+    u: ca.SX,
+    kinds: list[_Scalar],
+    regimes: tuple[Regime, ...],
+    held: Mapping[str, ca.SX],
+) -> tuple[ca.SX, ca.SX, ca.SX] | None:
+    """The whole control where the phase's one scalar, between its bounds, and its one direction hold a condition."""
+    both = directions(phase.controls)
+    if len(both) != 1 or regimes != ("interior",):
+        return None
+    (first, last), at = both[0], kinds[0].at
+    sized = [c for c in held.values() if ca.depends_on(c, u[at])]
+    others = [c for c in held.values() if not ca.depends_on(c, u[at])]
+    found = riding(hamiltonian, u[first:last], u[at], sized[0], others) if len(sized) == 1 else None
+    if found is None:
+        return None
+    whole = elements(u)
+    whole[first:last], whole[at] = elements(found[0]), found[1]
+    return ca.vertcat(*whole), ca.SX(0, 1), ca.SX(0, 1)
 
 
 def _control(
