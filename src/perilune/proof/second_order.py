@@ -32,7 +32,7 @@ Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ import numpy as np
 from perilune.problem.controls import scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
+from perilune.proof.allowed import ON_BOUND
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
@@ -47,7 +48,7 @@ from perilune.proof.held import strict_conditions
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
 from perilune.proof.switching import HAMILTONIAN_LIMIT, crossings, strictness
-from perilune.proof.variations import Piece, pieces_of
+from perilune.proof.variations import Kept, Piece, pieces_of
 from perilune.words.types import Matrix, Vector
 
 CURVATURE_LIMIT = -1e-4
@@ -55,20 +56,25 @@ CURVATURE_LIMIT = -1e-4
 KAPPA_LIMIT = 0.999
 
 
-def local_optimality(solution: Solution) -> Iterator[Check]:
+def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None) -> Iterator[Check]:
     """Checks of level 3 that need no other solve.
 
     Parameters
     ----------
     solution
         An extremal with costates.
+    kept
+        Of `ridden.Rides.kept`, where it rides along conditions on states.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     inner = varied(solution, arcs)
     durations = [name for name in inner if name in solution.problem.duration_names]
-    pieces = pieces_of(arcs, inner)
+    pieces = pieces_of(arcs, inner, kept or {})
     for arc in arcs:
-        yield _legendre_clebsch(arc, [piece for piece in pieces if piece.arc is arc])
+        own = [piece for piece in pieces if piece.arc is arc]
+        yield _legendre_clebsch(arc, own)
+        if own[0].kept.rides:
+            yield _leaving(arc, own)
         yield from strictness(arc)
         yield from strict_conditions(arc, [(*piece.span, piece.held) for piece in pieces if piece.arc is arc])
     regular = all(piece.regular for piece in pieces) and not any(_tangled(arc) for arc in arcs)
@@ -120,6 +126,34 @@ def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:
     )  # fmt: skip
 
 
+def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
+    """The same in all that may vary of the control where the flight rides along a condition on states."""
+    value, loose = float("nan"), [piece.loosened for piece in pieces]
+    if all(piece.regular for piece in loose) and _steady(arc):
+        curvature = [np.linalg.eigvalsh(piece.H_uu) for piece in loose if piece.sizes[2]]
+        value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=float("nan"))
+    return Check(
+        name=f"{arc.prefix}along_sufficient", level=3, value=value, limit=CURVATURE_LIMIT, unit="1",
+        meaning="minus the smallest second derivative of the Hamiltonian of what is ridden, in all of the control that "
+        "may leave it, over the largest: below 0 where flights that leave it for a moment are worse to second order; "
+        "not available where it is linear in a control, or one reaches a bound or jumps as the arc begins or ends",
+    )  # fmt: skip
+
+
+def _steady(arc: Arc) -> bool:
+    """Whether no control jumps where an arc begins or ends."""
+    solution, ends = arc.solution, [np.zeros(1), np.array([arc.duration])]
+    for step, own in zip((-1, 1), ends, strict=True):
+        if 0 <= arc.index + step < len(solution.trajectories):
+            other = Arc(solution=solution, index=arc.index + step)
+            there = np.array([other.duration]) if step < 0 else np.zeros(1)
+            if [c.names for c in other.phase.controls] != [c.names for c in arc.phase.controls]:
+                return False
+            if (np.abs(arc.control(own) - other.control(there)) > ON_BOUND * arc.control_scale[:, None]).any():
+                return False
+    return True
+
+
 def _kernel(constraints: Matrix) -> Matrix:
     """Orthonormal basis of the variations that keep the linearised end conditions, in columns."""
     _, sizes, rows = np.linalg.svd(constraints, full_matrices=True)
@@ -168,6 +202,7 @@ def _form(pieces: Sequence[Piece]) -> tuple[Matrix, Matrix, int]:
         if piece.first:
             dx, curved = _begin(piece, dx, parameters)
             form += curved
+            constraints += [_tied(piece, parameters), _vanishing(piece, piece.kept.begin, dx, parameters, 0.0)]
         n, _, k = piece.sizes
         identity, step = np.eye(n), 1.0 / piece.steps
         half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
@@ -192,6 +227,8 @@ def _form(pieces: Sequence[Piece]) -> tuple[Matrix, Matrix, int]:
             rows, curved = close(piece, dx, parameters)
             form += curved
             constraints.append(rows)
+        if piece.last:
+            constraints.append(_vanishing(piece, piece.kept.end, dx, parameters, piece.arc.duration))
     return 0.5 * (form + form.T), np.vstack(constraints), m - len(curvature)
 
 
@@ -206,6 +243,33 @@ def _curved(piece: Piece, function: Any, x: Vector, scale: Vector, moves: Matrix
     first = jacobian(split, z, scale)[:, :, 0] @ moves
     second = hessian(lambda w: split(w)[0], z, scale)[:, :, 0]
     return first, moves.T @ second @ moves
+
+
+def _tied(piece: Piece, parameters: Matrix) -> Matrix:
+    """That the length of a phase stays in proportion to that of the one before, where it is said to (row, columns)."""
+    arcs = (
+        [Arc(solution=piece.arc.solution, index=piece.arc.index - step) for step in (1, 0)] if piece.kept.tied else []
+    )
+    places = [piece.names.index(arc.phase.duration) for arc in arcs if arc.phase.duration in piece.names]
+    if len(places) < 2:
+        return np.zeros((0, parameters.shape[1]))
+    one, other = (piece.parameter_scale[at] / piece.parameter_values[at] * parameters[at] for at in places)
+    return (one - other)[None]
+
+
+def _vanishing(piece: Piece, values: Sequence[Any], dx: Matrix, parameters: Matrix, t: float) -> Matrix:
+    """First derivatives of values of the state at one end of a phase, (rows, columns), each over its size."""
+    if not values:
+        return np.zeros((0, parameters.shape[1]))
+    arc = piece.arc
+    u = arc.phase.control_record(*arc.control(np.array([t]))[:, 0].tolist())
+
+    def rows(z: Any, p: Any) -> list[Any]:
+        return [0.0 * z[0], *(value(arc.phase.state_record(*z), u, p, COMPLEX)[0] for value in values)]
+
+    first, _ = _curved(piece, rows, arc.state(np.array([t]))[:, 0], arc.state_scale, np.vstack([dx, parameters]))
+    sizes = np.abs(first[1:]).max(axis=1, initial=0.0, keepdims=True)
+    return np.divide(first[1:], sizes, out=np.zeros_like(first[1:]), where=sizes > 0)
 
 
 def _begin(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
@@ -269,4 +333,5 @@ def _finish(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matri
     # A range is free to vary where it is not at a bound, or where that bound holds nothing back.
     slack = np.abs(nu) * arc.end_scale <= STATIONARY_LIMIT * arc.objective_scale
     held = np.where(slack, end_sides(arc) == 0, end_sides(arc) != INSIDE)
+    held &= np.array([c.name not in piece.kept.left for c in arc.phase.end_conditions], dtype=bool)
     return first[1:][held] / arc.end_scale[held, None], second

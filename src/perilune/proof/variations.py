@@ -7,7 +7,8 @@ conditions hold the control, it varies along them, and L = H - mu.c has the plac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,7 +25,31 @@ STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
 _WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
 
 
-def pieces_of(arcs: Sequence[Arc], names: Sequence[str]) -> list[Piece]:
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """What variations keep of conditions S >= 0 on states that are ridden along a phase, or from one of its ends.
+
+    Attributes
+    ----------
+    rides, released
+        Names of the conditions S^(q) = 0 along it, and of those that variations need not keep.
+    begin, end
+        Values that are to vanish to first order at its beginning and end, beside the end conditions.
+    left
+        Names of the end conditions that need not be kept.
+    tied
+        Whether its duration stays in proportion to that of the phase before.
+    """
+
+    rides: tuple[str, ...] = ()
+    released: tuple[str, ...] = ()
+    begin: tuple[Any, ...] = ()
+    end: tuple[Any, ...] = ()
+    left: tuple[str, ...] = ()
+    tied: bool = False
+
+
+def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept]) -> list[Piece]:
     """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters."""
     switches = {
         (arc.index, float(time)): float(slope)
@@ -40,7 +65,8 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str]) -> list[Piece]:
         edges = [0.0, *(times.get((arc.index, t), t) for t in arc.edges[1:-1].tolist()), arc.phase.duration]
         for k in range(len(edges) - 1):
             varied = (*names, *times.values())
-            found.append(Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2]))
+            own = kept.get(arc.index, Kept())
+            found.append(Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2], own))
     return found
 
 
@@ -61,8 +87,10 @@ class Piece:
         curvature: Sequence[float],
         index: int,
         edges: Sequence[str | float],
+        kept: Kept,
     ) -> None:
         self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
+        self.index, self.kept = index, kept
         self.first, self.last = index == 0, index == len(arc.edges) - 2
         left, right = self.span = arc.edges[index : index + 2].tolist()
         self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
@@ -70,7 +98,7 @@ class Piece:
         t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
         x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
         basis, partly_held = _moves(arc, x, self.u)
-        self.held, self.basis, settled = held_along(arc, x, self.u, self.lam, basis)
+        self.held, self.basis, settled = held_along(arc, x, self.u, self.lam, basis, kept.released)
         self.partly_held = partly_held or not settled
         n, m, k = len(x), len(names), self.basis.shape[1]
         self.sizes = n, m, k
@@ -90,6 +118,14 @@ class Piece:
     def regular(self) -> bool:
         """Whether L is strictly convex all along in what of the control may vary."""
         return not self.partly_held and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
+
+    @property
+    def loosened(self) -> Piece:
+        """The same with variations that also leave what is ridden."""
+        if self.kept.rides == self.kept.released:
+            return self
+        kept = Kept(released=self.kept.rides)
+        return Piece(self.arc, self.p, self.names, self.curvature, self.index, self.edges, kept)
 
     def parameters(self, values: Any) -> SimpleNamespace:
         """All parameters in SI with `names` replaced."""
