@@ -90,6 +90,19 @@ def jumped(solution: Solution, amount: float) -> Solution:
     return replace(solution, trajectories=(replace(flown, costate=costate),))
 
 
+@pytest.mark.parametrize("rounding", [0.0, 5e-13, -5e-13])
+def test_rounding_in_a_sum_of_durations_is_not_its_size(touching: Solution, rounding: float) -> None:
+    """Taken for one it drowned all other end conditions: what a flight of several phases may vary was not known."""
+    from perilune.proof.arc import Arc
+    from perilune.proof.touched import cut
+
+    parts, _ = cut(touching)
+    parts = replace(parts, free={**parts.free, "T-1": parts.free["T-1"] + rounding})
+    last = Arc(solution=parts, index=1)
+    size = dict(zip((c.name for c in last.phase.end_conditions), last.end_scale.tolist(), strict=True))
+    assert size["T"] > 9e-5
+
+
 @pytest.mark.parametrize("amount", [1e-6, -1e-6, -1.0, -2.0])
 def test_another_jump_of_the_costates_is_none(touching: Solution, amount: float) -> None:
     assert not pl.verify(jumped(touching, amount), level=2).passed
