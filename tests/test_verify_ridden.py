@@ -10,7 +10,10 @@ import pytest
 
 import perilune as pl
 from perilune.problem.solution import Curve, Solution
-from problems.constrained import bryson_denham
+from perilune.proof.crossed import agreement
+from perilune.proof.touched import cut
+from perilune.structures.carry import split
+from problems.constrained import brachistochrone, bryson_denham
 from problems.ridden import CLAMPED, beam, bryson_denham_ridden, floor, string
 
 
@@ -90,20 +93,45 @@ def test_a_bait_at_a_given_start_changes_nothing() -> None:
     assert not failed(string(1.0, 0.0, 1.0, 1.0, bait=1.0), 3)
 
 
-@pytest.mark.parametrize("amount", [1e-4, -1e-4, -2.0])
-def test_another_multiplier_along_the_arc_is_none(amount: float) -> None:
-    """The costate of x changed along the arc by a share of what it is."""
-    solution = string(2.0, 1.0, 1.0, 1.0)
+@pytest.mark.parametrize("problem", [bryson_denham(1 / 5), bryson_denham(1 / 9), brachistochrone()])
+def test_another_method_agrees_where_both_tell_costates_in_one_way(problem: pl.Problem) -> None:
+    """Along the arc the direct method's own differ by all of their size: there is another multiplier in them."""
+    solution = pl.solve(problem, level=4)
+    assert solution.verification.level == 4
+    names = {check.name for check in solution.verification.checks}
+    assert f"{problem.phases[0].name}-2_cross_costate_x" in names
+
+
+@pytest.mark.parametrize("curve", ["state", "costate"])
+def test_another_method_does_not_agree_with_other_curves(curve: str) -> None:
+    """By 1e-3 of the costate of x, or of x, along the arc."""
+    solution = bryson_denham_ridden(1 / 9, 1 / 3)
+    wrong = changed_along(solution, curve, 1e-3)
+    for answer, agrees in ((solution, True), (wrong, False)):
+        parts, structure = cut(solution)
+        if answer is wrong:
+            parts = split(wrong, structure)
+        checks = {check.name: check for check in agreement(answer, None, (parts, structure))}
+        assert checks[f"swing-2_cross_{curve}_x"].passed is agrees
+        assert checks["cross_objective"].passed
+
+
+def changed_along(solution: Solution, curve: str, amount: float) -> Solution:
+    """The first row of a table changed along the arc by a share of what it is."""
     flown = solution.trajectories[0]
-    assert flown.costate is not None
-    time = flown.costate.time
-    first, last = np.nonzero(np.diff(time) == 0)[0]
-    values, rates = flown.costate.values.copy(), flown.costate.rates.copy()
+    table: Curve = getattr(flown, curve)
+    first, last = np.nonzero(np.diff(table.time) == 0)[0]
+    values, rates = table.values.copy(), table.rates.copy()
     here = slice(first + 1, last + 1)
     values[here, 0] *= 1 + amount
     rates[here, 0] *= 1 + amount
-    wrong = replace(flown, costate=Curve(time=time, values=values, rates=rates))
-    assert failed(replace(solution, trajectories=(wrong,)), 2)
+    changed = replace(flown, **{curve: Curve(time=table.time, values=values, rates=rates)})
+    return replace(solution, trajectories=(changed,))
+
+
+@pytest.mark.parametrize("amount", [1e-4, -1e-4, -2.0])
+def test_another_multiplier_along_the_arc_is_none(amount: float) -> None:
+    assert failed(changed_along(string(2.0, 1.0, 1.0, 1.0), "costate", amount), 2)
 
 
 def test_an_arc_that_is_missed_by_little_is_none() -> None:
