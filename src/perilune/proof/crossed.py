@@ -4,22 +4,34 @@ The mesh error is the larger of what the two methods report of themselves (`Stat
 plus the size of a quantity in canonical units. An answer of the indirect method is compared with a direct one from no
 guess, an answer of the direct method with the extremal that Newton's method reaches from it. What was found on
 either side is listed, and the answer must be the best of it: a proof that *nothing* is better there is not.
+
+Where the answer touches a condition on states, or rides along it, its costates jump, and methods tell them in different
+ways along an arc: with the multiplier of S, or of S^(q). On a mesh the jumps are spread. There curves and free
+parameters are compared with an answer of the problem restated with the same arcs (`touched`), in which there is one way
+to tell costates; the other method solves that from its own answer. The times at which it rides are held: J is flat in
+them to third order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
 from perilune.methods.method import Method
 from perilune.problem.extremal import Extremal, Nature
+from perilune.problem.neighbours import held
+from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.feasible import feasibility
 from perilune.proof.flight import flights
+from perilune.structures.carry import split
+from perilune.structures.structure import Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import quotient
 
@@ -32,7 +44,9 @@ COVECTOR = 5e-6
 _TIMES = 401
 
 
-def agreement(solution: Solution, other: Method | None) -> Iterator[Check]:
+def agreement(
+    solution: Solution, other: Method | None, arcs: tuple[Solution, Structure] | None = None
+) -> Iterator[Check]:
     """All checks of level 4.
 
     Parameters
@@ -41,7 +55,10 @@ def agreement(solution: Solution, other: Method | None) -> Iterator[Check]:
         An answer with costates.
     other
         The other method; None takes the direct one for an answer of an indirect method, and the reverse.
+    arcs
+        The answer cut into its arcs, and these, as `touched.cut` has them, where it has some.
     """
+    other = _usual(solution) if other is None else other
     rivals, reason = _rivals(solution, other)
     yield Check(
         name="cross_solved", level=4, value=0.0 if rivals else float("nan"), limit=0.0, unit="1",
@@ -53,20 +70,61 @@ def agreement(solution: Solution, other: Method | None) -> Iterator[Check]:
     error = _mesh_error(solution, near)
     yield _objectives(solution, near, error)
     yield _best(solution, rivals, error)
+    if arcs is not None:
+        parts, structure = arcs
+        same = _same_arcs(solution.problem, parts, structure)
+        try:
+            solution, near = parts, other.run(same, split(near, structure, same))
+        except PeriluneError as failure:
+            yield Check(
+                name="cross_arcs", level=4, value=float("nan"), limit=0.0, unit="1",
+                meaning=f"another method solves the problem with the same arcs, but {type(other).__name__} does not: "
+                f"{failure.what}",
+            )  # fmt: skip
+            return
+        error = max(error, _mesh_error(near))
     yield from _parameters(solution, near, error)
     for index in range(len(solution.problem.phases)):
         yield from _curves(solution, near, index, error)
 
 
-def _rivals(solution: Solution, other: Method | None) -> tuple[list[Solution], str]:
-    """Answers of the other method, and where there are none the reason."""
+def _usual(solution: Solution) -> Method:
+    """The other method where none is named."""
     from perilune.methods.indirect import Indirect
     from perilune.methods.pseudospectral import Pseudospectral
 
-    if other is None:
-        # What a file says of its method is not known here; level 3 has asked the indirect one about the neighbours.
-        direct = solution.method == "pseudospectral" and not solution.statistics.claimed
-        other = Indirect() if direct else Pseudospectral()
+    # What a file says of its method is not known here; level 3 has asked the indirect one about the neighbours.
+    direct = solution.method == "pseudospectral" and not solution.statistics.claimed
+    return Indirect() if direct else Pseudospectral()
+
+
+def _same_arcs(problem: Problem, parts: Solution, structure: Structure) -> Problem:
+    """The problem restated in which arcs that are ridden begin and end when they do, and S >= 0 is kept by the arcs."""
+    times, phases = dict[str, float](), list[Phase]()
+    for k, arcs in enumerate(structure.phases):
+        kept = {c.variable.name for c in conditions_of(problem, k, structure.named(k)).values()}
+        for arc, after in zip_longest(arcs, arcs[1:]):
+            phase, flown = parts.problem.phases[len(phases)], parts.trajectories[len(phases)]
+            if after is not None and (arc.along or after.along):
+                times[phase.duration] = flown.duration
+            phases.append(_without(phase, kept))
+    return held(parts.problem.changed(phases=tuple(phases), form=None), **times)
+
+
+def _without(phase: Phase, names: Collection[str]) -> Phase:
+    """A phase without the path conditions of these names."""
+    rows, path = [i for i, c in enumerate(phase.path_conditions) if c.name not in names], phase.path
+    if path is None:
+        return phase
+    kept = tuple(phase.path_conditions[i] for i in rows)
+    some = (lambda x, u, p, m: tuple(path(x, u, p, m)[i] for i in rows)) if rows else None
+    return replace(phase, path=some, path_conditions=kept)
+
+
+def _rivals(solution: Solution, other: Method) -> tuple[list[Solution], str]:
+    """Answers of the other method, and where there are none the reason."""
+    from perilune.methods.indirect import Indirect
+
     try:
         first = other.run(solution.problem, solution if isinstance(other, Indirect) else None)
     except PeriluneError as error:
