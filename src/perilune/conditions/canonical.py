@@ -19,6 +19,7 @@ import numpy as np
 
 from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.conditions.held import Held, held_back, keepable
+from perilune.conditions.singular import Motion
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.neighbours import offsets, unmoved
@@ -172,16 +173,24 @@ def canonical_equations(
     laws, flows, solved, reports = [], [], [], []
     for f in dynamics.rates:
         hamiltonian = ca.dot(lam[:n], f)
-        law = minimising_control(phase, hamiltonian, u, limits, kept, always)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
         gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
-        for control, found, held in zip(law.control, law.solved, law.held, strict=True):
+
+        def moving(
+            control: ca.SX, held: Held, f: ca.SX = f, hamiltonian: ca.SX = hamiltonian, gradient: ca.SX = gradient
+        ) -> ca.SX:
+            """z' as an expression of u, beside which there is a control."""
             # A limit that is a free parameter moves the control with it.
             pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, bounds, q))
             pull -= held_back(
                 phase, hamiltonian, u, [*always.values(), *(kept[name] for name in held)], ca.vertcat(x, q)
             )
-            whole = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
+            return ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
+
+        motion = Motion(z=z, rate=lambda control, held, moving=moving: ca.substitute(moving(control, held), u, control))
+        law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion)
+        for control, found, held in zip(law.control, law.solved, law.held, strict=True):
+            whole = moving(control, held)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
             if found is None:
