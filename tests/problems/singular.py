@@ -8,6 +8,7 @@ from functools import lru_cache
 import perilune as pl
 from perilune.problem.variables import Given, Variable
 from problems.answered import Answered
+from problems.goddard import goddard
 
 
 def _variables(**units: str) -> tuple[Variable, ...]:
@@ -105,6 +106,50 @@ def fuller() -> pl.Problem:
         given={"T": Given(value=8.0, unit="s"), "start": Given(value=1.0, unit="m")},
         objective=lambda x, p, m: x.c,
         objective_unit="m^2*s",
+    )
+
+
+def planar_goddard(down: float = 2500.0) -> pl.Problem:
+    """Goddard's rocket in a vertical plane, its thrust in a free direction: greatest altitude so far `down` range [m].
+
+    It begins at 5 m/s across and 40 m/s up, and ends with as much across.
+    """
+    upright = goddard()
+
+    def dynamics(x, u, p, m):
+        drag = p.drag * m.sqrt(x.across * x.across + x.up * x.up) * m.exp(-x.h / p.scale_height)
+        return (
+            x.across,
+            x.up,
+            (u.thrust * u.sideways - drag * x.across) / x.m,
+            (u.thrust * u.upwards - drag * x.up) / x.m - p.g,
+            -u.thrust / p.c,
+        )
+
+    phase = pl.Phase(
+        name="ascent",
+        states=_variables(s="m", h="m", across="m/s", up="m/s", m="kg"),
+        controls=(*upright.phases[0].controls, pl.Direction(names=("sideways", "upwards"))),
+        dynamics=dynamics,
+        duration="t_f",
+        end=lambda x, p, m: (x.s - p.down, x.across - p.across, x.m - p.dry_mass),
+        end_conditions=_variables(down="m", as_before="m/s", dry="kg"),
+        typical_end=lambda p, m: (p.down, p.scale_height, 0 * p.c, 0 * p.c, p.dry_mass),
+    )
+    return pl.Problem(
+        name="planar_goddard",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, p.across, p.up, p.mass),
+        given={
+            **upright.given,
+            "down": Given(value=down, unit="m"),
+            "across": Given(value=5.0, unit="m/s"),
+            "up": Given(value=40.0, unit="m/s"),
+        },
+        free=upright.free,
+        objective=lambda x, p, m: -x.h,
+        objective_unit="m",
+        scales=upright.scales,
     )
 
 

@@ -59,7 +59,7 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
     """
     by_control = ca.jacobian(rate, s)
     if ca.depends_on(by_control, s):
-        raise _no_arc(name, "rates that are not linear in it")
+        raise _no_arc(name, "the rates are not linear in it")
     without = ca.substitute(rate, s, 0)
     for order in range(1, MOST + 1):
         terms = ca.gradient(slope, z) * by_control
@@ -67,8 +67,8 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
         if not _vanishes(terms):
             if order == 2:
                 return -slope / ca.sum1(terms)
-            raise _no_arc(name, f"a slope of the Hamiltonian whose derivative {order} is the first with the control")
-    raise _no_arc(name, f"a slope of the Hamiltonian without the control in its first {MOST} derivatives")
+            raise _no_arc(name, f"derivative {order} of the slope of the Hamiltonian is the first with the control")
+    raise _no_arc(name, f"the control is in none of the first {MOST} derivatives of the slope of the Hamiltonian")
 
 
 def _vanishes(terms: ca.SX) -> bool:
@@ -90,10 +90,9 @@ def _vanishes(terms: ca.SX) -> bool:
     return True
 
 
-def _no_arc(name: str, got: str) -> PeriluneError:
+def _no_arc(name: str, why: str) -> PeriluneError:
     return PeriluneError(
-        f"{name} has no singular arc that can be joined to others",
-        got=got,
-        expected="a control in the second derivative of the slope of the Hamiltonian along the flight",
+        f"{name} has no singular arc that others can be joined to, as {why}",
+        expected="the control in the second derivative of the slope of the Hamiltonian along the flight",
         advice="use the direct method: solve(problem, Pseudospectral())",
     )

@@ -56,7 +56,9 @@ class Polish:
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
-        seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
+        seen = set[str]()
+        least = _GUESSED if self.guessed else NEAR[0]
+        # What looks like a singular arc may be none.
         structures = (read(self.problem, rough, least, regimes=regimes) for regimes in (True, False))
         found = (self._followed(rough, structure, seen) for structure in structures)
         return next((solution for solution in found if solution is not None), None)

@@ -24,8 +24,9 @@ from perilune.words.types import Vector
 
 LEVELS = (5e-3, 2e-2)  # of the size of the gain: so small it is zero, on a better and on a worse mesh
 WIDER, STAYS = 4.0, 0.5  # a wider level; singular where the gain stays for such a share of the time below the wider one
-SHORTEST = 0.01  # of a phase: arcs that are read are longer
+SHORTEST, BURST = 0.01, 2e-3  # of a phase: singular arcs that are read are longer, and arcs on bounds
 INSIDE = 0.02  # of its range: on the average a singular control is farther from its bounds
+CLEAR = 0.05  # of its range: so near to its lower bound a control is there, whatever the gain
 POINTS = 2000
 WRONG = 1e-6  # of the largest gain, and of the range of a control: more is no rounding
 
@@ -60,10 +61,12 @@ def read_stays(solution: Solution, k: int) -> list[Stay]:
     found = list[Stay]()
     for at, control in linear_scalars(solution, k):
         t, gain, share = gain_along(solution, k, at, control)
-        for level in LEVELS:
-            singular = list(_singular(t, gain, share, level * _size(gain, share)))
+        for level in (part * _size(gain, share) for part in LEVELS):
+            singular = list(_singular(t, gain, share, level))
             if singular:
-                found += _filled(control.name, t, share, singular)
+                # A mesh passes from bound to bound within a segment: there the gain says which it is.
+                upper = (share > 0.5) | ((share > CLEAR) & (gain < -level))
+                found += _filled(control.name, t, upper, singular)
                 break
     return found
 
@@ -85,11 +88,11 @@ def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[V
 
 
 def _size(gain: Vector, share: Vector) -> float:
-    """The largest gain while the control is on a bound, of that bound where it is less.
+    """The largest gain while the control is on a bound, of that one of them where it is less.
 
     Where a state rides along a bound of its own a mesh tells costates that have any size.
     """
-    sizes = [float(np.abs(gain[on]).max()) for on in (share < INSIDE, share > 1 - INSIDE) if on.any()]
+    sizes = [float(np.abs(gain[on]).max()) for on in (share < INSIDE, share > 1 - INSIDE) if on.mean() > SHORTEST]
     return min(sizes, default=float(np.abs(gain).max()))
 
 
@@ -109,12 +112,12 @@ def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[
             yield begin, end
 
 
-def _filled(name: str, t: Vector, share: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
+def _filled(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
     """These arcs, and those at bounds between them."""
     found, total, before = list[Stay](), float(t[-1]), 0.0
     for begin, end in [*singular, (total, total)]:
         if begin - before > SHORTEST * total:
-            found += _at_bounds(name, t, share, before, begin)
+            found += _at_bounds(name, t, upper, before, begin)
         elif found:
             found[-1] = replace(found[-1], end=begin)
         else:
@@ -125,13 +128,13 @@ def _filled(name: str, t: Vector, share: Vector, singular: Sequence[tuple[float,
     return [*found[:-1], replace(found[-1], end=total)]
 
 
-def _at_bounds(name: str, t: Vector, share: Vector, begin: float, end: float) -> list[Stay]:
-    """Bang-bang from one time to another, by the half of its range in which the control is."""
+def _at_bounds(name: str, t: Vector, upper: Vector, begin: float, end: float) -> list[Stay]:
+    """Bang-bang from one time to another."""
     inside = (t >= begin) & (t <= end)
-    here, upper = t[inside], share[inside] > 0.5
+    here, upper = t[inside], upper[inside]
     found = list[Stay]()
     for first, last in runs(np.ones(len(here), dtype=bool), upper):
-        if found and here[last] - here[first] <= SHORTEST * t[-1]:
+        if found and here[last] - here[first] <= BURST * t[-1]:
             continue
         regime = "upper" if upper[first] else "lower"
         if found and found[-1].regime == regime:
