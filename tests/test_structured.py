@@ -36,11 +36,11 @@ def test_a_touch_is_found_and_proved(touching: Solution) -> None:
     }
 
 
-def test_a_boundary_arc_is_found_and_proved_an_extremal() -> None:
-    """J = 4/(9 l) = 4. At level 3 the time of entry is an inflection of J, which is said."""
-    solution = pl.solve(bryson_denham(1 / 9), level=2)
+def test_a_boundary_arc_is_found_and_proved() -> None:
+    """J = 4/(9 l) = 4."""
+    solution = pl.solve(bryson_denham(1 / 9))
     assert solution.objective == pytest.approx(4.0, abs=1e-10)
-    assert solution.outcome is pl.Outcome.PROVED
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     (arc,) = solution.structure
     assert arc.words == "along room"
     assert (arc.begin, arc.end) == (pytest.approx(1 / 3, abs=1e-9), pytest.approx(2 / 3, abs=1e-9))
@@ -49,9 +49,9 @@ def test_a_boundary_arc_is_found_and_proved_an_extremal() -> None:
 def test_the_better_extremal_is_the_constrained_one() -> None:
     """Random costates find a curve that keeps clear and takes 3.07 s; the one that slides on the line takes 1.83 s."""
     entered, left, least = brachistochrone_truth()
-    solution = pl.solve(brachistochrone(), level=2)
+    solution = pl.solve(brachistochrone())
     assert solution.objective == pytest.approx(least, abs=1e-9)
-    assert solution.outcome is pl.Outcome.PROVED
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     assert [(arc.begin, arc.end) for arc in solution.structure] == [
         (pytest.approx(entered, abs=1e-6), pytest.approx(left, abs=1e-6))
     ]
@@ -88,6 +88,19 @@ def jumped(solution: Solution, amount: float) -> Solution:
     values[at:, 0] += amount * jump
     costate = Curve(time=flown.costate.time, values=values, rates=rates)
     return replace(solution, trajectories=(replace(flown, costate=costate),))
+
+
+@pytest.mark.parametrize("rounding", [0.0, 5e-13, -5e-13])
+def test_rounding_in_a_sum_of_durations_is_not_its_size(touching: Solution, rounding: float) -> None:
+    """Taken for one it drowned all other end conditions: what a flight of several phases may vary was not known."""
+    from perilune.proof.arc import Arc
+    from perilune.proof.touched import cut
+
+    parts, _ = cut(touching)
+    parts = replace(parts, free={**parts.free, "T-1": parts.free["T-1"] + rounding})
+    last = Arc(solution=parts, index=1)
+    size = dict(zip((c.name for c in last.phase.end_conditions), last.end_scale.tolist(), strict=True))
+    assert size["T"] > 9e-5
 
 
 @pytest.mark.parametrize("amount", [1e-6, -1e-6, -1.0, -2.0])
@@ -141,14 +154,8 @@ def at_the_maximum() -> Solution:
 
 def test_riding_along_a_condition_at_a_maximum_of_the_hamiltonian_is_no_extremal() -> None:
     """Against every control, and not only that which rides."""
-    failed = {c.name for c in pl.verify(at_the_maximum(), level=2).failed}
-    assert {"along_minimum", "along_ends"} <= failed
-
-
-def test_what_rides_is_not_said_to_be_locally_optimal() -> None:
-    solution = pl.solve(bryson_denham(1 / 9))
-    assert solution.outcome is pl.Outcome.NOT_PROVED and solution.verification.level == 2
-    assert "swing-2_along_sufficient" in {c.name for c in solution.verification.failed}
+    failed = {c.name for c in pl.verify(at_the_maximum(), level=3).failed}
+    assert {"along_minimum", "along_sufficient"} <= failed
 
 
 def test_a_ceiling_that_is_missed_by_little_is_not_touched() -> None:

@@ -18,7 +18,19 @@ from perilune.problem.variables import Free, Variable
 from perilune.proof.allowed import ON_BOUND, Allowed
 from perilune.proof.crossings import Crossing, Guarded
 from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
-from perilune.proof.pieces import BLOCK, IN_HALVES, POINTS, WEIGHTS, Pieces, just_before, polynomial, through
+from perilune.proof.pieces import (
+    BLOCK,
+    IN_HALVES,
+    POINTS,
+    WEIGHTS,
+    Pieces,
+    Sampled,
+    Slopes,
+    just_before,
+    polynomial,
+    slopes_joined,
+    through,
+)
 from perilune.words.types import Matrix, Vector
 
 # Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they
@@ -28,50 +40,6 @@ _BENT = 1e-10  # rates times the width of a piece, scaled: how far they may be f
 _HALVINGS, _MOST_OPEN = 60, 4000
 _SAMPLES = 16  # nodes at which conditions are asked how the states round in them
 _TRIED = 100  # of the pieces: whether a condition depends on the control
-
-
-@dataclass(frozen=True, kw_only=True)
-class Slopes:
-    """The equations of motion at `POINTS` of pieces, read off the tables; scaled, per second.
-
-    Attributes
-    ----------
-    state, costate
-        f, and -dL/dx (`allowed`), shape (n, N, 4); the costate's are empty where there is none.
-    matrix
-        df/dx, shape (N, 4, n, n).
-    """
-
-    state: Matrix
-    costate: Matrix
-    matrix: Matrix
-
-    def __getitem__(self, chosen: Any) -> Slopes:
-        return Slopes(state=self.state[:, chosen], costate=self.costate[:, chosen], matrix=self.matrix[chosen])
-
-    def rows(self) -> Matrix:
-        """All rates, (rows, N, 4)."""
-        return np.concatenate([self.state, self.costate])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sampled:
-    """Times and weights of a quadrature [s], shape (P,), with state, control and costate there, (components, P)."""
-
-    t: Vector
-    weights: Vector
-    x: Matrix
-    u: Matrix
-    lam: Matrix
-
-
-def joined(parts: Sequence[Slopes]) -> Slopes:
-    """Slopes of several pieces as one."""
-    return Slopes(
-        state=np.concatenate([p.state for p in parts], axis=1),
-        costate=np.concatenate([p.costate for p in parts], axis=1),
-        matrix=np.concatenate([p.matrix for p in parts]),
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,22 +111,26 @@ class Arc:
         return self._sizes(self.phase.held_conditions, np.abs(slopes).sum(axis=1).max(axis=1))
 
     def _condition_sizes(self, function: str, conditions: Sequence[Variable], least: Any = 0.0) -> Vector:
-        """Of conditions that go through `least` at least; no less than the states round in them.
+        """Of conditions that go through `least` at least; no less than states and free parameters round in them.
 
-        Metres over the ground are a difference of radii.
+        Metres over the ground are a difference of radii; durations with a given sum go through nothing.
         """
         t = self.trajectory.state.time
 
-        def conditions_at(x: Any, t: Vector) -> Any:
-            values = self.phase.evaluate(function, list(x), list(self.control(t)), self.p, COMPLEX)
+        def conditions_at(x: Any, t: Vector, p: Any = self.p) -> Any:
+            values = self.phase.evaluate(function, list(x), list(self.control(t)), p, COMPLEX)
             return stacked(values, x.shape[1:])
 
         reached = np.maximum(np.abs(conditions_at(self.state(t), t).real).max(axis=1), least)
         some = t[:: 1 + len(t) // _SAMPLES]
         x = self.state(some)
         slopes = jacobian(lambda z: conditions_at(z, some), x, np.ones(len(x)))
+        terms = np.abs(slopes * x).sum(axis=1)
+        for name, value in self.solution.free.items():
+            p = SimpleNamespace(**{**vars(self.p), name: value * (1 + 1j * STEP)})
+            terms = terms + np.abs(conditions_at(x, some, p).imag) / STEP
         # The median, as one time at which a slope has no bound says nothing of the others.
-        rounding = ROUNDS * np.median(np.abs(slopes * x).sum(axis=1), axis=1)
+        rounding = ROUNDS * np.median(terms, axis=1)
         return np.fmax(self._sizes(conditions, reached), rounding)
 
     def _sizes(self, conditions: Sequence[Variable], reached: Vector) -> Vector:
@@ -321,7 +293,7 @@ class Arc:
         pieces = Pieces.between([self.cut.left, self.crossed], self.duration)
         parts = [self._settled(pieces[k : k + BLOCK]) for k in range(0, len(pieces), BLOCK)]
         found = Pieces.joined([piece for part in parts for piece in part[0]])
-        slopes = joined([rates for part in parts for rates in part[1]])
+        slopes = slopes_joined([rates for part in parts for rates in part[1]])
         order = np.argsort(found.left, kind="stable")
         return found[order], slopes[order], np.sum([part[2] for part in parts], axis=0)
 

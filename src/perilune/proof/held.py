@@ -40,16 +40,19 @@ class Held:
     ----------
     allowed, rows
         The conditions of the phase, and which of them.
+    keeps
+        Which of those variations keep: numbers among `rows`.
     mu
         J per second and unit of each, (r, N).
     at
         What they are on the extremal, 0 but for the tables' rounding, (r, N).
     back
-        How the control (components, r, N) gives way to each.
+        How the control gives way to each that is kept, (components, kept, N).
     """
 
     allowed: Allowed
     rows: list[int]
+    keeps: list[int]
     mu: Matrix
     at: Matrix
     back: Any
@@ -60,7 +63,7 @@ class Held:
 
     def kept(self, x: Any, u: Any, p: Any) -> Any:
         """A control (components, ..., N) on which they hold to first order."""
-        return u - (_between(self.back, x) * self.values(x, u, p)).sum(axis=1)
+        return u - (_between(self.back, x) * self.values(x, u, p)[self.keeps]).sum(axis=1)
 
     def work(self, x: Any, u: Any, p: Any) -> Any:
         """mu.c, J per second, (..., N)."""
@@ -72,7 +75,9 @@ def _between(rows: Any, x: Any) -> Any:
     return rows.reshape(*rows.shape[:-1], *(1,) * (x.ndim - 2), rows.shape[-1])
 
 
-def held_along(arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any) -> tuple[Held | None, Any, bool]:
+def held_along(
+    arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any, released: Sequence[str] = ()
+) -> tuple[Held | None, Any, bool]:
     """Conditions that hold at all of N times, the moves that they leave, and whether that is how it is all along.
 
     Parameters
@@ -81,6 +86,8 @@ def held_along(arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any) -> tuple
         The phase, and states, controls and costates (components, N).
     basis
         Moves of the control (components, k, N) that its own bounds leave.
+    released
+        Names of conditions that variations need not keep, though L has their multipliers.
 
     Returns
     -------
@@ -94,20 +101,28 @@ def held_along(arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any) -> tuple
     rows = np.nonzero(pulls.any(axis=1) | allowed.equal)[0].tolist()
     if not rows or not always[rows].all():
         return None, basis, not rows
-    size = allowed.sizes[rows]
-    slopes = allowed.slopes(x, u, basis)[rows].transpose(2, 0, 1) / size[:, None]
-    if len(rows) > slopes.shape[2]:
+    keeps = [i for i, row in enumerate(rows) if allowed.conditions[row].name not in released]
+    ways = _ways(allowed, [rows[i] for i in keeps], x, u, basis)
+    if ways is None:
         return None, basis, False
+    back, moves = ways
+    at = allowed.values(x, u)[rows].real
+    return Held(allowed=allowed, rows=rows, keeps=keeps, mu=found.mu[rows], at=at, back=back), moves, True
+
+
+def _ways(allowed: Allowed, rows: list[int], x: Matrix, u: Matrix, basis: Any) -> tuple[Any, Any] | None:
+    """How the control gives way to conditions, and the moves on which none changes; None where it is not known."""
+    count, size = len(rows), allowed.sizes[rows]
+    if not count:
+        return np.zeros((len(u), 0, u.shape[1])), basis
+    slopes = allowed.slopes(x, u, basis)[rows].transpose(2, 0, 1) / size[:, None]
+    if count > slopes.shape[2]:
+        return None
     left, sizes, right = np.linalg.svd(slopes)
     if (sizes[:, -1] <= _DEPENDENT).any():
-        return None, basis, False
-    count = len(rows)
+        return None
     inverse = np.einsum("nrk,nr,nsr->nks", right[:, :count], 1 / sizes, left) / size
-    held = Held(
-        allowed=allowed, rows=rows, mu=found.mu[rows], at=allowed.values(x, u)[rows].real,
-        back=np.einsum("ckn,nkr->crn", basis, inverse),
-    )  # fmt: skip
-    return held, np.einsum("ckn,njk->cjn", basis, right[:, count:]), True
+    return np.einsum("ckn,nkr->crn", basis, inverse), np.einsum("ckn,njk->cjn", basis, right[:, count:])
 
 
 def strict_conditions(arc: Arc, spans: Sequence[tuple[float, float, Held | None]]) -> Iterator[Check]:

@@ -83,6 +83,50 @@ class Pieces:
         return polynomial(cubics(curve, i)[:, :, None], s)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Slopes:
+    """The equations of motion at `POINTS` of pieces, read off the tables; scaled, per second.
+
+    Attributes
+    ----------
+    state, costate
+        f, and -dL/dx (`allowed`), shape (n, N, 4); the costate's are empty where there is none.
+    matrix
+        df/dx, shape (N, 4, n, n).
+    """
+
+    state: Matrix
+    costate: Matrix
+    matrix: Matrix
+
+    def __getitem__(self, chosen: Any) -> Slopes:
+        return Slopes(state=self.state[:, chosen], costate=self.costate[:, chosen], matrix=self.matrix[chosen])
+
+    def rows(self) -> Matrix:
+        """All rates, (rows, N, 4)."""
+        return np.concatenate([self.state, self.costate])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampled:
+    """Times and weights of a quadrature [s], shape (P,), with state, control and costate there, (components, P)."""
+
+    t: Vector
+    weights: Vector
+    x: Matrix
+    u: Matrix
+    lam: Matrix
+
+
+def slopes_joined(parts: Sequence[Slopes]) -> Slopes:
+    """Slopes of several pieces as one."""
+    return Slopes(
+        state=np.concatenate([p.state for p in parts], axis=1),
+        costate=np.concatenate([p.costate for p in parts], axis=1),
+        matrix=np.concatenate([p.matrix for p in parts]),
+    )
+
+
 def polynomial(c: Matrix, s: Matrix) -> Matrix:
     """c0 + c1 s + c2 s^2 + c3 s^3 for coefficients (..., 4)."""
     return c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3]))

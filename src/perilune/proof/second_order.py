@@ -24,61 +24,57 @@ own: s = 0 there is one more condition to be kept, and nu s of `crossings` one m
 
 On which side of 1 kappa lies does not depend on how time is normalised; how far from it does, where u varies.
 
-The form is discretised on equal steps with a constant control each (implicit midpoint rule); a direction moves in
-its tangent plane, and not at all where no thrust gives it an effect; a scalar on its bound does not vary. Where path
-conditions hold the control, it varies along them, and L = H - mu.c has the place of H (`held`). Source:
+The form is discretised on equal steps with a constant control each (implicit midpoint rule), what of the control
+varies as `variations` says. Source:
 Gelfand and Fomin (1963), sections 27-29; Bryson and Ho (1975), chapter 6; Hestenes (1966); Maurer, Buskens, Kim,
 Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times, alone and beside a regular control.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from types import SimpleNamespace
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, normalised, placed, scalars, tangents
+from perilune.problem.controls import scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
+from perilune.proof.allowed import ON_BOUND
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
-from perilune.proof.held import held_along, strict_conditions
+from perilune.proof.held import strict_conditions
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
-from perilune.proof.switching import (
-    HAMILTONIAN_LIMIT,
-    control_rates,
-    crossings,
-    on_bounds,
-    strictness,
-    with_limits,
-)
+from perilune.proof.switching import HAMILTONIAN_LIMIT, crossings, strictness
+from perilune.proof.variations import Kept, Piece, pieces_of
 from perilune.words.types import Matrix, Vector
 
-STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
 CURVATURE_LIMIT = -1e-4
 # Discretisation lowers kappa by 1.6e-4 of itself (oscillator).
 KAPPA_LIMIT = 0.999
-_WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
 
 
-def local_optimality(solution: Solution) -> Iterator[Check]:
+def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None) -> Iterator[Check]:
     """Checks of level 3 that need no other solve.
 
     Parameters
     ----------
     solution
         An extremal with costates.
+    kept
+        Of `ridden.Rides.kept`, where it rides along conditions on states.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     inner = varied(solution, arcs)
     durations = [name for name in inner if name in solution.problem.duration_names]
-    pieces = _pieces(arcs, inner)
+    pieces = pieces_of(arcs, inner, kept or {})
     for arc in arcs:
-        yield _legendre_clebsch(arc, [piece for piece in pieces if piece.arc is arc])
+        own = [piece for piece in pieces if piece.arc is arc]
+        yield _legendre_clebsch(arc, own)
+        if own[0].kept.rides:
+            yield _leaving(arc, own)
         yield from strictness(arc)
         yield from strict_conditions(arc, [(*piece.span, piece.held) for piece in pieces if piece.arc is arc])
     regular = all(piece.regular for piece in pieces) and not any(_tangled(arc) for arc in arcs)
@@ -120,123 +116,7 @@ def _tangled(arc: Arc) -> bool:
     return not alone or bool((crossings(arc)[jumps.any(axis=0)] <= HAMILTONIAN_LIMIT).any())
 
 
-def _pieces(arcs: Sequence[Arc], names: Sequence[str]) -> list[_Piece]:
-    """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters."""
-    switches = {
-        (arc.index, float(time)): float(slope)
-        for arc in arcs
-        for at in [np.nonzero(arc.jumps.any(axis=0))[0]]
-        for time, slope in zip(arc.breaks[at], crossings(arc)[at], strict=True)
-    }
-    met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
-    times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
-    p = SimpleNamespace(**vars(arcs[0].p), **{name: time for (_, time), name in times.items()})
-    found = []
-    for arc in arcs:
-        edges = [0.0, *(times.get((arc.index, t), t) for t in arc.edges[1:-1].tolist()), arc.phase.duration]
-        for k in range(len(edges) - 1):
-            varied = (*names, *times.values())
-            found.append(_Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2]))
-    return found
-
-
-class _Piece:
-    """First and second derivatives of an arc between breaks, at the middles of equal steps.
-
-    Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
-    the length times L; d counts states, the parameters `names` and the tangent directions of the control that may
-    vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
-    numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do.
-    """
-
-    def __init__(
-        self,
-        arc: Arc,
-        p: SimpleNamespace,
-        names: Sequence[str],
-        curvature: Sequence[float],
-        index: int,
-        edges: Sequence[str | float],
-    ) -> None:
-        self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
-        self.first, self.last = index == 0, index == len(arc.edges) - 2
-        left, right = self.span = arc.edges[index : index + 2].tolist()
-        self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
-        self.steps = max(FEWEST, round(STEPS * (right - left) / arc.duration))
-        t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
-        x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
-        basis, partly_held = _moves(arc, x, self.u)
-        self.held, self.basis, settled = held_along(arc, x, self.u, self.lam, basis)
-        self.partly_held = partly_held or not settled
-        n, m, k = len(x), len(names), self.basis.shape[1]
-        self.sizes = n, m, k
-        of, problem = arc.problem.scales.of, arc.problem
-        known = {*problem.given, *problem.free_names}
-        self.parameter_scale = np.array([of(problem.unit_of(name) if name in known else "s") for name in names])
-        self.scale = np.concatenate([arc.state_scale, self.parameter_scale, np.ones(k)])
-        self.parameter_values = np.array([float(getattr(p, name)) for name in names])
-        z = np.concatenate(
-            [x, np.repeat(self.parameter_values[:, None], self.steps, axis=1), np.zeros((k, self.steps))]
-        )
-        self.F = jacobian(self._rates, z, self.scale)
-        self.W = hessian(self._lagrangian, z, self.scale)
-        self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
-
-    @property
-    def regular(self) -> bool:
-        """Whether L is strictly convex all along in what of the control may vary."""
-        return not self.partly_held and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
-
-    def parameters(self, values: Any) -> SimpleNamespace:
-        """All parameters in SI with `names` replaced."""
-        return SimpleNamespace(**{**vars(self.p), **dict(zip(self.names, values, strict=True))})
-
-    def _flown(self, z: Any) -> tuple[Any, Any, Any]:
-        """The length, the control (components, ..., N) and the parameters."""
-        n, m, _ = self.sizes
-        p = self.parameters(z[n : n + m])
-        middle = (1,) * (z.ndim - 2)
-        u = self.u.reshape(len(self.u), *middle, self.steps) + 0 * z[0]
-        for column in range(self.basis.shape[1]):
-            u = u + self.basis[:, column].reshape(len(self.u), *middle, self.steps) * z[n + m + column]
-        for name, value, was in zip(self.names, z[n : n + m], self.parameter_values, strict=True):
-            u = u + with_limits(self.arc, self.u, name).reshape(len(u), *middle, self.steps) * (value - was)
-        u = normalised(self.arc.phase.controls, u) if len(self.u) else u
-        u = normalised(self.arc.phase.controls, self.held.kept(z[:n], u, p)) if self.held else u
-        left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
-        return right - left, u, p
-
-    def _rates(self, z: Any) -> Any:
-        (length, u, p), scale = self._flown(z), self.arc.state_scale.reshape(-1, *(1,) * (z.ndim - 1))
-        return length * self.arc.rates(z[: self.sizes[0]], u, p) / scale
-
-    def _lagrangian(self, z: Any) -> Any:
-        lam, x = self.lam.reshape(len(self.lam), *(1,) * (z.ndim - 2), self.steps), z[: self.sizes[0]]
-        length, u, p = self._flown(z)
-        H = (lam * self.arc.rates(x, u, p)).sum(axis=0)
-        return length * (H - self.held.work(x, u, p) if self.held else H) / self.arc.objective_scale
-
-
-def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
-    """Tangents along which the control may vary, (components, k, N), and whether a bound holds a scalar for a part."""
-    basis = tangents(arc.phase.controls, arc.control_scale, u) if len(u) else np.zeros((0, 0, u.shape[1]))
-    varying, partly, row = [], False, 0
-    f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
-    effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)
-    for here, control in placed(arc.phase.controls):
-        rows = range(row, row + control.freedom)
-        row = rows.stop
-        if isinstance(control, Bounded):
-            lower, upper = on_bounds(arc, here.start, control, u)
-            always = bool(lower.all() or upper.all())
-            partly |= not always and bool((lower | upper).any())
-            varying += [] if always else rows
-        else:
-            varying += [i for i in rows if effect[i]]
-    return basis[:, varying], partly
-
-
-def _legendre_clebsch(arc: Arc, pieces: Sequence[_Piece]) -> Check:
+def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:
     curvature = [np.linalg.eigvalsh(piece.H_uu) for piece in pieces if piece.sizes[2]]
     value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=-1.0)
     return Check(
@@ -244,6 +124,34 @@ def _legendre_clebsch(arc: Arc, pieces: Sequence[_Piece]) -> Check:
         meaning="minus the smallest second derivative of the Hamiltonian in the control, over its largest: below 0 "
         "when a control that is not on a bound is a strict minimum all along (-1: there is none)",
     )  # fmt: skip
+
+
+def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
+    """The same in all that may vary of the control where the flight rides along a condition on states."""
+    value, loose = float("nan"), [piece.loosened for piece in pieces]
+    if all(piece.regular for piece in loose) and _steady(arc):
+        curvature = [np.linalg.eigvalsh(piece.H_uu) for piece in loose if piece.sizes[2]]
+        value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=float("nan"))
+    return Check(
+        name=f"{arc.prefix}along_sufficient", level=3, value=value, limit=CURVATURE_LIMIT, unit="1",
+        meaning="minus the smallest second derivative of the Hamiltonian of what is ridden, in all of the control that "
+        "may leave it, over the largest: below 0 where flights that leave it for a moment are worse to second order; "
+        "not available where it is linear in a control, or one reaches a bound or jumps as the arc begins or ends",
+    )  # fmt: skip
+
+
+def _steady(arc: Arc) -> bool:
+    """Whether no control jumps where an arc begins or ends."""
+    solution, ends = arc.solution, [np.zeros(1), np.array([arc.duration])]
+    for step, own in zip((-1, 1), ends, strict=True):
+        if 0 <= arc.index + step < len(solution.trajectories):
+            other = Arc(solution=solution, index=arc.index + step)
+            there = np.array([other.duration]) if step < 0 else np.zeros(1)
+            if [c.names for c in other.phase.controls] != [c.names for c in arc.phase.controls]:
+                return False
+            if (np.abs(arc.control(own) - other.control(there)) > ON_BOUND * arc.control_scale[:, None]).any():
+                return False
+    return True
 
 
 def _kernel(constraints: Matrix) -> Matrix:
@@ -279,7 +187,7 @@ def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
     return float(1.0 - np.linalg.eigvalsh(form / root / root[:, None])[0]), len(weights)
 
 
-def _form(pieces: Sequence[_Piece]) -> tuple[Matrix, Matrix, int]:
+def _form(pieces: Sequence[Piece]) -> tuple[Matrix, Matrix, int]:
     """Second variation and linearised end conditions of (parameters, switching times, controls of all pieces).
 
     In coordinates such that int du' H_uu du + sum D dt^2 is a sum of squares. The last number counts the parameters.
@@ -294,6 +202,7 @@ def _form(pieces: Sequence[_Piece]) -> tuple[Matrix, Matrix, int]:
         if piece.first:
             dx, curved = _begin(piece, dx, parameters)
             form += curved
+            constraints += [_tied(piece, parameters), _vanishing(piece, piece.kept.begin, dx, parameters, 0.0)]
         n, _, k = piece.sizes
         identity, step = np.eye(n), 1.0 / piece.steps
         half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
@@ -318,10 +227,12 @@ def _form(pieces: Sequence[_Piece]) -> tuple[Matrix, Matrix, int]:
             rows, curved = close(piece, dx, parameters)
             form += curved
             constraints.append(rows)
+        if piece.last:
+            constraints.append(_vanishing(piece, piece.kept.end, dx, parameters, piece.arc.duration))
     return 0.5 * (form + form.T), np.vstack(constraints), m - len(curvature)
 
 
-def _curved(piece: _Piece, function: Any, x: Vector, scale: Vector, moves: Matrix) -> tuple[Matrix, Matrix]:
+def _curved(piece: Piece, function: Any, x: Vector, scale: Vector, moves: Matrix) -> tuple[Matrix, Matrix]:
     """Along `moves`: first derivatives (rows, columns) of function(z, p), second ones of its first row."""
     z = np.concatenate([x, piece.parameter_values])[:, None]
     scale = np.concatenate([scale, piece.parameter_scale])
@@ -334,7 +245,34 @@ def _curved(piece: _Piece, function: Any, x: Vector, scale: Vector, moves: Matri
     return first, moves.T @ second @ moves
 
 
-def _begin(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+def _tied(piece: Piece, parameters: Matrix) -> Matrix:
+    """That the length of a phase stays in proportion to that of the one before, where it is said to (row, columns)."""
+    arcs = (
+        [Arc(solution=piece.arc.solution, index=piece.arc.index - step) for step in (1, 0)] if piece.kept.tied else []
+    )
+    places = [piece.names.index(arc.phase.duration) for arc in arcs if arc.phase.duration in piece.names]
+    if len(places) < 2:
+        return np.zeros((0, parameters.shape[1]))
+    one, other = (piece.parameter_scale[at] / piece.parameter_values[at] * parameters[at] for at in places)
+    return (one - other)[None]
+
+
+def _vanishing(piece: Piece, values: Sequence[Any], dx: Matrix, parameters: Matrix, t: float) -> Matrix:
+    """First derivatives of values of the state at one end of a phase, (rows, columns), each over its size."""
+    if not values:
+        return np.zeros((0, parameters.shape[1]))
+    arc = piece.arc
+    u = arc.phase.control_record(*arc.control(np.array([t]))[:, 0].tolist())
+
+    def rows(z: Any, p: Any) -> list[Any]:
+        return [0.0 * z[0], *(value(arc.phase.state_record(*z), u, p, COMPLEX)[0] for value in values)]
+
+    first, _ = _curved(piece, rows, arc.state(np.array([t]))[:, 0], arc.state_scale, np.vstack([dx, parameters]))
+    sizes = np.abs(first[1:]).max(axis=1, initial=0.0, keepdims=True)
+    return np.divide(first[1:], sizes, out=np.zeros_like(first[1:]), where=sizes > 0)
+
+
+def _begin(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
     """Variation of the phase's initial state, and lam(0) times its second derivative."""
     arc, problem = piece.arc, piece.arc.problem
     lam = arc.costate(np.zeros(1))[:, 0] / arc.objective_scale
@@ -362,7 +300,7 @@ def _begin(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matri
     return first[1:] / arc.state_scale[:, None], second
 
 
-def _cross(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+def _cross(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
     """The linearised condition s = 0 at the end of a piece (scaled), and the second derivative of nu s."""
     arc, met = piece.arc, piece.crossing
     assert met is not None, "asked for where there is one"
@@ -378,7 +316,7 @@ def _cross(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matri
     return first[1:], second
 
 
-def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+def _finish(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
     """Linearised end conditions (scaled) and the second derivative of phi + nu.psi at the phase's end."""
     arc = piece.arc
     nu, _ = end_multipliers(arc)
@@ -395,4 +333,5 @@ def _finish(piece: _Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matr
     # A range is free to vary where it is not at a bound, or where that bound holds nothing back.
     slack = np.abs(nu) * arc.end_scale <= STATIONARY_LIMIT * arc.objective_scale
     held = np.where(slack, end_sides(arc) == 0, end_sides(arc) != INSIDE)
+    held &= np.array([c.name not in piece.kept.left for c in arc.phase.end_conditions], dtype=bool)
     return first[1:][held] / arc.end_scale[held, None], second

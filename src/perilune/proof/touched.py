@@ -9,17 +9,7 @@ of every arc that rides along S = 0, and proved as an answer of the problem rest
 (`perilune.structures.restate`), whose conditions at the cuts are S = 0 and its derivatives. Where to cut is found here,
 by the tables themselves. A neighbour of the flight that does not touch S pays to first order where nu < 0 strictly.
 
-Along an arc of order q the multiplier eta of S^(q) = 0, L = H - eta S^(q), stands for that of S >= 0 itself, which is
-
-    mu = (-1)^q d^q eta/dt^q >= 0,
-
-and for the jumps of its costates at both ends. Those of lam differ from them by eta dS/dx at q = 1, and by
-eta dS'/dx - eta' dS/dx at q = 2; as at a touch they lie along dS/dx, with nu <= 0:
-
-    q = 1:  eta >= 0 at the end,               nu + eta <= 0 at the beginning,
-    q = 2:  eta = 0, eta' <= 0 at the end,     nu' + eta = 0, nu - eta' <= 0 at the beginning,
-
-nu and nu' being the multipliers of S = 0 and S' = 0 there.
+Arcs that are ridden have a file of their own (`ridden`).
 
 Source: Bryson and Ho (1975), sections 3.11-3.13; Hartl, Sethi, Vickson (1995), sections 4 and 5.
 """
@@ -28,18 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.polynomial import Chebyshev
 
-from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
-from perilune.proof.numerics import COMPLEX, jacobian, stacked
-from perilune.proof.switching import gain, product_of
 from perilune.structures.carry import split
 from perilune.structures.read import Contact, arcs_of, of_states, room_along
 from perilune.structures.structure import Condition, Structure, conditions_of
@@ -116,7 +101,7 @@ def _jumps(arc: Arc, time: float) -> bool:
 
 
 def signs(solution: Solution, parts: Solution, structure: Structure) -> Iterator[Check]:
-    """Checks of levels 2 and 3: the multipliers at what is touched and of what is ridden.
+    """Checks of levels 2 and 3: the multipliers at what is touched.
 
     Parameters
     ----------
@@ -130,8 +115,6 @@ def signs(solution: Solution, parts: Solution, structure: Structure) -> Iterator
             part = Arc(solution=parts, index=number)
             number += 1
             yield from (check for name in arc.touches for check in _touch(part, conditions[name]))
-            before = Arc(solution=parts, index=part.index - 1) if arc is not arcs[0] else None
-            yield from (check for name in arc.along for check in _ridden(part, before, conditions[name]))
 
 
 def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
@@ -165,88 +148,3 @@ def _met(part: Arc, rows: list[int], name: str) -> Check:
         name=f"{part.prefix}met", level=2, unit="1", limit=_MET, value=float(np.abs(values[rows]).max()),
         meaning=f"{name} and its rates where the flight is said to meet it (scaled): they vanish",
     )  # fmt: skip
-
-
-def _ridden(part: Arc, before: Arc | None, condition: Condition) -> Iterator[Check]:
-    """Signs of the multiplier along an arc, and at its beginning where the flight enters it there."""
-    name, q, inside = condition.name, condition.order, part.sampled
-    value = ends = least = float("nan")
-    if part.allowed:
-        row = [c.name for c in part.allowed.conditions].index(condition.rated(q, "", 1.0).name)
-        eta = part.allowed.multipliers(inside.x, inside.u, inside.lam).mu[row]
-        least = _lowered(part, condition, eta)
-        if q <= 2:
-            curve, size = _smooth(inside.t / part.duration, eta)
-            mu = (-1) ** q * curve.deriv(q)(inside.t / part.duration)
-            value = max(0.0, -float(mu.min()))
-            ends = _ends(part, before, condition, curve, size) if before is not None else ends
-    if before is not None:
-        row_of = {c.name: i for i, c in enumerate(before.phase.end_conditions)}
-        yield _met(before, [row_of[condition.rated(i, "enter_", 1.0).name] for i in range(q)], name)
-    beyond = "" if q <= 2 else f"; not available for a condition of order {q}"
-    yield Check(
-        name=f"{part.prefix}along", level=2, unit="1", limit=_ALONG, value=value,
-        meaning=f"multiplier of {name} along the arc, where it is negative (scaled): what J would gain if the flight "
-        f"left it{beyond}; not available where it is no smooth function of time",
-    )  # fmt: skip
-    yield Check(
-        name=f"{part.prefix}along_ends", level=2, unit="1", limit=_SIDEWAYS, value=ends,
-        meaning=f"jumps of the costates where the flight meets and leaves {name}, of a wrong sign or not along its "
-        f"slope (scaled){beyond}; not available for an arc that begins with its phase",
-    )  # fmt: skip
-    yield Check(
-        name=f"{part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=least,
-        meaning=f"most that a control which leaves {name} lowers the Hamiltonian of the multiplier of {name} itself "
-        "(scaled)",
-    )  # fmt: skip
-    yield Check(
-        name=f"{part.prefix}along_sufficient", level=3, unit="1", limit=0.0, value=float("nan"),
-        meaning=f"that flights which leave {name} for a moment are worse to second order: not available",
-    )  # fmt: skip
-
-
-def _smooth(s: Vector, eta: Vector) -> tuple[Chebyshev, float]:
-    """A polynomial of the multiplier over its size, s from 0 to 1, NaN where it is none; and the size."""
-    size = float(np.abs(eta).max()) or 1.0
-    curve = Chebyshev.fit(s, eta / size, min(_DEGREE, len(s) // 2), domain=[0.0, 1.0])
-    if not np.abs(curve(s) - eta / size).max() <= _ROUGH:
-        curve = Chebyshev([np.nan], domain=[0.0, 1.0])
-    return curve, size
-
-
-def _ends(part: Arc, before: Arc, condition: Condition, curve: Chebyshev, size: float) -> float:
-    """By how much the jumps at both ends are wrong, q = 1 or 2 (above)."""
-    q, slope = condition.order, curve.deriv(1)
-    nu, _ = end_multipliers(before)
-    at = {c.name: i for i, c in enumerate(before.phase.end_conditions)}
-    entered = [nu[at[condition.rated(i, "enter_", 1.0).name]] / size for i in range(q)]
-    if q == 1:
-        wrong = [-curve(1.0), entered[0] + curve(0.0)]
-    else:
-        wrong = [abs(curve(1.0)), slope(1.0), abs(entered[1] + curve(0.0)), entered[0] * part.duration - slope(0.0)]
-    return float(np.max([0.0, *wrong]))
-
-
-def _lowered(part: Arc, condition: Condition, eta: Vector) -> float:
-    """Most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled: what S >= 0 itself asks for.
-
-    With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not those alone that
-    keep S^(q) = 0 (Hartl, Sethi, Vickson 1995, section 5). What lam differs by beside is across all controls.
-    """
-    inside, phase = part.sampled, part.phase
-    rate = condition.values[condition.order - 1]
-
-    def rates(z: Any) -> Any:
-        u = phase.control_record(*[np.zeros(z.shape[1:])] * len(phase.control_names))
-        return stacked([rate(phase.state_record(*z), u, part.p, COMPLEX)[0]], z.shape[1:])
-
-    slopes = jacobian(rates, inside.x, part.state_scale)[0] / part.state_scale[:, None]
-    lam = inside.lam - eta * slopes
-    few = np.unique(np.linspace(0, len(inside.t) - 1, _LOOKS).astype(int))
-    x, u, lam = inside.x[:, few], inside.u[:, few], lam[:, few]
-    parts = [
-        np.stack(control.samples(u[here], float(part.control_scale[here.start]), part.p), axis=1)
-        for here, control in placed(phase.controls)
-    ]
-    lowered = gain(part, x[:, None], u[:, None], product_of(parts), lam[:, None], leaving=True)
-    return lowered * part.time_scale / part.objective_scale

@@ -1,0 +1,176 @@
+"""A phase cut into pieces between breaks, with the first and second derivatives that the second variation needs.
+
+Time is normalised on each piece, so that the times of the cuts are parameters as durations are. A direction moves in
+its tangent plane, and not at all where no thrust gives it an effect; a scalar on its bound does not vary. Where path
+conditions hold the control, it varies along them, and L = H - mu.c has the place of H (`held`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.controls import Bounded, normalised, placed, tangents
+from perilune.proof.arc import Arc
+from perilune.proof.held import held_along
+from perilune.proof.numerics import hessian, jacobian
+from perilune.proof.switching import control_rates, crossings, on_bounds, with_limits
+from perilune.words.types import Matrix
+
+STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
+_WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """What variations keep of conditions S >= 0 on states that are ridden along a phase, or from one of its ends.
+
+    Attributes
+    ----------
+    rides, released
+        Names of the conditions S^(q) = 0 along it, and of those that variations need not keep.
+    begin, end
+        Values that are to vanish to first order at its beginning and end, beside the end conditions.
+    left
+        Names of the end conditions that need not be kept.
+    tied
+        Whether its duration stays in proportion to that of the phase before.
+    """
+
+    rides: tuple[str, ...] = ()
+    released: tuple[str, ...] = ()
+    begin: tuple[Any, ...] = ()
+    end: tuple[Any, ...] = ()
+    left: tuple[str, ...] = ()
+    tied: bool = False
+
+
+def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept]) -> list[Piece]:
+    """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters."""
+    switches = {
+        (arc.index, float(time)): float(slope)
+        for arc in arcs
+        for at in [np.nonzero(arc.jumps.any(axis=0))[0]]
+        for time, slope in zip(arc.breaks[at], crossings(arc)[at], strict=True)
+    }
+    met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
+    times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
+    p = SimpleNamespace(**vars(arcs[0].p), **{name: time for (_, time), name in times.items()})
+    found = []
+    for arc in arcs:
+        edges = [0.0, *(times.get((arc.index, t), t) for t in arc.edges[1:-1].tolist()), arc.phase.duration]
+        for k in range(len(edges) - 1):
+            varied = (*names, *times.values())
+            own = kept.get(arc.index, Kept())
+            found.append(Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2], own))
+    return found
+
+
+class Piece:
+    """First and second derivatives of an arc between breaks, at the middles of equal steps.
+
+    Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
+    the length times L; d counts states, the parameters `names` and the tangent directions of the control that may
+    vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
+    numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do.
+    """
+
+    def __init__(
+        self,
+        arc: Arc,
+        p: SimpleNamespace,
+        names: Sequence[str],
+        curvature: Sequence[float],
+        index: int,
+        edges: Sequence[str | float],
+        kept: Kept,
+    ) -> None:
+        self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
+        self.index, self.kept = index, kept
+        self.first, self.last = index == 0, index == len(arc.edges) - 2
+        left, right = self.span = arc.edges[index : index + 2].tolist()
+        self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
+        self.steps = max(FEWEST, round(STEPS * (right - left) / arc.duration))
+        t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
+        x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
+        basis, partly_held = _moves(arc, x, self.u)
+        self.held, self.basis, settled = held_along(arc, x, self.u, self.lam, basis, kept.released)
+        self.partly_held = partly_held or not settled
+        n, m, k = len(x), len(names), self.basis.shape[1]
+        self.sizes = n, m, k
+        of, problem = arc.problem.scales.of, arc.problem
+        known = {*problem.given, *problem.free_names}
+        self.parameter_scale = np.array([of(problem.unit_of(name) if name in known else "s") for name in names])
+        self.scale = np.concatenate([arc.state_scale, self.parameter_scale, np.ones(k)])
+        self.parameter_values = np.array([float(getattr(p, name)) for name in names])
+        z = np.concatenate(
+            [x, np.repeat(self.parameter_values[:, None], self.steps, axis=1), np.zeros((k, self.steps))]
+        )
+        self.F = jacobian(self._rates, z, self.scale)
+        self.W = hessian(self._lagrangian, z, self.scale)
+        self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
+
+    @property
+    def regular(self) -> bool:
+        """Whether L is strictly convex all along in what of the control may vary."""
+        return not self.partly_held and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
+
+    @property
+    def loosened(self) -> Piece:
+        """The same with variations that also leave what is ridden."""
+        if self.kept.rides == self.kept.released:
+            return self
+        kept = Kept(released=self.kept.rides)
+        return Piece(self.arc, self.p, self.names, self.curvature, self.index, self.edges, kept)
+
+    def parameters(self, values: Any) -> SimpleNamespace:
+        """All parameters in SI with `names` replaced."""
+        return SimpleNamespace(**{**vars(self.p), **dict(zip(self.names, values, strict=True))})
+
+    def _flown(self, z: Any) -> tuple[Any, Any, Any]:
+        """The length, the control (components, ..., N) and the parameters."""
+        n, m, _ = self.sizes
+        p = self.parameters(z[n : n + m])
+        middle = (1,) * (z.ndim - 2)
+        u = self.u.reshape(len(self.u), *middle, self.steps) + 0 * z[0]
+        for column in range(self.basis.shape[1]):
+            u = u + self.basis[:, column].reshape(len(self.u), *middle, self.steps) * z[n + m + column]
+        for name, value, was in zip(self.names, z[n : n + m], self.parameter_values, strict=True):
+            u = u + with_limits(self.arc, self.u, name).reshape(len(u), *middle, self.steps) * (value - was)
+        u = normalised(self.arc.phase.controls, u) if len(self.u) else u
+        u = normalised(self.arc.phase.controls, self.held.kept(z[:n], u, p)) if self.held else u
+        left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
+        return right - left, u, p
+
+    def _rates(self, z: Any) -> Any:
+        (length, u, p), scale = self._flown(z), self.arc.state_scale.reshape(-1, *(1,) * (z.ndim - 1))
+        return length * self.arc.rates(z[: self.sizes[0]], u, p) / scale
+
+    def _lagrangian(self, z: Any) -> Any:
+        lam, x = self.lam.reshape(len(self.lam), *(1,) * (z.ndim - 2), self.steps), z[: self.sizes[0]]
+        length, u, p = self._flown(z)
+        H = (lam * self.arc.rates(x, u, p)).sum(axis=0)
+        return length * (H - self.held.work(x, u, p) if self.held else H) / self.arc.objective_scale
+
+
+def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
+    """Tangents along which the control may vary, (components, k, N), and whether a bound holds a scalar for a part."""
+    basis = tangents(arc.phase.controls, arc.control_scale, u) if len(u) else np.zeros((0, 0, u.shape[1]))
+    varying, partly, row = [], False, 0
+    f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
+    effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)
+    for here, control in placed(arc.phase.controls):
+        rows = range(row, row + control.freedom)
+        row = rows.stop
+        if isinstance(control, Bounded):
+            lower, upper = on_bounds(arc, here.start, control, u)
+            always = bool(lower.all() or upper.all())
+            partly |= not always and bool((lower | upper).any())
+            varying += [] if always else rows
+        else:
+            varying += [i for i in rows if effect[i]]
+    return basis[:, varying], partly

@@ -1,0 +1,277 @@
+"""Answers by hand that ride along a condition on states, from closed forms, right ones and wrong ones.
+
+A *string*, u = x', and a *beam*, u = x'', bend away from the middle at a rate k and may not come above x = l:
+
+    J = int (u^2 - k^2 x^2)/2 dt   or   int (u^2 - k^4 x^2)/2 dt,   S = l - x >= 0.
+
+They rise to l, ride along it and fall. Along the arc u = 0, and its multiplier is k^2 l or k^4 l. What is left to vary
+are the rise and the fall, whose ends are fixed, those of the beam clamped: both have a conjugate point where k times
+their length is pi (string), 4.7300407 (beam), so that kappa is (k L/pi)^2 and (k L/4.73)^4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+import perilune as pl
+from perilune.problem.solution import Curve, Solution
+from perilune.problem.variables import Given, Variable
+from problems.constrained import bryson_denham
+
+CLAMPED = 4.730040744862704  # the first root of cos z cosh z = 1
+NODES = 900  # of an arc
+Formula = Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One arc: how long it lasts, and rows of functions of the time since it began, with their derivatives."""
+
+    length: float
+    state: Sequence[tuple[Formula, Formula]]
+    control: tuple[Formula, Formula]
+    costate: Sequence[tuple[Formula, Formula]]
+
+
+def polynomial(*coefficients: float) -> tuple[Formula, Formula]:
+    """A polynomial in time, lowest order first, and its derivative."""
+    whole = Polynomial(coefficients)
+    return whole, whole.deriv()
+
+
+def by_hand(problem: pl.Problem, pieces: Sequence[Piece], free: dict[str, float] | None = None) -> Solution:
+    """The pieces as tables of an answer of a problem of one phase, whose last state is the cost."""
+    time, rows, begin = list[Any](), dict[str, list[Any]](), 0.0
+    for piece in pieces:
+        t = np.linspace(0.0, piece.length, NODES)
+        time.append(begin + t)
+        begin += piece.length
+        for name, functions in (("state", piece.state), ("control", [piece.control]), ("costate", piece.costate)):
+            for kind in (0, 1):
+                values = [np.broadcast_to(f[kind](t), t.shape) for f in functions]
+                rows.setdefault(f"{name}{kind}", []).append(np.stack(values, axis=1))
+    curves = {
+        name: Curve(time=np.concatenate(time), values=np.vstack(rows[f"{name}0"]), rates=np.vstack(rows[f"{name}1"]))
+        for name in ("state", "control", "costate")
+    }
+    flown = pl.Trajectory(phase=problem.phases[0].name, **curves)
+    empty = Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free=free or {},
+                     trajectories=(flown,))  # fmt: skip
+    end = problem.phases[0].state_record(*flown.state.values[-1].tolist())
+    objective = problem.objective(end, empty.parameters, math)
+    return Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=float(objective),
+                    free=free or {}, trajectories=(flown,))  # fmt: skip
+
+
+def _variables(**units: str) -> tuple[Variable, ...]:
+    return tuple(Variable(name=name, unit=unit) for name, unit in units.items())
+
+
+def _given(**values: tuple[float, str]) -> dict[str, Given]:
+    return {name: Given(value=value, unit=unit) for name, (value, unit) in values.items()}
+
+
+def string(
+    k: float,
+    rise: float,
+    ride: float,
+    fall: float,
+    *,
+    push: float | None = None,
+    bait: float = 0.0,
+    start_is_free: bool = False,
+) -> Solution:
+    """The string with l = 1; lengths of its arcs in radians of k, a rise or fall of 0 being none.
+
+    With a `push` the end is free and J has push times x there; with a free start J has `bait` times it.
+    """  # fmt: skip
+    l, total = 1.0, (rise + ride + fall) / k
+    ending = [] if push is not None else [Variable(name="there", unit="m")]
+    phase = pl.Phase(
+        name="string",
+        states=_variables(x="m", c="m^2/s"),
+        controls=(pl.Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
+        duration="T",
+        end=(lambda x, p, m: (x.x - p.x1,)) if ending else None,
+        end_conditions=tuple(ending),
+        path=lambda x, u, p, m: (p.l - x.x,),
+        path_conditions=_variables(room="m"),
+    )
+    x0, x1 = l * math.cos(rise), l * math.cos(fall)
+    problem = pl.Problem(
+        name="string",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, 0.0),
+        given=_given(T=(total, "s"), k=(k, "1/s"), l=(l, "m"), x1=(x1, "m"), push=(push or 0.0, "m/s"),
+                     bait=(bait, "m/s"), **({} if start_is_free else {"x0": (x0, "m")})),
+        free=(pl.Free(name="x0", unit="m", lower=-5.0, upper=5.0, typical=1.0),) if start_is_free else (),
+        objective=lambda x, p, m: x.c + p.push * x.x + p.bait * p.x0,
+        objective_unit="m^2/s",
+    )  # fmt: skip
+    t1, w, t3 = rise / k, ride / k, fall / k
+    # Where the arc ends the multiplier of its rate is 0, or holds what the push asks for.
+    held = -(push or 0.0)
+    pieces = []
+    if t1:
+        pieces.append(_swing(k, l, t1, lambda t: k * (t1 - t), -1.0, 0.0))
+    reached = pieces[-1].state[1][0](t1) if pieces else 0.0
+    pieces.append(Piece(
+        w, [polynomial(l), polynomial(reached, -0.5 * (k * l) ** 2)], polynomial(0.0),
+        [polynomial(-held - k * k * l * w, k * k * l), polynomial(1.0)],
+    ))  # fmt: skip
+    if t3:
+        pieces.append(_swing(k, l, t3, lambda t: k * t, 1.0, reached - 0.5 * (k * l) ** 2 * w))
+    return by_hand(problem, pieces, {"x0": x0} if start_is_free else None)
+
+
+def _swing(k: float, l: float, length: float, angle: Formula, way: float, cost: float) -> Piece:
+    """x = l cos(angle), the angle growing (way 1) or falling (-1) at the rate k; J is int -(k l)^2 cos(2 angle)/2."""
+
+    def spent(t: Any) -> Any:
+        return cost - way * k * l * l * (np.sin(2 * angle(t)) - math.sin(2 * float(angle(0.0)))) / 4
+
+    return Piece(
+        length,
+        [
+            (lambda t: l * np.cos(angle(t)), lambda t: -way * k * l * np.sin(angle(t))),
+            (spent, lambda t: -((k * l) ** 2) * np.cos(2 * angle(t)) / 2),
+        ],
+        (lambda t: -way * k * l * np.sin(angle(t)), lambda t: -k * k * l * np.cos(angle(t))),
+        [(lambda t: way * k * l * np.sin(angle(t)), lambda t: k * k * l * np.cos(angle(t))), polynomial(1.0)],
+    )
+
+
+def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
+    """The beam with l = 1, rising and falling alike; lengths of its arcs in radians of k.
+
+    It leaves l as x = l (cos z + cosh z)/2 - bend l (sinh z - sin z), z = k t.
+    """
+    l, t1, w = 1.0, rise / k, ride / k
+
+    def shape(order: int) -> Formula:
+        """The derivative of that order of x by z."""
+
+        def value(z: Any) -> Any:
+            c, s, ch, sh = np.cos(z), np.sin(z), np.cosh(z), np.sinh(z)
+            even = ((c, ch), (-s, sh), (-c, ch), (s, sh))[order % 4]
+            odd = ((sh, s), (ch, c), (sh, -s), (ch, -c))[order % 4]
+            return l * (0.5 * (even[0] + even[1]) - bend * (odd[0] - odd[1]))
+
+        return value
+
+    node, weight = np.polynomial.legendre.leggauss(40)
+
+    def spent(z: Any) -> Any:
+        """J along the fall, from l."""
+        at = 0.5 * np.asarray(z)[..., None] * (1 + node)
+        return 0.25 * k**3 * np.asarray(z) * ((shape(2)(at) ** 2 - shape(0)(at) ** 2) @ weight)
+
+    def x(order: int, way: float) -> Formula:
+        """Derivative by time, on the way down (1) or up (-1)."""
+        return lambda t: (way * k) ** order * shape(order)(k * t if way > 0 else k * (t1 - t))
+
+    def swing(way: float, before: float) -> Piece:
+        total = float(spent(rise))
+
+        def cost(t: Any) -> Any:
+            return before + (spent(k * t) if way > 0 else total - spent(k * (t1 - t)))
+
+        return Piece(
+            t1,
+            [(x(0, way), x(1, way)), (x(1, way), x(2, way)),
+             (cost, lambda t: 0.5 * (x(2, way)(t) ** 2 - k**4 * x(0, way)(t) ** 2))],
+            (x(2, way), x(3, way)),
+            [(x(3, way), x(4, way)), (lambda t: -x(2, way)(t), lambda t: -x(3, way)(t)), polynomial(1.0)],
+        )  # fmt: skip
+
+    phase = pl.Phase(
+        name="beam",
+        states=_variables(x="m", v="m/s", c="m^2/s^3"),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * x.x * x.x)),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.x0, x.v + p.v0),
+        end_conditions=_variables(there="m", speed="m/s"),
+        path=lambda x, u, p, m: (p.l - x.x,),
+        path_conditions=_variables(room="m"),
+    )
+    problem = pl.Problem(
+        name="beam", phases=(phase,), start=lambda p, m: (p.x0, p.v0, 0.0),
+        given=_given(T=(2 * t1 + w, "s"), k=(k, "1/s"), l=(l, "m"), x0=(float(shape(0)(rise)), "m"),
+                     v0=(-k * float(shape(1)(rise)), "m/s")),
+        objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
+    )  # fmt: skip
+    third, up = -2 * bend * l * k**3, float(spent(rise))  # x''' as it leaves
+    ridden = Piece(
+        w, [polynomial(l), polynomial(0.0), polynomial(up, -0.5 * k**4 * l * l)], polynomial(0.0),
+        [polynomial(third - k**4 * l * w, k**4 * l),
+         polynomial(third * w - 0.5 * k**4 * l * w * w, k**4 * l * w - third, -0.5 * k**4 * l), polynomial(1.0)],
+    )  # fmt: skip
+    return by_hand(problem, [swing(-1.0, 0.0), ridden, swing(1.0, up - 0.5 * k**4 * l * l * w)])
+
+
+def bryson_denham_ridden(ceiling: float, met: float) -> Solution:
+    """Bryson and Denham's flight along x = l from `met` to 1 - `met` [s]; met = 3 l is the best of them, up to 1/2.
+
+    At any other time u jumps there, and so do the costates, along the slope of x' too.
+    """
+    # x = t + a t^2 + b t^3 with x = l and x' = 0 at the time that it is met.
+    a, b = np.linalg.solve([[met**2, met**3], [2 * met, 3 * met**2]], [ceiling - met, -1.0]).tolist()
+    up, u = Polynomial([0.0, 1.0, a, b]), Polynomial([2 * a, 6 * b])
+    cost, w, last = (u * u).integ() / 2, 1 - 2 * met, float(u(met))
+    at = Polynomial([met, -1.0])  # the time left until it is met, seen from the way down
+
+    def rows(*values: Polynomial) -> list[tuple[Formula, Formula]]:
+        return [(value, value.deriv()) for value in values]
+
+    one, spent = Polynomial([1.0]), float(cost(met))
+    rise = Piece(met, rows(up, up.deriv(), cost), rows(u)[0], rows(6 * b * one, -u, one))
+    ride = Piece(w, rows(ceiling * one, 0 * one, spent * one), rows(0 * one)[0],
+                 rows(-6 * b * one, Polynomial([-last - 6 * b * w, 6 * b]), one))  # fmt: skip
+    fall = Piece(
+        met, rows(up(at), -up.deriv()(at), 2 * spent - cost(at)), rows(u(at))[0], rows(-6 * b * one, -u(at), one)
+    )
+    return by_hand(bryson_denham(ceiling), [rise, ride, fall])
+
+
+def floor(depth: float) -> Solution:
+    """Lying at x = 0 for 2 s under J = int u^2/2 + (s^2 - depth) x, s the time from -1 on: x' = u, S = x >= 0.
+
+    The multiplier is s^2 - depth: where it is negative, x would better be above 0.
+    """
+    phase = pl.Phase(
+        name="floor",
+        states=_variables(x="m", s="s", c="m^2/s"),
+        controls=(pl.Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (
+            u.u,
+            p.T / p.T,
+            0.5 * u.u * u.u + p.pull * (x.s * x.s / p.second**2 - p.depth) * x.x,
+        ),
+        duration="T",
+        end=lambda x, p, m: (x.x,),
+        end_conditions=_variables(there="m"),
+        path=lambda x, u, p, m: (x.x,),
+        path_conditions=_variables(above="m"),
+    )
+    problem = pl.Problem(
+        name="floor",
+        phases=(phase,),
+        start=lambda p, m: (0 * p.pull * p.second**2, -p.second, 0 * p.pull**2 * p.second**3),
+        given=_given(T=(2.0, "s"), second=(1.0, "s"), pull=(1.0, "m/s^2"), depth=(depth, "1")),
+        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+    )  # fmt: skip
+    pieces = []
+    for begin in (-1.0, 0.0):
+        s = Polynomial([begin, 1.0])
+        whole = depth * s - s**3 / 3  # lam' = -(s^2 - depth)
+        pieces.append(Piece(1.0, [polynomial(0.0), polynomial(begin, 1.0), polynomial(0.0)], polynomial(0.0),
+                            [(whole, whole.deriv()), polynomial(0.0), polynomial(1.0)]))  # fmt: skip
+    return by_hand(problem, pieces)

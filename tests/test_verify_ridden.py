@@ -1,0 +1,113 @@
+"""Arcs along a condition on states, to level 3: closed forms that are minima, and constructed ones that are not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.problem.solution import Curve, Solution
+from problems.constrained import bryson_denham
+from problems.ridden import CLAMPED, beam, bryson_denham_ridden, floor, string
+
+
+def failed(solution: Solution, level: int) -> set[str]:
+    return {check.name for check in pl.verify(solution, level=level).failed}
+
+
+def value(solution: Solution, name: str) -> float:
+    return next(check.value for check in pl.verify(solution, level=3).checks if check.name == name)
+
+
+def test_a_bound_is_ridden_like_a_condition() -> None:
+    """J = 4/(9 l); mu is 0 along the arc, and what is kept of it are the two jumps alone."""
+    solution = pl.solve(bryson_denham(1 / 9, as_bound=True))
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    assert "swing-2_along_sufficient" in {check.name for check in solution.verification.checks}
+
+
+@pytest.mark.parametrize("rise", [0.5, 0.9])
+def test_a_string_held_down_is_a_minimum_up_to_its_conjugate_point(rise: float) -> None:
+    """In units of pi; its fall is no longer than half of that. The whole flight is longer than pi."""
+    solution = string(2.0, rise * math.pi, 1.0, 0.5 * math.pi)
+    assert not failed(solution, 3)
+    assert value(solution, "conjugate_point") == pytest.approx(rise**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("length", [2.0, 4.5])
+def test_a_beam_held_down_is_a_minimum_up_to_its_conjugate_point(length: float) -> None:
+    solution = beam(1.0, length, 1.0)
+    assert not failed(solution, 3)
+    assert value(solution, "conjugate_point") == pytest.approx((length / CLAMPED) ** 4, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("solution", "kappa"),
+    [(string(1.0, 1.2 * math.pi, 1.0, 0.5 * math.pi), 1.44), (beam(1.0, 4.9, 1.0), (4.9 / CLAMPED) ** 4)],
+)
+def test_beyond_its_conjugate_point_an_extremal_that_rides_is_none(solution: Solution, kappa: float) -> None:
+    """All of level 2 holds, and all of the multiplier's signs."""
+    assert failed(solution, 3) == {"conjugate_point"}
+    assert value(solution, "conjugate_point") == pytest.approx(kappa, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "solution",
+    [
+        string(2.0, 0.0, 1.0, 0.5 * math.pi),  # begins on its arc
+        string(1.0, 1.0, 1.0, 0.0),  # ends on it, where an end condition is
+        string(1.0, 1.0, 1.0, 0.0, push=0.0),  # ends on it, free
+        string(1.0, 1.0, 1.0, 0.0, push=-0.5),  # ends on it, and J would have it beyond
+    ],
+)
+def test_an_arc_may_begin_or_end_with_its_phase(solution: Solution) -> None:
+    assert not failed(solution, 3)
+
+
+@pytest.mark.parametrize(
+    ("solution", "check"),
+    [
+        (string(1.0, 1.0, 1.0, 0.0, push=0.5), "string-2_along_ends"),  # J would have its end away from the arc
+        (string(1.0, 0.0, 1.0, 1.0, bait=1.0, start_is_free=True), "string-1_along_ends"),  # its start likewise
+        (bryson_denham_ridden(1 / 9, 0.3), "swing-2_along_ends"),  # ridden for longer than is best
+        (bryson_denham_ridden(1 / 5, 0.45), "swing-2_along_ends"),  # ridden where a touch is best
+        (floor(0.3), "along"),  # a multiplier that is negative on the way
+    ],
+)
+def test_what_rides_and_would_better_leave_is_no_extremal(solution: Solution, check: str) -> None:
+    assert pl.verify(solution, level=1).passed
+    assert check in failed(solution, 2)
+
+
+def test_the_best_of_the_rides_by_hand_is_the_one() -> None:
+    assert not failed(bryson_denham_ridden(1 / 9, 1 / 3), 3)
+
+
+def test_a_bait_at_a_given_start_changes_nothing() -> None:
+    assert not failed(string(1.0, 0.0, 1.0, 1.0, bait=1.0), 3)
+
+
+@pytest.mark.parametrize("amount", [1e-4, -1e-4, -2.0])
+def test_another_multiplier_along_the_arc_is_none(amount: float) -> None:
+    """The costate of x changed along the arc by a share of what it is."""
+    solution = string(2.0, 1.0, 1.0, 1.0)
+    flown = solution.trajectories[0]
+    assert flown.costate is not None
+    time = flown.costate.time
+    first, last = np.nonzero(np.diff(time) == 0)[0]
+    values, rates = flown.costate.values.copy(), flown.costate.rates.copy()
+    here = slice(first + 1, last + 1)
+    values[here, 0] *= 1 + amount
+    rates[here, 0] *= 1 + amount
+    wrong = replace(flown, costate=Curve(time=time, values=values, rates=rates))
+    assert failed(replace(solution, trajectories=(wrong,)), 2)
+
+
+def test_an_arc_that_is_missed_by_little_is_none() -> None:
+    """The flight along x = 1 shown as one along x = 1 + 1e-8."""
+    solution = string(2.0, 1.0, 1.0, 1.0)
+    wrong = replace(solution, problem=solution.problem.with_given(l=1 + 1e-8))
+    assert failed(wrong, 2)
