@@ -13,12 +13,44 @@ flight is planar, as solving for d at a given s has.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
 
 from perilune.conditions.held import unit_share
+from perilune.problem.controls import directions, scalars
+from perilune.problem.phase import Phase
+from perilune.problem.symbolic import elements
+
+
+def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str, ca.SX]) -> ca.SX | None:
+    """The control of a phase whose one scalar, between its bounds, holds a condition with its one direction.
+
+    Parameters
+    ----------
+    phase, hamiltonian, u
+        H as an expression of the symbols u of the phase's controls, among others.
+    held
+        What vanishes, by name.
+
+    Returns
+    -------
+    Column of expressions, or None
+        As of `riding`.
+    """
+    both, sizes = directions(phase.controls), scalars(phase.controls)
+    if len(both) != 1 or len(sizes) != 1:
+        return None
+    (first, last), at = both[0], sizes[0][0]
+    sized = [c for c in held.values() if ca.depends_on(c, u[at])]
+    others = [c for c in held.values() if not ca.depends_on(c, u[at])]
+    found = riding(hamiltonian, u[first:last], u[at], sized[0], others) if len(sized) == 1 else None
+    if found is None:
+        return None
+    whole = elements(u)
+    whole[first:last], whole[at] = elements(found[0]), found[1]
+    return ca.vertcat(*whole)
 
 
 def riding(

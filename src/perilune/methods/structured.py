@@ -1,11 +1,13 @@
 """From a rough answer to the extremal of its structure: arcs read off it, the problem restated, Newton, arcs revised.
 
-A condition on states alone is kept by riding along it or touching it, which no single smooth arc does. The structure is
-read off the direct method's answer (`perilune.structures.read`), and each of its arcs becomes a phase. The extremal of
-that shows whether it is the right one, and changes it by rule, a bounded number of times:
+A condition on states alone is kept by riding along it or touching it, which no single smooth arc does; nor does one
+know when a control becomes singular, as H says nothing of it then. The structure is read off the direct method's answer
+(`perilune.structures.read`, `perilune.structures.regimes`), and each of its arcs becomes a phase. The extremal of that
+shows whether it is the right one, and changes it by rule, a bounded number of times:
 
 - a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
 - an arc of no length is a touch, or none where its condition cannot be touched;
+- an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
 - a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
 """
 
@@ -20,7 +22,8 @@ from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
-from perilune.structures.read import Contact, arcs_of, broken, of_states, read
+from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, read
+from perilune.structures.regimes import revised_stays, stays_of
 from perilune.structures.restate import part_name
 from perilune.structures.structure import Structure, conditions_of
 from perilune.words.outcome import PeriluneError
@@ -53,8 +56,15 @@ class Polish:
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
-        structure = read(self.problem, rough, _GUESSED) if self.guessed else read(self.problem, rough)
         seen = set[str]()
+        least = _GUESSED if self.guessed else NEAR[0]
+        # What looks like a singular arc may be none.
+        structures = (read(self.problem, rough, least, regimes=regimes) for regimes in (True, False))
+        found = (self._followed(rough, structure, seen) for structure in structures)
+        return next((solution for solution in found if solution is not None), None)
+
+    def _followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
+        """From the first structure that an answer has to the one that its extremal keeps to."""
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
             if sum(len(arcs) for arcs in structure.phases) > MOST_ARCS:
                 self.tried.append(f"structure of more than {MOST_ARCS} arcs: not tried")
@@ -93,8 +103,8 @@ class Polish:
         # A guess may be an extremal already.
         for mesh in (None, *meshes) if self.guessed else meshes:
             try:
-                near = guess if mesh is None else mesh.near(guess)
-                return Search(self.settings, guess.problem, self.watch).solve(near)
+                search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
+                return search.solve(guess if mesh is None else mesh.near(guess))
             except PeriluneError as error:
                 failure = error
         assert failure is not None
@@ -111,8 +121,12 @@ class Polish:
             known = list(_contacts(structure, k))
             found = list(self._borne_out(structure, solved, k, known))
             found = self._beside(whole, k, found)
-            same &= found == known
-            phases.append(arcs_of(found, flown.duration))
+            stays = stays_of(structure, k)
+            asked = revised_stays(whole, k, stays, _NO_TIME)
+            if asked is None:
+                return None
+            same &= found == known and asked == stays
+            phases.append(arcs_of(found, flown.duration, asked))
         revised = Structure(tuple(phases))
         return structure if same else None if revised.plain else revised
 
