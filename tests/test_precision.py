@@ -1,4 +1,4 @@
-"""Precision landings: over flat ground beside the statement of the paper, and what is refused."""
+"""Precision landings: over flat ground, beside the statement of the paper; with a vertical end; and what is refused."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.models.bodies import MOON, Body, UniformGravity
+from perilune.cli import run
+from perilune.models.bodies import CERES, MOON, Body, UniformGravity
 from perilune.models.descent import Site
+from perilune.models.final_descent import FinalDescent
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Vehicle
 from perilune.problem.preflight import preflight
@@ -217,3 +220,144 @@ def test_parts_of_the_corridor_may_be_left_out() -> None:
             "pointing_margin": 0.9 - math.cos(tilt),
         }
         assert values == pytest.approx([truth[name] for name in names])
+
+
+# -- a vertical, upright end
+
+
+@pytest.fixture(scope="module")
+def upright() -> Solution:
+    """The example with a final descent from 50 m to a touchdown at 1 m/s, proved."""
+    return solve(load_file(PRECISION, ["final.height=50 m", "final.touchdown_speed=1 m/s"]).problem)
+
+
+def test_the_last_metres_are_vertical(upright: Solution) -> None:
+    assert upright.outcome is Outcome.PROVED and upright.verification.level == 3
+    gate, touchdown = (t.state.values[-1] for t in upright.trajectories)
+    assert gate[:5] == pytest.approx([0.0, 0.0, 50.0, 0.0, 0.0], abs=1e-6)
+    assert gate[5] < -5.0  # m/s: the speed at the gate is chosen
+    assert touchdown[:2] == pytest.approx([0.0, -1.0], abs=1e-6)
+    assert (upright.trajectories[0].state.values[:, 2] >= 50.0 - 1e-6).all()
+    tilt = upright.problem.phases[1].evaluate("outputs", touchdown, (0.9,), upright.parameters)[0]
+    assert tilt == 0.0
+    times = {name: upright.results[name].value for name in ("flight_time", "gate_time", "final_time")}
+    assert times["flight_time"] == pytest.approx(times["gate_time"] + times["final_time"])
+    assert upright.results["landed_mass"].value == pytest.approx(1912.957305, abs=1e-5)
+
+
+def test_the_vertical_part_is_newtons(upright: Solution) -> None:
+    """The last phase flown by SciPy with the throttle's switch and nothing of the model but its numbers."""
+    p, flown = upright.parameters, upright.trajectories[1]
+    switches = np.unique(flown.time[1:][np.diff(flown.time) == 0])
+    assert len(switches) == 1
+    x, c, axis = flown.state.values[0], 310.0 * 9.80665, math.cos(p.site_latitude)
+    for begin, end, share in ((0.0, switches[0], 0.3), (switches[0], flown.duration, 0.9)):
+
+        def rates(t: float, x: Any, share: float = share) -> Any:
+            r = MOON.radius + x[0]
+            lifted = MOON.rotation_rate**2 * r * axis * axis
+            return x[1], share * 8000.0 / x[2] - MOON.gravitational_parameter / r**2 + lifted, -share * 8000.0 / c
+
+        x = solve_ivp(rates, (begin, end), x, "DOP853", rtol=1e-12, atol=1e-10).y[:, -1]
+    assert x == pytest.approx([0.0, -1.0, upright.results["landed_mass"].value], abs=1e-6)
+
+
+def test_straight_above_the_site_a_gate_costs_nothing() -> None:
+    """Over flat ground the best way down is vertical anyway: with and without a gate the same mass lands."""
+    start = Approach(east=0.0, north=0.0, up=1000.0, up_speed=-30.0)
+    plain, gated = (
+        solve(over_flat_ground(approach=start, final=final), level=0).results["landed_mass"].value
+        for final in (None, FinalDescent(height=50.0))
+    )
+    assert gated == pytest.approx(plain, rel=1e-9)
+
+
+def test_the_touch_of_the_slope_and_a_final_descent() -> None:
+    """On Mars both are kept; the vertical end takes more than the 400 kg of propellant that there are."""
+    final = ["final.height=50 m", "final.touchdown_speed=1 m/s"]
+    found = solve(load_file(MARS, [*final, "vehicle.dry_mass=1400 kg"]).problem)
+    assert found.outcome is Outcome.PROVED and found.verification.level == 3
+    assert any("glide slope touched" in arc.words for arc in found.structure)
+    assert 400.0 < found.results["propellant"].value < 420.0
+    with pytest.raises(InfeasibleError):
+        solve(load_file(MARS, final).problem)
+
+
+def test_a_fall_before_ignition_and_a_final_descent() -> None:
+    """Three phases; the end is as vertical."""
+    changes = ["final.height=50 m", "approach.up=3 km", "approach.east=-2500 m", "approach.longest_coast=100 s"]
+    found = solve(load_file(PRECISION, changes).problem)
+    assert found.outcome is Outcome.PROVED
+    assert [phase.name for phase in found.problem.phases] == ["coast", "landing", "final_descent"]
+    assert found.results["coast_time"].value > 5.0
+    assert found.trajectories[2].state.values[-1][:2] == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+def test_a_final_descent_is_saved_and_drawn(upright: Solution, tmp_path: Path) -> None:
+    """One table for each part, as their states are not the same; all of it is proved again from the file."""
+    pl.save(upright, tmp_path / "out")
+    back = pl.load(tmp_path / "out")
+    assert back.problem == upright.problem
+    assert pl.prove(back).outcome is Outcome.PROVED
+    out = tmp_path / "drawn"
+    assert run(["solve", str(PRECISION), "--set", "final.height=50 m", "--out", str(out)]) == 0
+    assert (out / "trajectory_2_final_descent.csv").exists()
+    assert {path.stem for path in (out / "figures").glob("*.png")} >= {"track", "steering", "velocities"}
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ("final.height=1 km", "begins below the height from which the final descent is vertical"),
+        ("final.height=50 km", "begins below the height from which the final descent is vertical"),
+        ("vehicle.thrust=2 kN", "cannot stop the descent"),
+        ("approach.up_speed=-300 m/s", "descent is too fast"),
+    ],
+)
+def test_a_final_descent_that_cannot_be_flown(change: str, what: str) -> None:
+    with pytest.raises(InfeasibleError, match=what):
+        solve(load_file(PRECISION, ["final.height=50 m", "final.touchdown_speed=1 m/s", change]).problem)
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "also"),
+    [
+        ("final.height=50", "final.height - this is not a quantity", "50 m"),
+        ("final.height=50 s", "final.height - the unit has the wrong dimension", "50 m"),
+        ("final.height=0 m", "final.height must be positive", "0 m"),
+        ("final.touchdown_speed=-1 m/s", "final.touchdown_speed is out of range", "without a sign"),
+        ("final.touchdown_speed=1 km/s", "final.touchdown_speed is out of range", "between 0 and 30 m/s"),
+        ("final.tilt=1 deg", "no key of this name in [final]", "height"),
+        ("final.touchdown_speed=1 m/s", "final.height is missing", "perilune new"),
+    ],
+)
+def test_a_slip_in_the_final_descent_is_named(change: str, what: str, also: str) -> None:
+    changes = [change] if "is missing" in what else ["final.height=50 m", change]
+    with pytest.raises(PeriluneError) as caught:
+        load_file(PRECISION, changes)
+    assert what in caught.value.what
+    assert also in str(caught.value)
+
+
+def test_what_falls_gently_enough_may_be_heavy() -> None:
+    """A weak engine lets no more land than it holds, but where a fast touchdown is allowed from low down."""
+
+    def held(height: float, speed: float) -> float:
+        final = FinalDescent(height=height, touchdown_speed=speed)
+        return float(next(f for f in preflight(over_flat_ground(final=final)) if "can hold" in f.name).value)
+
+    assert held(50.0, 0.0) == pytest.approx(7200.0 / 1.62)
+    # Falling 2 m with b m/s^2 ends at 1 m/s where b = 1/4.
+    assert held(2.0, 1.0) == pytest.approx(7200.0 / (1.62 - 0.25))
+    assert held(0.3, 1.0) == math.inf
+
+
+def test_a_fast_turning_body_warns_of_the_tilt() -> None:
+    """Half way to the pole of Ceres the centrifugal acceleration alone asks for 1.9 degrees."""
+    final = FinalDescent(height=50.0)
+    turning = over_flat_ground(final=final, body=CERES, site=Site(longitude=0.0, latitude=math.pi / 4))
+    found = next(f for f in preflight(turning) if f.name == "tilt that holds it on the vertical")
+    sideways = 0.5 * CERES.rotation_rate**2 * CERES.radius
+    down = CERES.gravitational_parameter / CERES.radius**2 - sideways
+    assert found.verdict == "warning"
+    assert found.value == pytest.approx(math.degrees(math.atan2(sideways, down)), rel=0.05)

@@ -40,10 +40,11 @@ NONE = Corridor()  # but the ground
 POINTING = Variable(name="pointing_margin", description="cosine of the thrust's tilt less that of corridor.tilt")
 
 
-def conditions(corridor: Corridor) -> tuple[Variable, ...]:
-    """Conditions of the path, in the order of `kept`."""
-    height = variables("m", "height_above_site" if corridor.slope is None else "height_above_glide_slope")
-    return height if corridor.tilt is None else (*height, POINTING)
+def conditions(corridor: Corridor, *, to_gate: bool = False) -> tuple[Variable, ...]:
+    """Conditions of the path, in the order of `kept`; `to_gate` where a vertical descent follows."""
+    heights = ("height_above_glide_slope",) if corridor.slope is not None else ()
+    heights += ("height_above_gate",) if to_gate else ()
+    return (*variables("m", *(heights or ("height_above_site",))), *((POINTING,) if corridor.tilt is not None else ()))
 
 
 def above_slope(x: Any, p: Any, m: Any) -> Any:
@@ -59,5 +60,7 @@ def kept(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def kept_falling(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Values of `conditions` that mean something without thrust: the height."""
-    return (above_slope(x, p, m) if hasattr(p, "corridor_slope") else x.up,)
+    """Values of `conditions` that mean something without thrust: the heights."""
+    slope = (above_slope(x, p, m),) if hasattr(p, "corridor_slope") else ()
+    gate = (x.up - p.final_height,) if hasattr(p, "final_height") else ()
+    return (*slope, *gate) or (x.up,)

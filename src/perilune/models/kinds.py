@@ -11,6 +11,7 @@ from typing import Any
 
 from perilune.models.bodies import BODIES, Body, OblateBody, UniformGravity
 from perilune.models.descent import Choices, Ignition, Site, Steering, powered_descent
+from perilune.models.final_descent import FinalDescent
 from perilune.models.landing import LandingSite, Orbit, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Retro, Throttle, Vehicle
@@ -131,10 +132,10 @@ def _precision(
     approach: Approach,
     site: Site | None,
     corridor: Corridor | None,
+    final: FinalDescent | None,
 ) -> Problem:
-    return precision_landing(
-        vehicle, approach, site, corridor, (throttle.lower, throttle.upper), body, j2=getattr(body, "j2", 0.0)
-    )  # fmt: skip
+    shares, j2 = (throttle.lower, throttle.upper), getattr(body, "j2", 0.0)
+    return precision_landing(vehicle, approach, site, corridor, shares, body, final=final, j2=j2)
 
 
 _ANY = Section(record=Undecided, required=False, otherwise=Undecided())
@@ -185,6 +186,7 @@ PRECISION = Kind(
         "approach": Section(record=Approach),
         "site": Section(record=Site, required=False, absent="left out over flat ground"),
         "corridor": Section(record=Corridor, required=False),
+        "final": Section(record=FinalDescent, required=False),
     },
     make=_precision,
     example={

@@ -21,6 +21,9 @@ Z is convex, and r' <= Z'. Let Z(t_b) < r_s. Where k >= 0, Z' < 0 before t_b, so
 at t_b it is below the site. Where k < 0, Z has its least value, below r_s too, at some t_s <= t_b; before t_s no flight
 is at rest, and at t_s it is below the site. Either way there is no flight. Z(t_b) = r(0) - v m0/q + c t_b - k t_b^2/2.
 
+*A speed u that may be left on the ground.* With v - u for v in t_b and in the way, Z(t_b) + u t_b is compared with r_s.
+Until Z' = -u no flight is slow enough, and there Z <= Z(t_b) + u t_b, so that it is below the site.
+
 *Flat ground.* Under uniform gravity g, r is the height over the ground, the fall from it mu (1/r_s - 1/r) is g (r -
 r_s), mu/r^2 is g, and what has r in its denominator otherwise is nothing.
 """
@@ -107,14 +110,14 @@ def thrust_against_weight(r_site: Any, p: Any) -> Finding:
     )
 
 
-def engine_holds_dry_mass(r_site: Any, p: Any, m: Any) -> tuple[Finding, ...]:
-    """Whether the engine can stop what must land; nothing where no dry mass is given."""
+def engine_holds_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
+    """Whether the engine can stop what must land, by the largest mass [kg]; nothing where no dry mass is given."""
     if not hasattr(p, "vehicle_dry_mass"):
         return ()
     return (
         Finding(
             name="landed mass that the thrust can hold",
-            value=mass_held(r_site, p, m),
+            value=held,
             limit=p.vehicle_dry_mass,
             at_least=True,
             unit="kg",
@@ -185,12 +188,12 @@ def speed_to_lose(
 
 
 def propellant_stops(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
     """Whether the propellant above the dry mass suffices by the rocket equation; arguments as `stopping_distance`."""
     return Finding(
         name="speed to lose",
-        value=speed_to_lose(position, velocity, axis, r_site, p, m),
+        value=speed_to_lose(position, velocity, axis, r_site, p, m) - left,
         limit=SLACK * velocity_change(p, m),
         at_least=False,
         unit="m/s",
@@ -201,7 +204,7 @@ def propellant_stops(
 
 
 def stopping_distance(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
     """Whether any flight stops its descent above the site: the proof is at the head of this file.
 
@@ -214,9 +217,11 @@ def stopping_distance(
         Unit vector of the rotation in them.
     r_site
         Radius of the site [m].
+    left
+        Speed [m/s] straight down that may be left on the ground.
     """
     r = m.sqrt(dot(position, position))
-    down = m.fmax(-dot(position, velocity) / r, 0.0)
+    down = m.fmax(-dot(position, velocity) / r - left, 0.0)
     distance, time = braking(down, p, m)
     oblate = _pull_of_j2(r_site, p, m)
     fastest = inertial_speed(position, velocity, axis, p, m) + down + (gravity_at(r_site, p) + oblate) * time

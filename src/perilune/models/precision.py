@@ -22,6 +22,15 @@ from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_
 from perilune.models.corridor import NONE, Corridor, above_slope, conditions, kept, kept_falling
 from perilune.models.descent import SPEED, THROTTLE, Site, with_dry_mass
 from perilune.models.descent_frames import mass_rate, thrust, variables
+from perilune.models.final_descent import (
+    FINAL_TIME,
+    GATE_TIME,
+    TIMES,
+    FinalDescent,
+    at_gate,
+    final_ranges,
+    with_final_descent,
+)
 from perilune.models.ground import inertial, without_thrust
 from perilune.models.landing import mass_state
 from perilune.models.limits import gravity_at
@@ -103,7 +112,7 @@ _VIEWS = Views(
 )
 # What of the burn holds, or means something, in a free fall as well.
 _WITHOUT_THRUST = {
-    "path_conditions": ("height_above_glide_slope", "height_above_site"),
+    "path_conditions": ("height_above_glide_slope", "height_above_gate", "height_above_site"),
     "output_variables": ("thrust_acceleration",),
 }
 
@@ -123,13 +132,19 @@ def _typical_end(p: Any, m: Any) -> Sequence[Any]:
 
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times."""
-    ranges = {"flight_time": (0.0, math.inf, _typical_time(p))}
+    ranges = {_FLIGHT_TIME.name: (0.0, math.inf, _typical_time(p))}
+    if hasattr(p, "final_height"):
+        ranges = final_ranges(p, _typical_time(p))
     if hasattr(p, "approach_longest_coast"):
         ranges[FREE.name] = coast_range(p.approach_longest_coast)
     return ranges
 
 
-def _phase(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
+_FLIGHT_TIME = Free(name="flight_time", unit="s")
+
+
+def _burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
+    """From ignition to rest on the site."""
     return Phase(
         name="landing",
         states=(
@@ -141,7 +156,7 @@ def _phase(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
         ),
         controls=(Direction(names=("toward_east", "toward_north", "toward_up")), THROTTLE),
         dynamics=_dynamics,
-        duration="flight_time",
+        duration=_FLIGHT_TIME.name,
         end=_touchdown,
         end_conditions=(
             *variables("m", "site_east", "site_north", "site_up"),
@@ -170,6 +185,7 @@ def precision_landing(
     throttle: tuple[float, float],
     body: Body | UniformGravity = MOON,
     *,
+    final: FinalDescent | None = None,
     dry_mass: float | None = None,
     j2: float = 0.0,
 ) -> Problem:
@@ -182,6 +198,8 @@ def precision_landing(
         Flat ground (`UniformGravity`) is everywhere the same: there the site is None.
     throttle
         Least and greatest share of full thrust.
+    final
+        A vertical, upright end of the landing; None comes to rest on the site from anywhere.
     dry_mass
         The vehicle's dry mass [kg], where it is not stated in its record.
     j2
@@ -191,7 +209,8 @@ def precision_landing(
     -------
     Problem
         States east, north, up [m], v_east, v_north, v_up [m/s], m [kg]; free `flight_time` [s], and `coast_time` [s]
-        before it where the approach has a `longest_coast`; J = -m(t_f) [kg].
+        before it where the approach has a `longest_coast`; where there is a final descent, `gate_time` and `final_time`
+        [s] in its place. J = -m(t_f) [kg].
 
     Raises
     ------
@@ -201,32 +220,38 @@ def precision_landing(
     corridor = NONE if corridor is None else corridor
     demand_records((vehicle, Vehicle), (approach, Approach), (corridor, Corridor))
     lander, shares = with_dry_mass(vehicle, dry_mass), Throttle(lower=throttle[0], upper=throttle[1])
-    stated = (*_ground(body, site, j2), lander, approach, corridor, shares)
-    given, coasts, flat = given_of(*stated), approach.longest_coast is not None, isinstance(body, UniformGravity)
+    stated = (*_ground(body, site, j2), lander, approach, corridor, shares, *(() if final is None else (final,)))
+    given, flat = given_of(*stated), isinstance(body, UniformGravity)
     if corridor.slope is None:
         del given["corridor_pad_radius"]  # it is the tip of nothing
-    time = _ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)["flight_time"][2]
+    ranges = _ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)
     way = math.hypot(approach.east, approach.north, approach.up)
-    burn = _phase(corridor, dry="vehicle_dry_mass" in given, flat=flat)
+    burn = _burn(corridor, dry="vehicle_dry_mass" in given, flat=flat)
+    phases, links, free = (burn,), (), (_FLIGHT_TIME,)
+    if final is not None:
+        phases, links, free = with_final_descent(burn, corridor), (at_gate,), (GATE_TIME, FINAL_TIME)
+    if approach.longest_coast is not None:
+        fall = with_coast(phases[0], kept_falling, _WITHOUT_THRUST)
+        phases, links, free = (*fall, *phases[1:]), (at_ignition, *links), (*free, FREE)
     views = replace(_VIEWS, radius="", frame="") if flat else _VIEWS
     return Problem(
         name="precision_landing",
         title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on {body.titled}",
-        phases=with_coast(burn, kept_falling, _WITHOUT_THRUST) if coasts else (burn,),
-        links=(at_ignition,) if coasts else (),
+        phases=phases,
+        links=links,
         start=_start,
         given=given,
-        free=(Free(name="flight_time", unit="s"), *((FREE,) if coasts else ())),
+        free=free,
         objective=_minus_landed_mass,
         objective_unit="kg",
         results=landing,
-        result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
+        result_variables=(*LANDING, *(v for v in (COAST_TIME, *TIMES) if v.name in {f.name for f in free})),
         maximised=LANDED_MASS.name,
         declared=stated,
         ranges=_ranges,
         preflight=partial(compare_precision, body=body),
         views=views if corridor.slope is None else replace(views, floor="glide slope"),
-        scales=Scales(length=way or 1.0, time=time, mass=float(vehicle.mass)),
+        scales=Scales(length=way or 1.0, time=ranges[free[0].name][2], mass=float(vehicle.mass)),
     )
 
 

@@ -5,6 +5,7 @@ The bounds of `perilune.models.limits`, the glide slope at the start, and the th
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,9 @@ from perilune.models.limits import (
     above_site,
     air_left_out,
     engine_holds_dry_mass,
+    gravity_at,
+    greatest_thrust,
+    mass_held,
     propellant_stops,
     stopping_distance,
     thrust_against_weight,
@@ -27,15 +31,18 @@ def compare_precision(p: Any, m: Any, *, body: Body | UniformGravity = MOON) -> 
     start = SimpleNamespace(east=p.approach_east, north=p.approach_north, up=p.approach_up)
     velocity = (p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
     position, axis, r_site = over_ground(start, p, m)
-    found = [above_site(p.approach_up, 0.0)]
-    found += [thrust_against_weight(r_site, p), *engine_holds_dry_mass(r_site, p, m)]
+    left = getattr(p, "final_touchdown_speed", 0.0)
+    held = _mass_held_at_end(p, m) if hasattr(p, "final_height") else mass_held(r_site, p, m)
+    found = [above_site(p.approach_up, 0.0), thrust_against_weight(r_site, p), *engine_holds_dry_mass(held, p)]
     if hasattr(p, "corridor_tilt") and not hasattr(p, "approach_longest_coast"):
         found.append(_throttle_floor(p, m))  # with its engine off it comes down all the same
     if hasattr(p, "corridor_slope"):
         found.append(_above_slope_at_start(start, p, m))
-    found.append(stopping_distance(position, velocity, axis, r_site, p, m))
+    if hasattr(p, "final_height"):
+        found += [_above_gate_at_start(p), _tilt_on_the_vertical(p, m)]
+    found.append(stopping_distance(position, velocity, axis, r_site, p, m, left))
     if hasattr(p, "vehicle_dry_mass"):
-        found.append(propellant_stops(position, velocity, axis, r_site, p, m))
+        found.append(propellant_stops(position, velocity, axis, r_site, p, m, left))
     return (*found, *(air_left_out(body) if isinstance(body, Body) else ()))
 
 
@@ -52,14 +59,59 @@ def _above_slope_at_start(start: Any, p: Any, m: Any) -> Finding:
     )
 
 
+def _mass_held_at_end(p: Any, m: Any) -> Any:
+    """Largest mass [kg] that comes down the vertical from the gate with no more than the touchdown speed u.
+
+    Where full thrust leaves an acceleration b downwards, the way h from the gate makes it as fast as sqrt(2 b h).
+    """
+    weight = -without_thrust(_on_vertical(p.final_height), (0.0, 0.0, 0.0), p, m)[2]
+    u = p.final_touchdown_speed
+    return greatest_thrust(p) / m.fmax(weight - 0.5 * u * u / p.final_height, 0.0)
+
+
+def _on_vertical(up: Any) -> Any:
+    return SimpleNamespace(east=0.0, north=0.0, up=up)
+
+
+def _above_gate_at_start(p: Any) -> Finding:
+    return Finding(
+        name="height above the final descent",
+        value=p.approach_up - p.final_height,
+        limit=1e-3,  # m: strictly above
+        at_least=True,
+        unit="m",
+        binding=True,
+        meaning="the approach begins below the height from which the final descent is vertical",
+        advice="a lower final.height, or a higher start",
+    )
+
+
+def _tilt_on_the_vertical(p: Any, m: Any) -> Finding:
+    """What holds the vehicle on the vertical where it hovers, and at the speed of a fall from the gate."""
+    fall = m.sqrt(2 * gravity_at(getattr(p, "body_radius", 0.0), p) * p.final_height)
+    tilts = []
+    for speed in (0.0, fall):
+        east, north, up = without_thrust(_on_vertical(0.0), (0.0, 0.0, -speed), p, m)
+        tilts.append(m.atan2(m.sqrt(east * east + north * north), -up) * (180.0 / math.pi))
+    return Finding(
+        name="tilt that holds it on the vertical",
+        value=m.fmax(*tilts),
+        limit=1.0,
+        at_least=False,
+        unit="deg",
+        binding=False,
+        meaning="the turning of the body asks for a tilt in the final descent, which is left out",
+        advice="a lower final.height, or no [final]",
+    )
+
+
 def _throttle_floor(p: Any, m: Any) -> Finding:
     """Whether the engine can let the vehicle down.
 
     Within the pointing limit the throttle's floor lifts by at least this much, more on a lighter vehicle and more
     higher up, and ends the descent on the way v^2/(2 a). A hundredth is left to the Coriolis acceleration.
     """
-    site = SimpleNamespace(east=0.0, north=0.0, up=0.0)
-    weight = -without_thrust(site, (0.0, 0.0, 0.0), p, m)[2]
+    weight = -without_thrust(_on_vertical(0.0), (0.0, 0.0, 0.0), p, m)[2]
     lift = p.throttle_lower * p.vehicle_thrust * m.cos(p.corridor_tilt) / p.vehicle_mass - weight
     return Finding(
         name="speed of descent against the lift of the throttle floor",
