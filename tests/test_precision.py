@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 from problems.constrained import mars_glide_slope
 
@@ -361,3 +363,42 @@ def test_a_fast_turning_body_warns_of_the_tilt() -> None:
     down = CERES.gravitational_parameter / CERES.radius**2 - sideways
     assert found.verdict == "warning"
     assert found.value == pytest.approx(math.degrees(math.atan2(sideways, down)), rel=0.05)
+
+
+# -- a slope that is approached too fast
+
+
+def closing_in(speed: float, body: Any = FLAT, site: Site | None = None) -> Problem:
+    """Straight towards a slope of 25 degrees that is 100 m away, at a speed, from 1 km beside the site."""
+    slope = math.radians(25.0)
+    corridor = Corridor(slope=slope, pad_radius=1.0)
+    up = math.tan(slope) * (math.hypot(1000.0, 1.0) - 1.0) + 100.0 / math.cos(slope)
+    start = Approach(
+        east=-1000.0, north=0.0, up=up, east_speed=-speed * math.sin(slope), up_speed=-speed * math.cos(slope)
+    )
+    return over_flat_ground(corridor, approach=start, body=body, site=site)
+
+
+@pytest.mark.parametrize("body", [FLAT, MOON], ids=["flat", "round"])
+def test_the_bound_of_the_glide_slope_is_sharp(body: Any) -> None:
+    """What full thrust straight away from the slope stops is let through, and nothing that is much faster."""
+    site = None if body is FLAT else Site(longitude=0.0, latitude=1.2)
+
+    def stops(speed: float) -> bool:
+        problem = closing_in(speed, body, site)
+        p, phase, away = problem.parameters({}), problem.phases[0], math.radians(25.0)
+        control = (math.sin(away), 0.0, math.cos(away), 0.9)
+        start = np.array(problem.start(p, NUMERIC), dtype=float)
+        flown = solve_ivp(lambda t, x: phase.rates(x.tolist(), control, p), (0.0, 60.0), start, rtol=1e-9, max_step=0.1)
+        heights = phase.evaluate("path", list(flown.y), control, p)[0]
+        return bool(np.min(heights) > 0.0)
+
+    def passed(speed: float) -> bool:
+        found = preflight(closing_in(speed, body, site))
+        return bool(next(f for f in found if f.name.startswith("way to the glide slope")).passed)
+
+    speeds = range(2, 80)
+    truth, bound = (speeds[bisect(speeds, False, key=lambda s: not may(float(s))) - 1] for may in (stops, passed))
+    assert truth <= bound < 1.15 * truth
+    with pytest.raises(InfeasibleError, match="full thrust straight away from the glide slope cuts it"):
+        solve(closing_in(1.2 * truth, body, site))

@@ -160,10 +160,10 @@ def air_left_out(body: Body) -> tuple[Finding, ...]:
     )
 
 
-def braking(speed: Any, p: Any, m: Any) -> tuple[Any, Any]:
-    """Distance [m] and time [s] to stop from `speed` by full thrust alone in free space."""
-    exhaust = exhaust_speed(p)
-    tau = p.vehicle_mass * exhaust / greatest_thrust(p)
+def braking(speed: Any, p: Any, m: Any, lever: Any = 1.0) -> tuple[Any, Any]:
+    """Distance [m] and time [s] to stop from `speed` by full thrust alone in free space, each push times a lever."""
+    tau = p.vehicle_mass * exhaust_speed(p) / greatest_thrust(p)
+    exhaust = lever * exhaust_speed(p)
     time = tau * (1 - m.exp(-speed / exhaust))
     return speed * tau - exhaust * time, time
 

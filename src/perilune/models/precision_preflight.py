@@ -15,14 +15,17 @@ from perilune.models.ground import over_ground, without_thrust
 from perilune.models.limits import (
     above_site,
     air_left_out,
+    braking,
     engine_holds_dry_mass,
     gravity_at,
     greatest_thrust,
+    is_flat,
     mass_held,
     propellant_stops,
     stopping_distance,
     thrust_against_weight,
 )
+from perilune.models.rotating import dot
 from perilune.problem.preflight import Finding
 
 
@@ -41,6 +44,8 @@ def compare_precision(p: Any, m: Any, *, body: Body | UniformGravity = MOON) -> 
     if hasattr(p, "final_height"):
         found += [_above_gate_at_start(p), _tilt_on_the_vertical(p, m)]
     found.append(stopping_distance(position, velocity, axis, r_site, p, m, left))
+    if hasattr(p, "corridor_slope"):
+        found.append(_stops_above_slope(start, velocity, left, p, m))
     if hasattr(p, "vehicle_dry_mass"):
         found.append(propellant_stops(position, velocity, axis, r_site, p, m, left))
     return (*found, *(air_left_out(body) if isinstance(body, Body) else ()))
@@ -57,6 +62,45 @@ def _above_slope_at_start(start: Any, p: Any, m: Any) -> Finding:
         meaning="the approach begins below the glide slope",
         advice="a higher or nearer start, or a flatter corridor.slope",
     )
+
+
+def _stops_above_slope(start: Any, velocity: Any, left: Any, p: Any, m: Any) -> Finding:
+    """Whether full thrust stops the approach to the glide slope before it is cut.
+
+    The room above a slope is convex: it lies above the tangent plane below the start, whose normal (-, -, 1) has the
+    length L. Thrust changes the height above that plane by L T/m at most, so that the argument at the head of
+    `perilune.models.limits` holds for it as for the height above the site.
+    """
+    away = m.sqrt(start.east * start.east + start.north * start.north)
+    steep = m.tan(p.corridor_slope) / m.sqrt(away * away + p.corridor_pad_radius * p.corridor_pad_radius)
+    normal = (-steep * start.east, -steep * start.north, 1.0)
+    lever = m.sqrt(dot(normal, normal))
+    closing = m.fmax(-dot(normal, velocity) - left, 0.0)
+    distance, time = braking(closing, p, m, lever)
+    pull = -dot(normal, without_thrust(start, velocity, p, m))
+    if not is_flat(p):
+        pull -= lever * _turn_of_gravity(velocity, closing / lever, time, p, m)
+    return Finding(
+        name="way to the glide slope before full thrust can stop it",
+        value=distance + 0.5 * pull * time * time,
+        limit=above_slope(start, p, m),
+        at_least=False,
+        unit="m",
+        binding=True,
+        meaning="the approach is too fast: even full thrust straight away from the glide slope cuts it",
+        advice="a slower, higher or nearer start, a flatter corridor.slope, or more thrust",
+    )
+
+
+def _turn_of_gravity(velocity: Any, gained: Any, time: Any, p: Any, m: Any) -> Any:
+    """How much [m/s^2] the acceleration without thrust may change in a time, with a speed gained by thrust.
+
+    By the gradient of gravity, 2 mu/r^3 (and half as much again for J2), and by the turning of the body.
+    """
+    r, omega = p.body_radius + p.site_altitude, m.fabs(p.body_rotation_rate)
+    gained += 1.1 * gravity_at(r, p) * time
+    way = (m.sqrt(dot(velocity, velocity)) + gained) * time
+    return 3 * gravity_at(r, p) / r * way + 2 * omega * gained + omega * omega * way
 
 
 def _mass_held_at_end(p: Any, m: Any) -> Any:
