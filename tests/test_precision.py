@@ -130,6 +130,7 @@ def test_the_bound_of_stopping_is_sharp_over_flat_ground() -> None:
         ("body.radius=3389.5 km", "body.gravity stands in place of other quantities", "body.gravity, body.radius"),
         ("body.gravity=3.7114", "body.gravity - this is not a quantity", "3.7114 m/s^2"),
         ("body.gravity=3.7114 m/s", "body.gravity - the unit has the wrong dimension", "the Earth has 9.8 m/s^2"),
+        ("throttle.lower=5 kN", "throttle.lower - the unit has the wrong dimension", "divide a thrust in newtons"),
         ("body.gravity=3.7114 km/s^2", "body.gravity is out of range", "the Earth has 9.8 m/s^2"),
         ("body.gravity=-3.7114 m/s^2", "body.gravity is out of range", "the Earth has 9.8 m/s^2"),
         ("body.gravitiy=3.7 m/s^2", "no key of this name in [body]", "gravity"),

@@ -51,7 +51,7 @@ class UniformGravity:
     """Flat ground that does not turn, under gravity that is the same everywhere."""
 
     gravity: float = quantity(
-        "m/s^2", "3.7114 m/s^2", above=0.0, most=300.0, hint="the Earth has 9.8 m/s^2, the Sun 274",
+        "m/s^2", "3.7114 m/s^2", above=0.0, most=300.0, hint="write it with its unit; the Earth has 9.8 m/s^2",
         about="uniform gravity over flat ground that does not turn, in place of the others",
     )  # fmt: skip
 
