@@ -17,25 +17,27 @@ from perilune.conditions.pontryagin import keepable_conditions
 from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, unknowns_from
 from perilune.methods.coarse import Coarse, touched
+from perilune.methods.durations import Lengthened, given_durations
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
-from perilune.methods.refusals import not_converged, refusal
-from perilune.methods.starts import held_in, hold_ranges, known, on_the_sphere
+from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
+from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, known, on_the_sphere
 from perilune.methods.trials import Trials
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import free_scales
 from perilune.shooting.continuation import Member
-from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
-from perilune.shooting.function import Root, Roots
+from perilune.shooting.continuum import open_directions
+from perilune.shooting.extremals import Found, HeldFamily, distinct, new_among, same, scan
+from perilune.shooting.function import Root
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Vector
 from perilune.words.watch import Watch
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
-_PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
-_STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
+_DURATION = "continuation in the duration"
+_AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
 _JOINED = 300  # unknowns at joints, which cost their number cubed
 
 
@@ -56,7 +58,7 @@ class Search:
         self.judge = Judge(self.problem, self.trials.conditions, self.trials.p)
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
-        self.rung, self.met = "", 0
+        self.rung, self.agreed = "", False
         # By extremals met with the scanned parameter held, and these; which search answered; whether it was outdone.
         self.broken: list[Breach] = []
         self.breaking: list[Root] = []
@@ -80,14 +82,15 @@ class Search:
     def all_extremals(self, base: Member | None = None) -> tuple[Search, list[Found]]:
         """By the ladder; and of which search they are: this one, or one whose control keeps more of the path."""
         found: list[Found] = []
-        rungs = [[(base, "continuation")] if base is not None else [], self._sphere_members(), self._transcription()]
+        given = [(base, "continuation")] if base is not None else []
+        rungs = [given, self._sphere_members(), self._carried_members(), self._transcription()]
         for i, rung in enumerate(rungs):
-            if i == 2 and self._answers(found):
-                break  # the last rung is for those that the others left without an answer
+            if self._answers(found) and (i == 3 or (i == 2 and (base is not None or self.agreed))):
+                continue  # the last rung is for those that the others left without an answer
             for first, name in rung:
                 if not self._walked_through(first):
                     new, members = self._all_extremals(first)
-                    if self._answers(new) and self.base is None:
+                    if self._answers(new) and (self.base is None or self._alone_and_better(first)):
                         self.base, self.rung = first, name
                     found += new_among(new, found)
                     for member in members:
@@ -149,6 +152,10 @@ class Search:
     def _walked_through(self, member: Member) -> bool:
         return any(same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
 
+    def _alone_and_better(self, first: Member) -> bool:
+        """Whether an extremal that is no member of a family is better than the one known."""
+        return self.trials.scanned is None and self.base is not None and first.root.cost < self.base.root.cost
+
     def _answers(self, found: list[Found]) -> bool:
         return any(f.minimum and self.judge.breach(f.root) is None for f in found)
 
@@ -207,37 +214,47 @@ class Search:
         choices = np.tile(trials.shooting.holding({}), (len(Y), 1))
         if trials.scanned is not None:
             choices[:, trials.scanned], choices[:, trials.shooting.plan.held + trials.scanned] = 1.0, held
-        roots = trials.settled(Y, choices, limits=trials.others, limit=_PATIENCE, max_step=_STRIDE, doubt=0.0)
+        roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
         if not roots.converged.any():
             hold_ranges(trials, choices)
-            roots = trials.settled(roots.y, choices, limits=trials.others, limit=3 * _PATIENCE, max_step=_STRIDE)
-        breaking: list[Member] = []
+            roots = trials.settled(roots.y, choices, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
+        members: list[Member] = []
         for value in holds:
-            for root in self._distinct(roots, np.nonzero((held == value) & roots.converged)[0].tolist()):
-                member = Member(value=value, root=root)
-                if self._walked_through(member):
-                    continue
-                breach = self.judge.breach(root)
-                if breach is None:
-                    yield member, _RANDOM
-                else:
-                    breaking.append(member)
-                    self.broken.append(breach)
-                    self.breaking.append(root)
-        met = f"{self.met} extremals, {len(breaking)} of them break a condition"
-        self.tried.append(f"{_RANDOM}{where}: {len(Y)} starts, {met}")
-        if self.base is None:
-            yield from ((member, _RANDOM) for member in breaking)
+            lanes = np.nonzero((held == value) & roots.converged)[0].tolist()
+            members += [Member(value=value, root=root) for root in distinct(roots[lane] for lane in lanes)]
+        self.agreed = len(members) == 1 and bool(np.mean(roots.converged) >= _AGREED)
+        yield from self._judged(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
 
-    def _distinct(self, roots: Roots, lanes: list[int]) -> list[Root]:
-        """Different roots within the bounds, best first."""
-        kept: list[Root] = []
-        for lane in lanes:
-            if not any(same(root.y, roots.y[lane], 1e-6) for root in kept):
-                root = roots[lane]
-                kept += [root] if self.trials.outside(root) is None else []
-        self.met += len(kept)
-        return sorted(kept, key=lambda root: root.cost)
+    def _carried_members(self) -> Iterator[tuple[Member, str]]:
+        """Extremals of shorter flights, carried to the whole one."""
+        if not given_durations(self.trials):
+            return
+        self.watch(f"start: {_DURATION}")
+        walk = Lengthened(trials=self.trials, starts=self.settings.starts, seed=self.settings.seed)
+        members = [Member(value=0.0, root=root) for root in walk.extremals()]
+        yield from self._judged(members, _DURATION, walk.told)
+
+    def _judged(self, members: list[Member], name: str, tried: str) -> Iterator[tuple[Member, str]]:
+        """Those within the bounds; those that break a condition come last, and only where nothing else was found."""
+        breaking, met = list[Member](), 0
+        for member in members:
+            if self.trials.outside(member.root) is not None:
+                continue
+            met += 1
+            if self._walked_through(member):
+                continue
+            breach = self.judge.breach(member.root)
+            if breach is None:
+                yield member, name
+            else:
+                breaking.append(member)
+                self.broken.append(breach)
+                self.breaking.append(member.root)
+        self.tried.append(f"{tried}, {met} extremals, {len(breaking)} of them break a condition")
+        if any(open_directions(member.root) for member in members):
+            self.tried.append(NOT_ISOLATED)
+        if self.base is None:
+            yield from ((member, name) for member in breaking)
 
     def _transcription(self) -> Iterator[tuple[Member, str]]:
         """An extremal from a coarse direct solution, in one piece or, where that fails, by multiple shooting."""

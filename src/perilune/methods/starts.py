@@ -12,6 +12,8 @@ from perilune.problem.solution import Solution
 from perilune.problem.symbolic import canonical_free
 from perilune.words.types import Matrix, Vector
 
+PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
+STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
 _SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
 

@@ -15,6 +15,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.symbolic import free_scales
 from perilune.shooting.active import Limits, limits_of, settle
+from perilune.shooting.continuum import completed
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
@@ -62,14 +63,15 @@ class Trials:
         shooting: Shooting | None = None,
         **settings: float,
     ) -> Roots:
-        """Roots within their limits; the nearest failure is remembered, and the flights are counted."""
+        """Roots within their limits; flights are counted, and the nearest failure at the problem's own numbers kept."""
         function = shooting or self.shooting
-        roots = settle(function, Y, self.p if p is None else p, choice, limits, self.watch, **settings)
+        numbers = self.p if p is None else p
+        roots = completed(function, settle(function, Y, numbers, choice, limits, self.watch, **settings), numbers)
         self.history += roots.history
         if function is not self.shooting:
             self.shooting.arcs += function.arcs
             self.shooting.iterations += function.iterations
-        if not roots.converged.all():
+        if p is None and not roots.converged.all():
             failed = np.where(roots.converged | ~np.isfinite(roots.residuals), np.inf, roots.residuals)
             nearest, worst = int(np.argmin(failed)), self.best_failure
             if np.isfinite(failed[nearest]) and (worst is None or failed[nearest] < np.abs(worst.residual).max()):
