@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from problems.circles import to_circle
 from problems.constrained import brachistochrone
-from problems.transfers import to_circle
 
 
 def test_mirror_images_are_listed_once() -> None:
