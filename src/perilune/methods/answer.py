@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +12,11 @@ from perilune.methods.assemble import free_values, multipliers, objective_scale,
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Statistics
-from perilune.shooting.extremals import Found
+from perilune.shooting.extremals import Found, same
 from perilune.words.outcome import Outcome
+from perilune.words.types import Vector
+
+_SAME = 1e-9  # of J and of the free parameters, canonical: what two extremals may differ by and be listed as one
 
 
 def composed(
@@ -30,7 +33,7 @@ def composed(
     statistics
         Of the run; `rung` says whether a guess led to the root. The residual is added.
     """
-    ranked = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
+    ranked = listed_once(conditions, sorted(found, key=lambda f: (not f.minimum, f.root.cost)))
     unit, guessed = objective_scale(problem), statistics.rung == "guess"
     extremals = tuple(
         Extremal(
@@ -54,6 +57,23 @@ def composed(
         unknowns=best.y,
         statistics=replace(statistics, residual=float(np.abs(best.residual).max())),
     )
+
+
+def listed_once(conditions: Conditions, ranked: Iterable[Found]) -> list[Found]:
+    """Those whose J or free parameters differ.
+
+    Mirror images, or a coast flown before the burn or behind it, are one extremal to whoever reads the list.
+    """
+    kept: list[Found] = []
+    for found in ranked:
+        values = _told(conditions, found)
+        if not any(same(values, _told(conditions, other), _SAME) for other in kept):
+            kept.append(found)
+    return kept
+
+
+def _told(conditions: Conditions, found: Found) -> Vector:
+    return np.append(found.root.y[conditions.free_at], found.root.cost)
 
 
 def _nature(found: Found, free: int, *, best: bool, guessed: bool) -> Nature:

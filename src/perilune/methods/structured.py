@@ -31,6 +31,7 @@ from perilune.words.watch import Watch
 
 ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
+_BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
@@ -152,7 +153,8 @@ class Polish:
         found = list(found)
         for name in of_states(self.problem, k):
             for begin, end, at in broken(whole, k, name):
-                near = [c for c in found if c.name == name and begin <= c.end and c.begin <= end]
+                reach = _BESIDE * (end - begin)
+                near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
                 ridden = bool(near) or conditions_of(self.problem, k, (name,))[name].order == 1
                 begin, end = (begin, end) if ridden else (at, at)
                 for contact in near:

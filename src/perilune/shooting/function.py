@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.shooting.flyer import fleet
+from perilune.shooting.flyer import fleet, jacobians
 from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, newton
 from perilune.shooting.plan import Plan
 from perilune.shooting.propagate import flight
@@ -74,12 +74,21 @@ class Roots:
         """Largest residual of each lane."""
         return self.rows[:, 0]
 
+    @property
+    def costs(self) -> Vector:
+        """J of each lane, canonical."""
+        return self.rows[:, self.plan.columns.extras.stop - 1]
+
     def replaced(self, lanes: NDArray[np.int64], by: Roots) -> Roots:
         """The same with other ends of some lanes."""
-        fields = {name: getattr(self, name).copy() for name in ("y", "rows", "choice", "converged", "evaluations")}
+        fields = {name: getattr(self, name).copy() for name in _BY_LANE}
         for name, array in fields.items():
             array[lanes] = getattr(by, name)
         return replace(self, **fields, history=self.history + by.history)
+
+    def of(self, lanes: NDArray[np.int64]) -> Roots:
+        """Some of the lanes alone."""
+        return replace(self, **{name: getattr(self, name)[lanes] for name in _BY_LANE})
 
     def failed(self, which: NDArray[np.bool_]) -> Roots:
         """The same with some lanes not converged."""
@@ -108,6 +117,9 @@ class Roots:
             converged=bool(self.converged[lane]),
             history=self.history,
         )
+
+
+_BY_LANE = ("y", "rows", "choice", "converged", "evaluations")
 
 
 class Shooting:
@@ -180,6 +192,11 @@ class Shooting:
             return Ends(y=y, rows=rows, converged=np.zeros(count, dtype=bool), evaluations=once, iterations=none)
 
         return self._fly(Y, p, choice, evaluate)
+
+    def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
+        """Of all lanes, by the unknowns that are not silent, (lanes, n, n); NaN where an arc could not be flown."""
+        p, choice = (array if array.ndim == 2 else array[None] for array in (p, choice))
+        return jacobians(self.conditions, self.segments, Y.take(self.plan.active, axis=1), p, choice)
 
     def joints(self, y: Vector, p: Vector) -> Vector | None:
         """Y for this number of segments from y alone: the states at the joints are those of a flight in one piece."""
