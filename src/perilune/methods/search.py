@@ -19,6 +19,7 @@ from perilune.conditions.pontryagin import Conditions, derive, keepable_conditio
 from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, joints_from, unknowns_from
 from perilune.methods.coarse import Coarse, touched
+from perilune.methods.flown import may_be_cut
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import not_converged, refusal
@@ -37,7 +38,6 @@ from perilune.words.watch import Iteration, Watch
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 _STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
-_JOINED = 300  # unknowns at joints, which cost their number cubed
 _AT_BOUND = 1e-8  # canonical distance at which a guess counts as lying on a bound
 _SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
@@ -186,8 +186,8 @@ class Search:
     def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[Found]:
         """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
         root = self._settled(y[None], choice, limits=self.limits)[0]
-        joints = (self.settings.segments - 1) * sum(2 * e.half for e in self.conditions.phases)
-        if not root.converged and guess is not None and joints <= _JOINED and not is_neighbour(self.problem):
+        stuck = not root.converged and (not is_neighbour(self.problem) or self.shooting.rounding(root))
+        if stuck and guess is not None and may_be_cut(self.conditions, self.settings.segments):
             root = self._by_pieces(guess, y, choice, self.settings.segments, self.limits)
         name = self._outside(root)
         if root.converged and name is None:
@@ -329,7 +329,7 @@ class Search:
         Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
         root = self._settled(Y[None], choice, limits=limits, shooting=shooting)[0]
         if root.converged and segments > 1:  # one piece again, for what follows
-            root = self._settled(root.y[None, : len(y)], root.choice, limits=limits)[0]
+            root = self.shooting.in_one(self._settled(root.y[None, : len(y)], root.choice, limits=limits)[0], root)
         return root
 
     def _settled(
