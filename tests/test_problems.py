@@ -26,6 +26,7 @@ from perilune.shooting.function import Shooting
 from perilune.words.outcome import PeriluneError
 from problems import LIBRARY, Answered
 from problems.answered import Method
+from problems.delta import delta
 from problems.goddard import FOOT, goddard
 from problems.orbit_raising import PRINTED_RADIUS
 from problems.reentries import PRINTED_CONTROL, PRINTED_COSTATE, apollo, shuttle
@@ -169,7 +170,7 @@ def test_the_page_on_own_problems_shows_the_example() -> None:
     assert page.split("```python\n")[1].split("```")[0] == example
 
 
-def test_entries_are_those_of_the_books() -> None:
+def test_entries_and_the_ascent_are_those_of_the_books() -> None:
     """To every digit that is printed, and locally optimal."""
     entry = pl.prove(solved(next(a for a in LIBRARY if a.make is apollo), Indirect()))
     assert entry.verification.level == 3
@@ -179,6 +180,8 @@ def test_entries_are_those_of_the_books() -> None:
     assert flown.costate(0.0)[:3] == pytest.approx(PRINTED_COSTATE, abs=5e-9)
     cosine, sine = flown.control(np.array([0.0, flown.duration])).T
     assert np.degrees(np.arctan2(sine, cosine)) == pytest.approx(PRINTED_CONTROL, abs=5e-5)
+    ascent = pl.prove(solved(next(a for a in LIBRARY if a.make is delta), Indirect()))
+    assert ascent.verification.level == 3
     glide = pl.prove(solved(next(a for a in LIBRARY if a.make is shuttle), Indirect()))
     assert glide.verification.level == 3
     assert glide.free["time"] == pytest.approx(2008.59, abs=5e-3)

@@ -10,7 +10,7 @@ import numpy as np
 from perilune.conditions.canonical import PhaseExtremal
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import controls, free_values, objective_scale
-from perilune.methods.flown import Flown, exported
+from perilune.methods.flown import Flown, exported, in_one_piece
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import state_scales
@@ -79,9 +79,15 @@ class Judge:
             # A flight does not end before it begins, whatever the bounds say.
             lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
             yield from self._outside(free, np.array([values[free.name]]), lower, free.upper)
-        flights = exported(self.problem, self.conditions, root, allowed=_SLACK, rtol=_ACCURACY, atol=_ACCURACY)
-        for phase, extremal, arc in zip(self.problem.phases, self.conditions.phases, flights, strict=True):
-            yield from self._along(phase, extremal, arc, values)
+        settings = {"rtol": _ACCURACY, "atol": _ACCURACY}
+        found = self._on_the_way(in_one_piece(self.problem, self.conditions, root.y, **settings), values)
+        if found:  # where errors grow, one flight alone may break what its pieces keep
+            found = self._on_the_way(exported(self.problem, self.conditions, root, _SLACK, **settings), values)
+        yield from found
+
+    def _on_the_way(self, flights: list[Flown], values: dict[str, float]) -> list[Breach]:
+        phases = zip(self.problem.phases, self.conditions.phases, flights, strict=True)
+        return [breach for phase, extremal, arc in phases for breach in self._along(phase, extremal, arc, values)]
 
     def _along(self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float]) -> Iterator[Breach]:
         t, p = np.linspace(0.0, arc.duration, _POINTS), self.problem.parameters(values)
