@@ -6,7 +6,7 @@ here once, and tests that look at one of them more closely import its function f
 
 from __future__ import annotations
 
-from problems import ascents, goddard, integrators, landings, orbit_raising, singular, staging
+from problems import ascents, delta, goddard, integrators, landings, orbit_raising, reentries, singular, staging
 from problems.answered import Answered
 
 LIBRARY: tuple[Answered, ...] = (
@@ -17,6 +17,8 @@ LIBRARY: tuple[Answered, ...] = (
     *landings.ANSWERED,
     *goddard.ANSWERED,
     *singular.ANSWERED,
+    *reentries.ANSWERED,
+    *delta.ANSWERED,
 )
 
 __all__ = ["LIBRARY", "Answered"]

@@ -39,7 +39,7 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
     Column of expressions, or None
         As of `riding`.
     """
-    both, sizes = directions(phase.controls), scalars(phase.controls)
+    both, sizes = [*directions(phase.controls)], [*scalars(phase.controls)]
     if len(both) != 1 or len(sizes) != 1:
         return None
     (first, last), at = both[0], sizes[0][0]

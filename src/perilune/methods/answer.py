@@ -9,6 +9,7 @@ import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import free_values, multipliers, objective_scale, trajectories
+from perilune.methods.flown import exported
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Statistics
@@ -51,7 +52,9 @@ def composed(
         outcome=Outcome.SOLVED,
         objective=extremals[0].objective,
         free=extremals[0].free,
-        trajectories=Deferred(len(problem.phases), lambda: trajectories(problem, conditions, best.y)),
+        trajectories=Deferred(
+            len(problem.phases), lambda: trajectories(problem, conditions, exported(problem, conditions, best))
+        ),
         multipliers=multipliers(problem, conditions, best.y),
         extremals=extremals,
         unknowns=best.y,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 
@@ -10,20 +11,18 @@ import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal, extremal_parameters
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import DenseArc
+from perilune.methods.flown import Flown
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
-from perilune.shooting.propagate import flight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
-# Tolerance of the arcs that are exported. Their curves are interpolated to 1e-10 in states, 1e-9 in costates and 3e-11
-# in controls (canonical): the re-flight integrates the control's error over the whole burn, and 3e-11 rad of a few
-# m/s^2 over 1000 s stays below 1e-6 m/s.
-_FINE = {"rtol": 1e-13, "atol": 1e-13}
+# Accuracy to which curves are interpolated (canonical): the re-flight integrates the control's error over the whole
+# burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.
+_STATES, _COSTATES, _CONTROLS = 1e-10, 1e-9, 3e-11
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
@@ -62,20 +61,9 @@ def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def fly(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[DenseArc]:
-    """Canonical z(t) of each phase, flown in one piece from the unknowns y; settings as for `flight`."""
-    p, before, flown = extremal_parameters(problem), np.zeros(0), []
-    for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
-        z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p))
-        flown.append(flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings}))
-        before = flown[-1].z[-1]
-    return flown
-
-
-def controls(extremal: PhaseExtremal, arc: DenseArc, t: Vector, p: Vector) -> Matrix:
+def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matrix:
     """Minimising control along an arc, (n, controls); at a switch, the one after it."""
-    step = np.clip(np.searchsorted(arc.t, t, side="right") - 1, 0, len(arc.mode) - 1)
-    modes, z = arc.mode[step], arc(t)
+    modes, z = arc.modes(t), arc(t)
     out = np.zeros((len(t), extremal.reports[0].size1_out(0)))
     for mode in np.unique(modes):
         here = modes == mode
@@ -102,27 +90,26 @@ def _report(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> tuple[M
     return rate, u, u_rate
 
 
-def trajectories(problem: Problem, conditions: Conditions, y: Vector) -> tuple[Trajectory, ...]:
+def trajectories(problem: Problem, conditions: Conditions, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
     """Curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
     p = extremal_parameters(problem)
-    flown = fly(problem, conditions, y)
     return tuple(_trajectory(problem, conditions, k, arc, p) for k, arc in enumerate(flown))
 
 
-def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc, p: Vector) -> Trajectory:
+def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, p: Vector) -> Trajectory:
     phase, extremal = problem.phases[k], conditions.phases[k]
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
-    duration = float(arc.t[-1])
+    duration = arc.duration
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
     size = np.maximum(1.0, reached)
     size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
-    tolerance = np.concatenate([1e-10 * size[:n], 1e-9 * size[half : half + n], np.full(width, 3e-11)])
+    tolerance = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], np.full(width, _CONTROLS)])
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
-    inside = np.abs(arc.end.event_time[0] - 0.5 * duration) < (0.5 - _NOTHING) * duration
+    inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
+    joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > _NOTHING * duration]
     pieces = []
-    for left, right in pairwise([0.0, *arc.end.event_time[0][inside].tolist(), duration]):
-        step = int(np.clip(np.searchsorted(arc.t, 0.5 * (left + right)) - 1, 0, len(arc.mode) - 1))
-        mode = int(arc.mode[step])
+    for left, right in pairwise([0.0, *sorted([*inside, *joints]), duration]):
+        mode = int(arc.modes(np.array([0.5 * (left + right)]))[0])
 
         def evaluate(
             t: Vector, left: float = left, mode: int = mode, before: float = np.nextafter(right, left)
@@ -133,8 +120,9 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
         nodes = hermite_nodes(evaluate, right - left, tolerance)
-        # The last node is the switch itself, not a sum that may miss it by one rounding.
-        pieces.append((np.append(left + nodes[:-1], right), *evaluate(nodes)))
+        # The last node is the switch itself, not a sum that may miss it by one rounding; a joint is the next piece's.
+        piece = np.append(left + nodes[:-1], right), *evaluate(nodes)
+        pieces.append([part[:-1] for part in piece] if right in joints else piece)
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     time = problem.scales.time
     u_scale = control_scales(phase.controls, problem.scales)

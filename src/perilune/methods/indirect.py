@@ -42,7 +42,8 @@ class Indirect(Ladder):
     segments
         Arcs for each phase in multiple shooting (fourth rung).
     transcription
-        The direct method of the third rung; its mesh need not be fine. None: 8 segments of 5 nodes, not refined.
+        The direct method of the third rung; its mesh need not be fine. None: 8 segments of 5 nodes, of several phases
+        fewer for each, not refined.
     """
 
     def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:

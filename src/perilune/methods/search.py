@@ -18,6 +18,7 @@ from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, unknowns_from
 from perilune.methods.coarse import Coarse, touched
 from perilune.methods.durations import Lengthened, given_durations
+from perilune.methods.flown import may_be_cut
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
@@ -38,7 +39,6 @@ from perilune.words.watch import Watch
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _DURATION = "continuation in the duration"
 _AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
-_JOINED = 300  # unknowns at joints, which cost their number cubed
 
 
 @dataclass
@@ -178,8 +178,8 @@ class Search:
         """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
         trials = self.trials
         root = trials.settled(y[None], choice, limits=trials.limits)[0]
-        joints = (self.settings.segments - 1) * sum(2 * e.half for e in trials.conditions.phases)
-        if not root.converged and guess is not None and joints <= _JOINED and not is_neighbour(self.problem):
+        stuck = not root.converged and (not is_neighbour(self.problem) or trials.shooting.rounding(root))
+        if stuck and guess is not None and may_be_cut(trials.conditions, self.settings.segments):
             root = trials.by_pieces(guess, y, choice, self.settings.segments, trials.limits)
         name = trials.outside(root)
         if root.converged and name is None:

@@ -84,7 +84,7 @@ class Trials:
         Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
         root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
         if root.converged and segments > 1:  # one piece again, for what follows
-            root = self.settled(root.y[None, : len(y)], root.choice, limits=limits)[0]
+            root = self.shooting.in_one(self.settled(root.y[None, : len(y)], root.choice, limits=limits)[0], root)
         return root
 
     def correct(self, y: Vector, like: Root, p: Vector) -> Root:

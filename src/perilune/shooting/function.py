@@ -23,6 +23,8 @@ from perilune.shooting.propagate import flight
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
+_LAST_DIGITS = 1e-12  # of |y|: what moves it less is rounding
+
 
 @dataclass(frozen=True, kw_only=True)
 class Root:
@@ -235,6 +237,22 @@ class Shooting:
         row = int(self.plan.rows.searchsorted(self.conditions.stationarity_at.start + index))
         at = int(self.plan.active.searchsorted(self.conditions.free_at.start + index))
         return 1.0 / float(root.inverse[at, row])
+
+    def rounding(self, root: Root) -> bool:
+        """Whether Newton's next step moves nothing but last digits, however large they make the residual."""
+        step = root.inverse @ root.residual[self.plan.rows]
+        return bool(np.linalg.norm(step) <= _LAST_DIGITS * (1.0 + np.linalg.norm(root.y)))
+
+    def in_one(self, root: Root, pieces: Root) -> Root:
+        """What single shooting makes of a root in pieces.
+
+        Where errors grow so much that its one flight misses by rounding alone, it is a root as its pieces are, and has
+        their residual and J.
+        """
+        if root.converged or not self.rounding(root):
+            return root
+        y, residual = pieces.y[: len(root.y)], pieces.residual[: len(root.residual)]
+        return replace(root, y=y, residual=residual, cost=pieces.cost, converged=True)
 
     def _fly(self, Y: Matrix, p: Matrix, choice: Matrix, run: Callable[[Evaluate, Matrix, Columns], Ends]) -> Roots:
         plan, count = self.plan, len(Y)
