@@ -10,12 +10,15 @@ that it is checked by the same conditions as an answer of the indirect method, a
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
 
 from perilune.direct.collocation import Mesh, Scheme, rule
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution, Statistics
+from perilune.problem.solution import Deferred, Solution, Statistics
 from perilune.words.asked import demand_whole
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -55,6 +58,9 @@ class Pseudospectral:
         Most iterations of one NLP.
     nlp_tolerance
         Of the NLP's optimality conditions, in canonical units.
+    polish
+        Whether `perilune.solve` makes the answer exact by Newton's method on its structure
+        (`perilune.methods.polished`); `run` itself never does.
     """
 
     scheme: Scheme = "gauss"
@@ -64,6 +70,7 @@ class Pseudospectral:
     refine: int = 8
     iterations: int = 300
     nlp_tolerance: float = 1e-10
+    polish: bool = True
 
     def __post_init__(self) -> None:
         demand_whole(self, nodes=1, segments=1, refine=0, iterations=1)
@@ -98,14 +105,20 @@ class Pseudospectral:
             If no feasible trajectory was found, or the accuracy was not reached; the message names the
             conditions that are missed, in SI.
         """
+        *_, finest = self.meshes(problem, guess, watch)
+        return finest
+
+    def meshes(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Iterator[Solution]:
+        """The answers of `run` on one mesh after the other, each finer than the last."""
         from perilune.direct.contradictions import check_consistent
 
         check_consistent(problem)
-        return _Run(settings=self, problem=problem, watch=watch or silent).solve(guess)
+        yield from _Run(settings=self, problem=problem, watch=watch or silent).answers(guess)
 
     def near(self, guess: Solution) -> Solution:
         """What lies near a guess for its problem, as `run`; no other start and no search for the least miss."""
-        return _Run(settings=self, problem=guess.problem, watch=silent, near=True).solve(guess)
+        *_, finest = _Run(settings=self, problem=guess.problem, watch=silent, near=True).answers(guess)
+        return finest
 
 
 @dataclass
@@ -127,20 +140,28 @@ class _Run:
         self.tried.append(line)
         self.watch(line)
 
-    def solve(self, guess: Solution | None) -> Solution:
+    def answers(self, guess: Solution | None) -> Iterator[Solution]:
         """First mesh, then refinement until the mesh is accurate enough."""
+        from perilune.direct.errors import error_text
         from perilune.direct.mesh import refined
         from perilune.direct.segments import sampled, sampler
 
         s, problem = self.settings, self.problem
         program, answer = self.first_answer(guess)
+        best, missed = None, ""
         for round_number in range(s.refine + 1):
             segments, errors, relative = self.looked_at(program, answer)
             worst = max(float(r.max()) for r in relative)
             self.say(_mesh_line(problem, program, errors, worst, round_number))
             self.history.append(Iteration(number=round_number, residual=worst, step=float("nan"), damping=1.0))
-            if worst <= s.tolerance or round_number == s.refine:
-                break
+            found = self.solution(program, answer, segments, worst)
+            yield found
+            if worst <= s.tolerance or not s.refine:
+                return
+            if best is None or worst < best.statistics.residual:
+                best, missed = found, error_text(problem, errors)
+            if round_number == s.refine:
+                self.fail_mesh(best, missed, f"{s.refine} refinements")
             p = problem.parameters(answer.free_si(problem))
             meshes = tuple(
                 refined(phase, mesh, flown, r, s.tolerance, p)
@@ -150,11 +171,8 @@ class _Run:
             program = self.program(meshes)
             finer = self.attempt(program, answer.free, sampled(program, samplers), f"mesh {round_number + 1}")
             if not finer.converged:
-                self.fail_mesh(errors, worst, f"{round_number} refinements, as the next was not solved")
+                self.fail_mesh(best, missed, f"{round_number} refinements, as the next was not solved")
             answer = finer
-        if s.refine and worst > s.tolerance:
-            self.fail_mesh(errors, worst, f"{s.refine} refinements")
-        return self.solution(program, answer, segments, worst)
 
     def looked_at(self, program: Program, answer: Answer) -> tuple[list[list[Segment]], list[Matrix], list[Matrix]]:
         """Segments of an answer, and the mesh errors of each: in SI, and relative."""
@@ -276,11 +294,11 @@ class _Run:
             if missed
             else "raise iterations, give a guess, or loosen nlp_tolerance",
             partial=self.partial(answer, missed),
+            flight=self.missing(program, answer),
         )
 
-    def fail_mesh(self, errors: list[Matrix], worst: float, after: str) -> None:
-        """Refuse an answer whose mesh is not as accurate as asked for."""
-        from perilune.direct.errors import error_text
+    def fail_mesh(self, best: Solution, missed: str, after: str) -> NoReturn:
+        """Refuse an answer whose mesh is not as accurate as asked for; the best is kept."""
         from perilune.words.outcome import NotConvergedError
 
         jumps = [phase.name for k, phase in enumerate(self.problem.phases) if self.problem.form.chooses(k)]
@@ -292,11 +310,19 @@ class _Run:
             )
         raise NotConvergedError(
             "the mesh did not reach the requested accuracy",
-            got=f"relative error {worst:.2g} after {after}; " + error_text(self.problem, errors),
+            got=f"relative error {best.statistics.residual:.2g} after {after}; {missed}",
             expected=f"<= {self.settings.tolerance:g}",
             advice=f"raise refine or tolerance; {cause}",
-            partial={"tried": tuple(self.tried)},
+            partial={"tried": tuple(self.tried), "free": dict(best.free), "objective": best.objective},
+            flight=best,
         )
+
+    def missing(self, program: Program, answer: Answer) -> Solution:
+        """A trajectory that misses conditions, whose multipliers are costates of nothing."""
+        with np.errstate(all="ignore"):  # it may lead where the physics is not defined
+            segments, _, relative = self.looked_at(program, answer)
+            found = self.solution(program, answer, segments, max(float(r.max()) for r in relative))
+            return replace(found, trajectories=tuple(replace(flown, costate=None) for flown in found.trajectories))
 
     def solution(self, program: Program, answer: Answer, segments: list[list[Segment]], worst: float) -> Solution:
         """The answer in SI."""
@@ -317,8 +343,11 @@ class _Run:
             free=answer.free_si(problem),
             # Interpolation adds a hundredth of the mesh error, so that what is exported is as good as what
             # was solved.
-            trajectories=tuple(
-                trajectory(problem, k, flown, 1e-2 * min(worst, s.tolerance)) for k, flown in enumerate(segments)
+            trajectories=Deferred(
+                len(problem.phases),
+                lambda: tuple(
+                    trajectory(problem, k, flown, 1e-2 * min(worst, s.tolerance)) for k, flown in enumerate(segments)
+                ),
             ),
             multipliers=multipliers,
             statistics=Statistics(
