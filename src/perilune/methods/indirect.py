@@ -106,4 +106,4 @@ class Indirect(Ladder):
 
 def _may_be_structured(guess: Solution) -> bool:
     """Whether a guess may touch or ride along a condition on states: the indirect method knows when its own does."""
-    return guess.statistics.rung == STRUCTURE or guess.method != Indirect.name
+    return guess.statistics.rung.endswith(STRUCTURE) or guess.method != Indirect.name

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -70,14 +70,17 @@ class Search:
     def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
         """From a guess; or by the ladder, after the family through `base` (of another run) where there is one."""
         if guess is not None:
-            search, found = self._from_guess(guess)
-            # Whether it keeps the rest of the path is for the proof to say.
-            return search._compose(found, "guess")
+            return self.near(guess)[0]  # whether it keeps the rest of the path is for the proof to say
         search, found = self.all_extremals(base)
         if not search._answers(found):
             raise search._refusal(found)
         self.answering, self.outdone = search, search._outdone(found)
         return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
+
+    def near(self, guess: Solution) -> tuple[Solution, Callable[[], Breach | None]]:
+        """The extremal that Newton's method reaches from a guess, and what tells the first condition that it breaks."""
+        search, found = self._from_guess(guess)
+        return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
 
     def all_extremals(self, base: Member | None = None) -> tuple[Search, list[Found]]:
         """By the ladder; and of which search they are: this one, or one whose control keeps more of the path."""

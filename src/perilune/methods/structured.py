@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
-from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
@@ -88,10 +87,7 @@ class Polish:
 
     def _composed(self, found: Solution) -> Solution:
         """Near a guess of this run's own it is the best, as it is the only one."""
-        natures = (
-            {} if self.guessed else {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
-        )
-        extremals = (replace(e, nature=natures.get(e.nature, e.nature)) for e in found.extremals)
+        extremals = (e if self.guessed else replace(e, nature=e.nature.unguided) for e in found.extremals)
         statistics = replace(found.statistics, rung=STRUCTURE, tried=tuple(self.tried))
         return replace(found, extremals=tuple(extremals), statistics=statistics)
 
@@ -101,8 +97,8 @@ class Polish:
         guess, failure = split(rough, structure), None
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
         meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=3, tolerance=1e-3)
-        # A guess may be an extremal already.
-        for mesh in (None, *meshes) if self.guessed else meshes:
+        # Most are near enough as they are.
+        for mesh in (None, *meshes):
             try:
                 search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
                 return search.solve(guess if mesh is None else mesh.near(guess))
