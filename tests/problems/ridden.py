@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class Piece:
 
     length: float
     state: Sequence[tuple[Formula, Formula]]
-    control: tuple[Formula, Formula]
+    control: Sequence[tuple[Formula, Formula]]
     costate: Sequence[tuple[Formula, Formula]]
 
 
@@ -45,28 +46,47 @@ def polynomial(*coefficients: float) -> tuple[Formula, Formula]:
     return whole, whole.deriv()
 
 
-def by_hand(problem: pl.Problem, pieces: Sequence[Piece], free: dict[str, float] | None = None) -> Solution:
-    """The pieces as tables of an answer of a problem of one phase, whose last state is the cost."""
-    time, rows, begin = list[Any](), dict[str, list[Any]](), 0.0
-    for piece in pieces:
-        t = np.linspace(0.0, piece.length, NODES)
-        time.append(begin + t)
-        begin += piece.length
-        for name, functions in (("state", piece.state), ("control", [piece.control]), ("costate", piece.costate)):
+def by_hand(problem: pl.Problem, *pieces: Sequence[Piece], free: dict[str, float] | None = None) -> Solution:
+    """The pieces of each phase as tables of an answer."""
+    flown = tuple(_flown(phase.name, own) for phase, own in zip(problem.phases, pieces, strict=True))
+    solution = Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free=free or {},
+                        trajectories=flown)  # fmt: skip
+    end = problem.phases[-1].state_record(*flown[-1].state.values[-1].tolist())
+    return replace(solution, objective=float(problem.objective(end, solution.parameters, math)))
+
+
+def _flown(name: str, pieces: Sequence[Piece]) -> pl.Trajectory:
+    rows: dict[tuple[str, int], list[Any]] = {}
+    begins = np.concatenate([[0.0], np.cumsum([piece.length for piece in pieces])])
+    times = [np.linspace(0.0, piece.length, NODES) for piece in pieces]
+    for piece, t in zip(pieces, times, strict=True):
+        for table in ("state", "control", "costate"):
             for kind in (0, 1):
-                values = [np.broadcast_to(f[kind](t), t.shape) for f in functions]
-                rows.setdefault(f"{name}{kind}", []).append(np.stack(values, axis=1))
+                values = [np.broadcast_to(f[kind](t), t.shape) for f in getattr(piece, table)]
+                rows.setdefault((table, kind), []).append(np.stack(values, axis=1))
+    time = np.concatenate([begin + t for begin, t in zip(begins[:-1], times, strict=True)])
     curves = {
-        name: Curve(time=np.concatenate(time), values=np.vstack(rows[f"{name}0"]), rates=np.vstack(rows[f"{name}1"]))
-        for name in ("state", "control", "costate")
+        table: Curve(time=time, values=np.vstack(rows[table, 0]), rates=np.vstack(rows[table, 1]))
+        for table in ("state", "control", "costate")
     }
-    flown = pl.Trajectory(phase=problem.phases[0].name, **curves)
-    empty = Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free=free or {},
-                     trajectories=(flown,))  # fmt: skip
-    end = problem.phases[0].state_record(*flown.state.values[-1].tolist())
-    objective = problem.objective(end, empty.parameters, math)
-    return Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=float(objective),
-                    free=free or {}, trajectories=(flown,))  # fmt: skip
+    return pl.Trajectory(phase=name, **curves)
+
+
+def parted(pieces: Sequence[Piece], times: Sequence[float]) -> list[Piece]:
+    """The same flight in pieces that end at these times too."""
+    found, begin = [], 0.0
+    for piece in pieces:
+        inside = [t - begin for t in sorted(times) if 1e-9 < t - begin < piece.length - 1e-9]
+        for left, right in pairwise([0.0, *inside, piece.length]):
+            tables = ([_later(f, left) for f in getattr(piece, of)] for of in ("state", "control", "costate"))
+            found.append(Piece(right - left, *tables))
+        begin += piece.length
+    return found
+
+
+def _later(pair: tuple[Formula, Formula], begin: float) -> tuple[Formula, Formula]:
+    value, rate = pair
+    return lambda t: value(begin + t), lambda t: rate(begin + t)
 
 
 def _variables(**units: str) -> tuple[Variable, ...]:
@@ -92,18 +112,7 @@ def string(
     With a `push` the end is free and J has push times x there; with a free start J has `bait` times it.
     """  # fmt: skip
     l, total = 1.0, (rise + ride + fall) / k
-    ending = [] if push is not None else [Variable(name="there", unit="m")]
-    phase = pl.Phase(
-        name="string",
-        states=_variables(x="m", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
-        duration="T",
-        end=(lambda x, p, m: (x.x - p.x1,)) if ending else None,
-        end_conditions=tuple(ending),
-        path=lambda x, u, p, m: (p.l - x.x,),
-        path_conditions=_variables(room="m"),
-    )
+    phase = _string_phase("string", "T", end=push is None)
     x0, x1 = l * math.cos(rise), l * math.cos(fall)
     problem = pl.Problem(
         name="string",
@@ -115,20 +124,101 @@ def string(
         objective=lambda x, p, m: x.c + p.push * x.x + p.bait * p.x0,
         objective_unit="m^2/s",
     )  # fmt: skip
-    t1, w, t3 = rise / k, ride / k, fall / k
-    # Where the arc ends the multiplier of its rate is 0, or holds what the push asks for.
-    held = -(push or 0.0)
+    pieces = _string_pieces(k, rise, ride, fall, push or 0.0)
+    return by_hand(problem, pieces, free={"x0": x0} if start_is_free else None)
+
+
+def _string_pieces(k: float, rise: float, ride: float, fall: float, push: float = 0.0) -> list[Piece]:
+    t1, w, t3, l = rise / k, ride / k, fall / k, 1.0
     pieces = []
     if t1:
         pieces.append(_swing(k, l, t1, lambda t: k * (t1 - t), -1.0, 0.0))
     reached = pieces[-1].state[1][0](t1) if pieces else 0.0
+    # Where the arc ends the multiplier of its rate is 0, or holds what the push asks for.
     pieces.append(Piece(
-        w, [polynomial(l), polynomial(reached, -0.5 * (k * l) ** 2)], polynomial(0.0),
-        [polynomial(-held - k * k * l * w, k * k * l), polynomial(1.0)],
+        w, [polynomial(l), polynomial(reached, -0.5 * (k * l) ** 2)], [polynomial(0.0)],
+        [polynomial(push - k * k * l * w, k * k * l), polynomial(1.0)],
     ))  # fmt: skip
     if t3:
         pieces.append(_swing(k, l, t3, lambda t: k * t, 1.0, reached - 0.5 * (k * l) ** 2 * w))
-    return by_hand(problem, pieces, {"x0": x0} if start_is_free else None)
+    return pieces
+
+
+def _string_phase(name: str, duration: str, end: bool = True) -> pl.Phase:
+    return pl.Phase(
+        name=name,
+        states=_variables(x="m", c="m^2/s"),
+        controls=(pl.Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
+        duration=duration,
+        end=(lambda x, p, m: (x.x - p.x1,)) if end else None,
+        end_conditions=_variables(there="m") if end else (),
+        path=lambda x, u, p, m: (p.l - x.x,),
+        path_conditions=_variables(room="m"),
+    )
+
+
+def string_in_two_phases(k: float, rise: float, ride: float, fall: float, share: float, stop: bool = False) -> Solution:
+    """The string, its flight stated in two phases whose joint lies at this share of what is ridden.
+
+    With a `stop` it is stated that the first ends at l.
+    """
+    one = _string_phase("one", "T1", end=False)
+    if stop:
+        one = replace(one, end=lambda x, p, m: (x.x - p.l,), end_conditions=_variables(stop="m"))
+    joint, total = (rise + share * ride) / k, (rise + ride + fall) / k
+    problem = pl.Problem(
+        name="two_phases",
+        phases=(one, _string_phase("two", "T2")),
+        start=lambda p, m: (p.x0, 0.0),
+        links=(lambda x, p, m: (x.x, x.c),),
+        given=_given(T1=(joint, "s"), T2=(total - joint, "s"), k=(k, "1/s"), l=(1.0, "m"), x0=(math.cos(rise), "m"),
+                     x1=(math.cos(fall), "m")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s",
+    )  # fmt: skip
+    pieces = parted(_string_pieces(k, rise, ride, fall), [joint])
+    count = 1 if share == 0 else 2
+    return by_hand(problem, pieces[:count], pieces[count:])
+
+
+def two_strings(first: tuple[float, ...], second: tuple[float, ...]) -> Solution:
+    """Two strings at once, each (k, rise, ride, fall), of one duration: what is ridden overlaps."""
+    phase = pl.Phase(
+        name="strings",
+        states=_variables(x="m", y="m", c="m^2/s"),
+        controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="w", unit="m/s")),
+        dynamics=lambda x, u, p, m: (
+            u.u, u.w, 0.5 * (u.u * u.u + u.w * u.w - p.k * p.k * x.x * x.x - p.h * p.h * x.y * x.y),
+        ),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.x1, x.y - p.y1),
+        end_conditions=_variables(there="m", beside="m"),
+        path=lambda x, u, p, m: (p.l - x.x, p.l - x.y),
+        path_conditions=_variables(room="m", space="m"),
+    )  # fmt: skip
+    (k, *own), (h, *other) = first, second
+    problem = pl.Problem(
+        name="two_strings",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, p.y0, 0.0),
+        given=_given(T=(sum(own) / k, "s"), k=(k, "1/s"), h=(h, "1/s"), l=(1.0, "m"), x0=(math.cos(own[0]), "m"),
+                     y0=(math.cos(other[0]), "m"), x1=(math.cos(own[2]), "m"), y1=(math.cos(other[2]), "m")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s",
+    )  # fmt: skip
+    of_each = [_string_pieces(*first), _string_pieces(*second)]
+    times = [np.cumsum([piece.length for piece in pieces]).tolist() for pieces in of_each]
+    halves = zip(parted(of_each[0], times[1]), parted(of_each[1], times[0]), strict=True)
+    return by_hand(problem, [_at_once(a, b) for a, b in halves])
+
+
+def _at_once(a: Piece, b: Piece) -> Piece:
+    """Both with one cost."""
+    (cost, rate), (more, faster) = a.state[1], b.state[1]
+    spent = (lambda t: cost(t) + more(t), lambda t: rate(t) + faster(t))
+    return Piece(a.length, [a.state[0], b.state[0], spent], [*a.control, *b.control],
+                 [a.costate[0], b.costate[0], polynomial(1.0)])  # fmt: skip
 
 
 def _swing(k: float, l: float, length: float, angle: Formula, way: float, cost: float) -> Piece:
@@ -143,7 +233,7 @@ def _swing(k: float, l: float, length: float, angle: Formula, way: float, cost: 
             (lambda t: l * np.cos(angle(t)), lambda t: -way * k * l * np.sin(angle(t))),
             (spent, lambda t: -((k * l) ** 2) * np.cos(2 * angle(t)) / 2),
         ],
-        (lambda t: -way * k * l * np.sin(angle(t)), lambda t: -k * k * l * np.cos(angle(t))),
+        [(lambda t: -way * k * l * np.sin(angle(t)), lambda t: -k * k * l * np.cos(angle(t)))],
         [(lambda t: way * k * l * np.sin(angle(t)), lambda t: k * k * l * np.cos(angle(t))), polynomial(1.0)],
     )
 
@@ -187,7 +277,7 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
             t1,
             [(x(0, way), x(1, way)), (x(1, way), x(2, way)),
              (cost, lambda t: 0.5 * (x(2, way)(t) ** 2 - k**4 * x(0, way)(t) ** 2))],
-            (x(2, way), x(3, way)),
+            [(x(2, way), x(3, way))],
             [(x(3, way), x(4, way)), (lambda t: -x(2, way)(t), lambda t: -x(3, way)(t)), polynomial(1.0)],
         )  # fmt: skip
 
@@ -210,7 +300,7 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
     )  # fmt: skip
     third, up = -2 * bend * l * k**3, float(spent(rise))  # x''' as it leaves
     ridden = Piece(
-        w, [polynomial(l), polynomial(0.0), polynomial(up, -0.5 * k**4 * l * l)], polynomial(0.0),
+        w, [polynomial(l), polynomial(0.0), polynomial(up, -0.5 * k**4 * l * l)], [polynomial(0.0)],
         [polynomial(third - k**4 * l * w, k**4 * l),
          polynomial(third * w - 0.5 * k**4 * l * w * w, k**4 * l * w - third, -0.5 * k**4 * l), polynomial(1.0)],
     )  # fmt: skip
@@ -232,12 +322,10 @@ def bryson_denham_ridden(ceiling: float, met: float) -> Solution:
         return [(value, value.deriv()) for value in values]
 
     one, spent = Polynomial([1.0]), float(cost(met))
-    rise = Piece(met, rows(up, up.deriv(), cost), rows(u)[0], rows(6 * b * one, -u, one))
-    ride = Piece(w, rows(ceiling * one, 0 * one, spent * one), rows(0 * one)[0],
+    rise = Piece(met, rows(up, up.deriv(), cost), rows(u), rows(6 * b * one, -u, one))
+    ride = Piece(w, rows(ceiling * one, 0 * one, spent * one), rows(0 * one),
                  rows(-6 * b * one, Polynomial([-last - 6 * b * w, 6 * b]), one))  # fmt: skip
-    fall = Piece(
-        met, rows(up(at), -up.deriv()(at), 2 * spent - cost(at)), rows(u(at))[0], rows(-6 * b * one, -u(at), one)
-    )
+    fall = Piece(met, rows(up(at), -up.deriv()(at), 2 * spent - cost(at)), rows(u(at)), rows(-6 * b * one, -u(at), one))
     return by_hand(bryson_denham(ceiling), [rise, ride, fall])
 
 
@@ -272,6 +360,6 @@ def floor(depth: float) -> Solution:
     for begin in (-1.0, 0.0):
         s = Polynomial([begin, 1.0])
         whole = depth * s - s**3 / 3  # lam' = -(s^2 - depth)
-        pieces.append(Piece(1.0, [polynomial(0.0), polynomial(begin, 1.0), polynomial(0.0)], polynomial(0.0),
+        pieces.append(Piece(1.0, [polynomial(0.0), polynomial(begin, 1.0), polynomial(0.0)], [polynomial(0.0)],
                             [(whole, whole.deriv()), polynomial(0.0), polynomial(1.0)]))  # fmt: skip
     return by_hand(problem, pieces)

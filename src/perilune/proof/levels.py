@@ -97,19 +97,17 @@ def _checks(
     yield from feasibility(solution, flown)
     arcs = None
     if level >= 2:
-        parts, rides = solution, None
-        if any(len(arc.breaks) for arc, _ in flown):  # what is touched or ridden begins and ends at one
-            from perilune.proof.ridden import Rides
-            from perilune.proof.touched import cut, signs
+        from perilune.proof.ridden import Rides
+        from perilune.proof.touched import cut, signs
 
-            parts, structure = cut(solution)
-            arcs = None if structure.plain else (parts, structure)
-            yield from (check for check in signs(solution, parts, structure) if check.level <= level)
-            rides = Rides.of(solution, parts, structure)
-            yield from rides.checks()
+        parts, structure = cut(solution)
+        arcs = None if structure.plain else (parts, structure)
+        yield from (check for check in signs(solution, parts, structure) if check.level <= level)
+        rides = Rides.of(solution, parts, structure)
+        yield from rides.checks()
         yield from extremality(parts, flown if parts is solution else flights(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
-            yield from local_optimality(parts, rides.kept() if rides else None)
+            yield from local_optimality(parts, rides.kept())
             yield from neighbours(parts, resolve)
     if level >= 4:
         yield from agreement(solution, other, arcs)

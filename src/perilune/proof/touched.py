@@ -18,26 +18,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 
-from perilune.problem.solution import Solution
+from perilune.problem.solution import Solution, full
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
 from perilune.structures.carry import split
-from perilune.structures.read import Contact, arcs_of, of_states, room_along
-from perilune.structures.structure import Condition, Structure, conditions_of
+from perilune.structures.read import POINTS, Contact, arcs_of, of_states
+from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
+_LEAST = 1e-3  # of its size: what it goes through at least, as one that is met all along goes through nothing
+_LOOKS = np.array([0.0, 0.5, 0.9])  # of a phase: where tables have no edge it is met everywhere, or not on the way
 _JUMP = 1e-9  # of a costate's size: less is no jump
-# The multiplier along an arc is a polynomial in time, to rounding; its derivatives are noise below a share of it.
-_DEGREE, _ROUGH, _ALONG = 12, 1e-6, 1e-4
-_LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
 _MET = 1e-9  # of its size: a condition that is met, or its rate
-_SIDEWAYS = 1e-6  # the same of what H told: it is continuous there to a double root only
+_SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
 _STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
 
@@ -54,11 +55,14 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
 
 def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
     """Where a condition is met between the edges of the tables, or at one where the costates jump."""
-    edges = _edges(arc)
+    edges, size = _edges(arc), _LEAST * _size(arc, name)
     if not len(edges):
-        return
-    t, room = room_along(arc.solution, arc.index, name)
-    met = np.abs(room) <= _ON * float(np.ptp(room))
+        some = _room(arc, name, np.multiply(arc.duration, _LOOKS))
+        if not (np.abs(some) <= _ON * max(float(np.ptp(some)), size)).all():
+            return
+    t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
+    room = _room(arc, name, t)
+    met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
     if not met.any() or (order := _order(arc, name)) is None:
         return
     ends = [0.0, *edges.tolist(), arc.duration]
@@ -73,6 +77,22 @@ def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
     for i, time in enumerate(edges.tolist()):
         if order > 1 and not (riding[i] or riding[i + 1]) and met[np.argmin(np.abs(t - time))] and _jumps(arc, time):
             yield Contact(name=name, begin=time, end=time, ridden=False)
+
+
+def _room(arc: Arc, name: str, t: Vector) -> Vector:
+    """S at times of a phase [SI]."""
+    phase, value = arc.phase, margins(arc.problem, arc.index)[name][1]
+    bounds = {given: g.value for given, g in plain_bounds(arc.problem).items()}
+    p, x, u = SimpleNamespace(**vars(arc.p), **bounds), arc.state(t), arc.control(t)
+    return full(value(phase.state_record(*x), phase.control_record(*u), p, NUMERIC)[0], t)
+
+
+def _size(arc: Arc, name: str) -> float:
+    """Size of a condition that goes through nothing [SI]: of the path condition, or of the state whose bound it is."""
+    paths = [condition.name for condition in arc.phase.path_conditions]
+    if name in paths:
+        return float(arc.path_scale[paths.index(name)])
+    return float(arc.state_scale[arc.phase.state_names.index(name.rpartition(".")[0])])
 
 
 def _order(arc: Arc, name: str) -> int | None:
