@@ -22,20 +22,21 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
+from perilune.problem.tape import Expression
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
+from perilune.proof.met import LEAST, edges_of
 from perilune.structures.carry import split
-from perilune.structures.read import POINTS, Contact, arcs_of, of_states
+from perilune.structures.read import POINTS, Contact, arcs_of
 from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
-_LEAST = 1e-3  # of its size: what it goes through at least, as one that is met all along goes through nothing
-_LOOKS = np.array([0.0, 0.5, 0.9])  # of a phase: where tables have no edge it is met everywhere, or not on the way
 _JUMP = 1e-9  # of a costate's size: less is no jump
 _MET = 1e-9  # of its size: a condition that is met, or its rate
 _SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
@@ -47,21 +48,18 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
     phases = []
     for k, flown in enumerate(solution.trajectories):
         arc = Arc(solution=solution, index=k)
-        names = of_states(solution.problem, k) if flown.costate is not None else []
-        phases.append(arcs_of([c for name in names for c in _contacts(arc, name)], flown.duration))
+        known = margins(solution.problem, arc.index) if flown.costate is not None else {}
+        found = [c for name, (_, S, _) in known.items() if not acts(S) for c in _contacts(arc, name, S)]
+        phases.append(arcs_of(found, flown.duration))
     structure = Structure(tuple(phases))
     return solution if structure.plain else split(solution, structure), structure
 
 
-def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
+def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
     """Where a condition is met between the edges of the tables, or at one where the costates jump."""
-    edges, size = _edges(arc), _LEAST * _size(arc, name)
-    if not len(edges):
-        some = _room(arc, name, np.multiply(arc.duration, _LOOKS))
-        if not (np.abs(some) <= _ON * max(float(np.ptp(some)), size)).all():
-            return
+    edges, size = edges_of(arc), LEAST * _size(arc, name)
     t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
-    room = _room(arc, name, t)
+    room = _room(arc, S, t)
     met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
     if not met.any() or (order := _order(arc, name)) is None:
         return
@@ -79,12 +77,11 @@ def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
             yield Contact(name=name, begin=time, end=time, ridden=False)
 
 
-def _room(arc: Arc, name: str, t: Vector) -> Vector:
+def _room(arc: Arc, S: Expression, t: Vector) -> Vector:
     """S at times of a phase [SI]."""
-    phase, value = arc.phase, margins(arc.problem, arc.index)[name][1]
     bounds = {given: g.value for given, g in plain_bounds(arc.problem).items()}
     p, x, u = SimpleNamespace(**vars(arc.p), **bounds), arc.state(t), arc.control(t)
-    return full(value(phase.state_record(*x), phase.control_record(*u), p, NUMERIC)[0], t)
+    return full(S(arc.phase.state_record(*x), arc.phase.control_record(*u), p, NUMERIC)[0], t)
 
 
 def _size(arc: Arc, name: str) -> float:
@@ -101,13 +98,6 @@ def _order(arc: Arc, name: str) -> int | None:
         return conditions_of(arc.problem, arc.index, (name,))[name].order
     except PeriluneError:
         return None
-
-
-def _edges(arc: Arc) -> Vector:
-    """Times inside the phase at which a table begins anew [s]."""
-    found = [curve.time[1:][np.diff(curve.time) == 0] for curve in arc.curves]
-    times = np.unique(np.concatenate(found))
-    return times[(times > 0) & (times < arc.duration)]
 
 
 def _jumps(arc: Arc, time: float) -> bool:
