@@ -14,7 +14,18 @@ from perilune.proof.crossed import agreement
 from perilune.proof.touched import cut
 from perilune.structures.carry import split
 from problems.constrained import brachistochrone, bryson_denham
-from problems.ridden import CLAMPED, beam, bryson_denham_ridden, floor, string, string_in_two_phases, two_strings
+from problems.ridden import (
+    CLAMPED,
+    beam,
+    bryson_denham_ridden,
+    by_hand,
+    floor,
+    parted,
+    string,
+    string_in_two_phases,
+    string_pieces,
+    two_strings,
+)
 
 
 def failed(solution: Solution, level: int) -> set[str]:
@@ -55,6 +66,27 @@ def test_beyond_its_conjugate_point_an_extremal_that_rides_is_none(solution: Sol
     """All of level 2 holds, and all of the multiplier's signs."""
     assert failed(solution, 3) == {"conjugate_point"}
     assert value(solution, "conjugate_point") == pytest.approx(kappa, rel=1e-3)
+
+
+@pytest.mark.parametrize("ride", [1.0, 2.5, 4.0])
+def test_an_arc_whose_own_multiplier_is_nought_may_be_left_everywhere(ride: float) -> None:
+    """What is kept is l at its two ends: kappa lies between that of a beam clamped there and one that turns freely."""
+    solution = beam(1.0, 1.0, ride, level=1.0)
+    assert not failed(solution, 3)
+    assert (ride / CLAMPED) ** 4 < value(solution, "conjugate_point") < (ride / math.pi) ** 4
+
+
+def test_an_arc_whose_own_multiplier_is_nought_is_none_where_it_would_buckle() -> None:
+    """S'' = 0 along it leaves nothing to vary there, and would hide that; a bump below l is better."""
+    solution = beam(1.0, 1.0, 5.0, level=1.0)
+    assert failed(solution, 3) == {"conjugate_point"}
+    assert value(solution, "conjugate_point") > (5.0 / CLAMPED) ** 4
+
+
+@pytest.mark.parametrize(("bent", "passes"), [(1.0, True), (0.0, False), (-0.1, False)])
+def test_how_long_it_rides_has_to_be_a_minimum(bent: float, passes: bool) -> None:
+    """J over the duration, which only the ride takes up, is bent upwards, level, or bent downwards."""
+    assert ("conjugate_point" not in failed(string(1.0, 1.0, 1.0, 1.0, bent=bent), 3)) is passes
 
 
 @pytest.mark.parametrize(
@@ -184,6 +216,18 @@ def changed_along(solution: Solution, curve: str, amount: float) -> Solution:
 @pytest.mark.parametrize("amount", [1e-4, -1e-4, -2.0])
 def test_another_multiplier_along_the_arc_is_none(amount: float) -> None:
     assert failed(changed_along(string(2.0, 1.0, 1.0, 1.0), "costate", amount), 2)
+
+
+@pytest.mark.parametrize("amount", [1e-6, 1e-3, -1e-3])
+def test_a_multiplier_that_jumps_on_the_way_is_none(amount: float) -> None:
+    """The costate of x jumps along the slope of S half way along the arc, where the tables have an edge."""
+    solution = string(2.0, 1.0, 1.0, 1.0)
+    rise, early, late, fall = parted(string_pieces(2.0, 1.0, 1.0, 1.0), [0.75])
+    before, rate = early.costate[0]
+    early = replace(early, costate=[(lambda t: before(t) - amount, rate), early.costate[1]])
+    wrong = failed(by_hand(solution.problem, [rise, early, late, fall]), 2)
+    assert "string-2_costate_x" in wrong
+    assert abs(amount) < 1e-4 or {"string-2_along", "string-2_along_ends"} <= wrong  # what has no value fails
 
 
 def test_an_arc_that_is_missed_by_little_is_none() -> None:

@@ -106,11 +106,13 @@ def string(
     push: float | None = None,
     bait: float = 0.0,
     start_is_free: bool = False,
+    bent: float | None = None,
 ) -> Solution:
     """The string with l = 1; lengths of its arcs in radians of k, a rise or fall of 0 being none.
 
-    With a `push` the end is free and J has push times x there; with a free start J has `bait` times it.
-    """  # fmt: skip
+    With a `push` the end is free and J has push times x there; with a free start J has `bait` times it. Where J is
+    `bent` over its duration T that is free too, and costs k^2 l^2/2 T, as much as the ride gains, + bent (T - T0)^2/2.
+    """
     l, total = 1.0, (rise + ride + fall) / k
     phase = _string_phase("string", "T", end=push is None)
     x0, x1 = l * math.cos(rise), l * math.cos(fall)
@@ -118,17 +120,21 @@ def string(
         name="string",
         phases=(phase,),
         start=lambda p, m: (p.x0, 0.0),
-        given=_given(T=(total, "s"), k=(k, "1/s"), l=(l, "m"), x1=(x1, "m"), push=(push or 0.0, "m/s"),
-                     bait=(bait, "m/s"), **({} if start_is_free else {"x0": (x0, "m")})),
-        free=(pl.Free(name="x0", unit="m", lower=-5.0, upper=5.0, typical=1.0),) if start_is_free else (),
-        objective=lambda x, p, m: x.c + p.push * x.x + p.bait * p.x0,
+        given=_given(k=(k, "1/s"), l=(l, "m"), x1=(x1, "m"), push=(push or 0.0, "m/s"), bait=(bait, "m/s"),
+                     cost=(0.0 if bent is None else 0.5 * (k * l) ** 2, "m^2/s^2"), bent=(bent or 0.0, "m^2/s^3"),
+                     T0=(total, "s"), **({} if start_is_free else {"x0": (x0, "m")}),
+                     **({} if bent is not None else {"T": (total, "s")})),
+        free=(*((pl.Free(name="x0", unit="m", lower=-5.0, upper=5.0, typical=1.0),) if start_is_free else ()),
+              *(() if bent is None else (pl.Free(name="T", unit="s", lower=0.0, upper=99.0, typical=total),))),
+        objective=lambda x, p, m: x.c + p.push * x.x + p.bait * p.x0 + p.cost * p.T + 0.5 * p.bent * (p.T - p.T0) ** 2,
         objective_unit="m^2/s",
     )  # fmt: skip
-    pieces = _string_pieces(k, rise, ride, fall, push or 0.0)
-    return by_hand(problem, pieces, free={"x0": x0} if start_is_free else None)
+    pieces = string_pieces(k, rise, ride, fall, push or 0.0)
+    chosen = ({"x0": x0} if start_is_free else {}) | ({} if bent is None else {"T": total})
+    return by_hand(problem, pieces, free=chosen)
 
 
-def _string_pieces(k: float, rise: float, ride: float, fall: float, push: float = 0.0) -> list[Piece]:
+def string_pieces(k: float, rise: float, ride: float, fall: float, push: float = 0.0) -> list[Piece]:
     t1, w, t3, l = rise / k, ride / k, fall / k, 1.0
     pieces = []
     if t1:
@@ -177,7 +183,7 @@ def string_in_two_phases(k: float, rise: float, ride: float, fall: float, share:
         objective=lambda x, p, m: x.c,
         objective_unit="m^2/s",
     )  # fmt: skip
-    pieces = parted(_string_pieces(k, rise, ride, fall), [joint])
+    pieces = parted(string_pieces(k, rise, ride, fall), [joint])
     count = 1 if share == 0 else 2
     return by_hand(problem, pieces[:count], pieces[count:])
 
@@ -207,7 +213,7 @@ def two_strings(first: tuple[float, ...], second: tuple[float, ...]) -> Solution
         objective=lambda x, p, m: x.c,
         objective_unit="m^2/s",
     )  # fmt: skip
-    of_each = [_string_pieces(*first), _string_pieces(*second)]
+    of_each = [string_pieces(*first), string_pieces(*second)]
     times = [np.cumsum([piece.length for piece in pieces]).tolist() for pieces in of_each]
     halves = zip(parted(of_each[0], times[1]), parted(of_each[1], times[0]), strict=True)
     return by_hand(problem, [_at_once(a, b) for a, b in halves])
@@ -238,21 +244,23 @@ def _swing(k: float, l: float, length: float, angle: Formula, way: float, cost: 
     )
 
 
-def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
+def beam(k: float, rise: float, ride: float, *, bend: float = 0.6, level: float = 0.0) -> Solution:
     """The beam with l = 1, rising and falling alike; lengths of its arcs in radians of k.
 
-    It leaves l as x = l (cos z + cosh z)/2 - bend l (sinh z - sin z), z = k t.
+    It bends away from x = level, J = int (u^2 - k^4 (x - level)^2)/2 dt, and leaves l as x = level +
+    a (cos z + cosh z)/2 - bend (sinh z - sin z), z = k t, a = l - level. Its multiplier along the arc is k^4 a.
     """
     l, t1, w = 1.0, rise / k, ride / k
+    a = l - level
 
     def shape(order: int) -> Formula:
-        """The derivative of that order of x by z."""
+        """The derivative of that order of x - level by z."""
 
         def value(z: Any) -> Any:
             c, s, ch, sh = np.cos(z), np.sin(z), np.cosh(z), np.sinh(z)
             even = ((c, ch), (-s, sh), (-c, ch), (s, sh))[order % 4]
             odd = ((sh, s), (ch, c), (sh, -s), (ch, -c))[order % 4]
-            return l * (0.5 * (even[0] + even[1]) - bend * (odd[0] - odd[1]))
+            return 0.5 * a * (even[0] + even[1]) - bend * (odd[0] - odd[1])
 
         return value
 
@@ -275,7 +283,7 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
 
         return Piece(
             t1,
-            [(x(0, way), x(1, way)), (x(1, way), x(2, way)),
+            [(lambda t: level + x(0, way)(t), x(1, way)), (x(1, way), x(2, way)),
              (cost, lambda t: 0.5 * (x(2, way)(t) ** 2 - k**4 * x(0, way)(t) ** 2))],
             [(x(2, way), x(3, way))],
             [(x(3, way), x(4, way)), (lambda t: -x(2, way)(t), lambda t: -x(3, way)(t)), polynomial(1.0)],
@@ -285,7 +293,7 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
         name="beam",
         states=_variables(x="m", v="m/s", c="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * x.x * x.x)),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * (x.x - p.level) ** 2)),
         duration="T",
         end=lambda x, p, m: (x.x - p.x0, x.v + p.v0),
         end_conditions=_variables(there="m", speed="m/s"),
@@ -294,17 +302,18 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
     )
     problem = pl.Problem(
         name="beam", phases=(phase,), start=lambda p, m: (p.x0, p.v0, 0.0),
-        given=_given(T=(2 * t1 + w, "s"), k=(k, "1/s"), l=(l, "m"), x0=(float(shape(0)(rise)), "m"),
+        given=_given(T=(2 * t1 + w, "s"), k=(k, "1/s"), l=(l, "m"), level=(level, "m"),
+                     x0=(level + float(shape(0)(rise)), "m"),
                      v0=(-k * float(shape(1)(rise)), "m/s")),
         objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
     )  # fmt: skip
-    third, up = -2 * bend * l * k**3, float(spent(rise))  # x''' as it leaves
+    third, up, load = -2 * bend * k**3, float(spent(rise)), k**4 * a  # of x, as it leaves
     ridden = Piece(
-        w, [polynomial(l), polynomial(0.0), polynomial(up, -0.5 * k**4 * l * l)], [polynomial(0.0)],
-        [polynomial(third - k**4 * l * w, k**4 * l),
-         polynomial(third * w - 0.5 * k**4 * l * w * w, k**4 * l * w - third, -0.5 * k**4 * l), polynomial(1.0)],
+        w, [polynomial(l), polynomial(0.0), polynomial(up, -0.5 * load * a)], [polynomial(0.0)],
+        [polynomial(third - load * w, load), polynomial(third * w - 0.5 * load * w * w, load * w - third, -0.5 * load),
+         polynomial(1.0)],
     )  # fmt: skip
-    return by_hand(problem, [swing(-1.0, 0.0), ridden, swing(1.0, up - 0.5 * k**4 * l * l * w)])
+    return by_hand(problem, [swing(-1.0, 0.0), ridden, swing(1.0, up - 0.5 * load * a * w)])
 
 
 def bryson_denham_ridden(ceiling: float, met: float) -> Solution:

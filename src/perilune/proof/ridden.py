@@ -354,7 +354,7 @@ def _signs(rides: Rides, ridden: Ridden, of: str) -> Iterator[Check]:
     beyond = "" if q <= 2 else f"; not available for a condition of order {q}"
     yield _met(rides, ridden, of)
     yield Check(
-        name=f"{part.prefix}along{of}", level=2, unit="1", limit=_ALONG, value=max(0.0, -float(ridden.mu.min())),
+        name=f"{part.prefix}along{of}", level=2, unit="1", limit=_ALONG, value=float(np.maximum(0.0, -ridden.mu.min())),
         meaning=f"multiplier of {name} along the arc, where it is negative (scaled): what J would gain if the flight "
         f"left it{beyond}; not available where it is no smooth function of time",
     )  # fmt: skip

@@ -134,7 +134,7 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
     scaled = nu * part.end_scale / part.objective_scale
     yield _met(part, [at, rate], name)
     yield Check(
-        name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=max(0.0, float(scaled[at])),
+        name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=float(np.maximum(0.0, scaled[at])),
         meaning=f"what J would gain if the flight left {name} where it touches it (scaled): the multiplier is not "
         "positive",
     )  # fmt: skip
