@@ -14,7 +14,18 @@ from perilune.proof.crossed import agreement
 from perilune.proof.touched import cut
 from perilune.structures.carry import split
 from problems.constrained import brachistochrone, bryson_denham
-from problems.ridden import CLAMPED, beam, bryson_denham_ridden, floor, string
+from problems.ridden import (
+    CLAMPED,
+    beam,
+    bryson_denham_ridden,
+    by_hand,
+    floor,
+    parted,
+    string,
+    string_in_two_phases,
+    string_pieces,
+    two_strings,
+)
 
 
 def failed(solution: Solution, level: int) -> set[str]:
@@ -57,6 +68,27 @@ def test_beyond_its_conjugate_point_an_extremal_that_rides_is_none(solution: Sol
     assert value(solution, "conjugate_point") == pytest.approx(kappa, rel=1e-3)
 
 
+@pytest.mark.parametrize("ride", [1.0, 2.5, 4.0])
+def test_an_arc_whose_own_multiplier_is_nought_may_be_left_everywhere(ride: float) -> None:
+    """What is kept is l at its two ends: kappa lies between that of a beam clamped there and one that turns freely."""
+    solution = beam(1.0, 1.0, ride, level=1.0)
+    assert not failed(solution, 3)
+    assert (ride / CLAMPED) ** 4 < value(solution, "conjugate_point") < (ride / math.pi) ** 4
+
+
+def test_an_arc_whose_own_multiplier_is_nought_is_none_where_it_would_buckle() -> None:
+    """S'' = 0 along it leaves nothing to vary there, and would hide that; a bump below l is better."""
+    solution = beam(1.0, 1.0, 5.0, level=1.0)
+    assert failed(solution, 3) == {"conjugate_point"}
+    assert value(solution, "conjugate_point") > (5.0 / CLAMPED) ** 4
+
+
+@pytest.mark.parametrize(("bent", "passes"), [(1.0, True), (0.0, False), (-0.1, False)])
+def test_how_long_it_rides_has_to_be_a_minimum(bent: float, passes: bool) -> None:
+    """J over the duration, which only the ride takes up, is bent upwards, level, or bent downwards."""
+    assert ("conjugate_point" not in failed(string(1.0, 1.0, 1.0, 1.0, bent=bent), 3)) is passes
+
+
 @pytest.mark.parametrize(
     "solution",
     [
@@ -68,6 +100,58 @@ def test_beyond_its_conjugate_point_an_extremal_that_rides_is_none(solution: Sol
 )
 def test_an_arc_may_begin_or_end_with_its_phase(solution: Solution) -> None:
     assert not failed(solution, 3)
+
+
+@pytest.mark.parametrize(
+    ("solution", "kappa"),
+    [
+        (two_strings((1.0, 1.0, 1.0, 1.0), (2.0, 1.0, 2.0, 3.0)), (3.0 / math.pi) ** 2),
+        (two_strings((1.0, 1.0, 1.0, 1.0), (2.0, 1.0, 3.5, 1.5)), (1.5 / math.pi) ** 2),
+        (two_strings((1.0, 1.0, 1.0, 1.0), (2.0, 1.0, 1.2, 3.8)), (3.8 / math.pi) ** 2),
+    ],
+)
+def test_two_conditions_are_ridden_at_once(solution: Solution, kappa: float) -> None:
+    """One begins while the other is ridden, and ends after or before it."""
+    assert failed(solution, 3) == ({"conjugate_point"} if kappa > 1 else set())
+    assert value(solution, "conjugate_point") == pytest.approx(kappa, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "solution",
+    [
+        string_in_two_phases(2.0, 1.0, 1.0, 1.0, 0.5),
+        string_in_two_phases(2.0, 1.0, 1.0, 1.0, 1.0),
+        string_in_two_phases(2.0, 1.0, 1.0, 1.0, 0.5, stop=True),
+        string_in_two_phases(2.0, 1.0, 1.0, 1.0, 0.0, stop=True),
+    ],
+)
+def test_an_arc_may_go_on_in_the_next_phase(solution: Solution) -> None:
+    """Or end with a phase, or begin with the next where an end condition says so."""
+    assert not failed(solution, 3)
+    assert value(solution, "conjugate_point") == pytest.approx(1 / math.pi**2, rel=1e-3)
+
+
+def test_what_is_said_twice_of_a_variation_is_said_once() -> None:
+    """A phase that ends on its arc, where an end condition says so too, and the next begins: the conjugate point."""
+    solution = string_in_two_phases(1.0, 1.0, 1.0, 3.5, 0.5, stop=True)
+    assert failed(solution, 3) == {"conjugate_point"}
+    assert value(solution, "conjugate_point") == pytest.approx((3.5 / math.pi) ** 2, rel=1e-3)
+
+
+def test_an_arc_that_begins_with_a_phase_unsaid_is_not_proved() -> None:
+    """No end condition of the phase before brings the flight to it: its costates may not jump there."""
+    assert "two-1_along_ends" in failed(string_in_two_phases(2.0, 1.0, 1.0, 1.0, 0.0), 2)
+
+
+@pytest.mark.parametrize(("push", "passes"), [(0.0, True), (-0.3, True), (0.3, False)])
+def test_an_arc_may_fill_its_phase(push: float, passes: bool) -> None:
+    """J asks for its end beyond l, or for less; tables of a whole phase have no edge."""
+    wrong = failed(string(1.0, 0.0, 1.0, 0.0, push=push), 3)
+    assert not wrong if passes else "along_ends" in wrong
+
+
+def test_an_arc_that_fills_its_phase_between_given_ends_has_no_neighbours() -> None:
+    assert failed(string(1.0, 0.0, 1.0, 0.0), 3) == {"initial_costate_x", "initial_costate_c"}
 
 
 @pytest.mark.parametrize(
@@ -132,6 +216,18 @@ def changed_along(solution: Solution, curve: str, amount: float) -> Solution:
 @pytest.mark.parametrize("amount", [1e-4, -1e-4, -2.0])
 def test_another_multiplier_along_the_arc_is_none(amount: float) -> None:
     assert failed(changed_along(string(2.0, 1.0, 1.0, 1.0), "costate", amount), 2)
+
+
+@pytest.mark.parametrize("amount", [1e-6, 1e-3, -1e-3])
+def test_a_multiplier_that_jumps_on_the_way_is_none(amount: float) -> None:
+    """The costate of x jumps along the slope of S half way along the arc, where the tables have an edge."""
+    solution = string(2.0, 1.0, 1.0, 1.0)
+    rise, early, late, fall = parted(string_pieces(2.0, 1.0, 1.0, 1.0), [0.75])
+    before, rate = early.costate[0]
+    early = replace(early, costate=[(lambda t: before(t) - amount, rate), early.costate[1]])
+    wrong = failed(by_hand(solution.problem, [rise, early, late, fall]), 2)
+    assert "string-2_costate_x" in wrong
+    assert abs(amount) < 1e-4 or {"string-2_along", "string-2_along_ends"} <= wrong  # what has no value fails
 
 
 def test_an_arc_that_is_missed_by_little_is_none() -> None:

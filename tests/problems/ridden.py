@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class Piece:
 
     length: float
     state: Sequence[tuple[Formula, Formula]]
-    control: tuple[Formula, Formula]
+    control: Sequence[tuple[Formula, Formula]]
     costate: Sequence[tuple[Formula, Formula]]
 
 
@@ -45,28 +46,47 @@ def polynomial(*coefficients: float) -> tuple[Formula, Formula]:
     return whole, whole.deriv()
 
 
-def by_hand(problem: pl.Problem, pieces: Sequence[Piece], free: dict[str, float] | None = None) -> Solution:
-    """The pieces as tables of an answer of a problem of one phase, whose last state is the cost."""
-    time, rows, begin = list[Any](), dict[str, list[Any]](), 0.0
-    for piece in pieces:
-        t = np.linspace(0.0, piece.length, NODES)
-        time.append(begin + t)
-        begin += piece.length
-        for name, functions in (("state", piece.state), ("control", [piece.control]), ("costate", piece.costate)):
+def by_hand(problem: pl.Problem, *pieces: Sequence[Piece], free: dict[str, float] | None = None) -> Solution:
+    """The pieces of each phase as tables of an answer."""
+    flown = tuple(_flown(phase.name, own) for phase, own in zip(problem.phases, pieces, strict=True))
+    solution = Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free=free or {},
+                        trajectories=flown)  # fmt: skip
+    end = problem.phases[-1].state_record(*flown[-1].state.values[-1].tolist())
+    return replace(solution, objective=float(problem.objective(end, solution.parameters, math)))
+
+
+def _flown(name: str, pieces: Sequence[Piece]) -> pl.Trajectory:
+    rows: dict[tuple[str, int], list[Any]] = {}
+    begins = np.concatenate([[0.0], np.cumsum([piece.length for piece in pieces])])
+    times = [np.linspace(0.0, piece.length, NODES) for piece in pieces]
+    for piece, t in zip(pieces, times, strict=True):
+        for table in ("state", "control", "costate"):
             for kind in (0, 1):
-                values = [np.broadcast_to(f[kind](t), t.shape) for f in functions]
-                rows.setdefault(f"{name}{kind}", []).append(np.stack(values, axis=1))
+                values = [np.broadcast_to(f[kind](t), t.shape) for f in getattr(piece, table)]
+                rows.setdefault((table, kind), []).append(np.stack(values, axis=1))
+    time = np.concatenate([begin + t for begin, t in zip(begins[:-1], times, strict=True)])
     curves = {
-        name: Curve(time=np.concatenate(time), values=np.vstack(rows[f"{name}0"]), rates=np.vstack(rows[f"{name}1"]))
-        for name in ("state", "control", "costate")
+        table: Curve(time=time, values=np.vstack(rows[table, 0]), rates=np.vstack(rows[table, 1]))
+        for table in ("state", "control", "costate")
     }
-    flown = pl.Trajectory(phase=problem.phases[0].name, **curves)
-    empty = Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free=free or {},
-                     trajectories=(flown,))  # fmt: skip
-    end = problem.phases[0].state_record(*flown.state.values[-1].tolist())
-    objective = problem.objective(end, empty.parameters, math)
-    return Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=float(objective),
-                    free=free or {}, trajectories=(flown,))  # fmt: skip
+    return pl.Trajectory(phase=name, **curves)
+
+
+def parted(pieces: Sequence[Piece], times: Sequence[float]) -> list[Piece]:
+    """The same flight in pieces that end at these times too."""
+    found, begin = [], 0.0
+    for piece in pieces:
+        inside = [t - begin for t in sorted(times) if 1e-9 < t - begin < piece.length - 1e-9]
+        for left, right in pairwise([0.0, *inside, piece.length]):
+            tables = ([_later(f, left) for f in getattr(piece, of)] for of in ("state", "control", "costate"))
+            found.append(Piece(right - left, *tables))
+        begin += piece.length
+    return found
+
+
+def _later(pair: tuple[Formula, Formula], begin: float) -> tuple[Formula, Formula]:
+    value, rate = pair
+    return lambda t: value(begin + t), lambda t: rate(begin + t)
 
 
 def _variables(**units: str) -> tuple[Variable, ...]:
@@ -86,49 +106,125 @@ def string(
     push: float | None = None,
     bait: float = 0.0,
     start_is_free: bool = False,
+    bent: float | None = None,
 ) -> Solution:
     """The string with l = 1; lengths of its arcs in radians of k, a rise or fall of 0 being none.
 
-    With a `push` the end is free and J has push times x there; with a free start J has `bait` times it.
-    """  # fmt: skip
+    With a `push` the end is free and J has push times x there; with a free start J has `bait` times it. Where J is
+    `bent` over its duration T that is free too, and costs k^2 l^2/2 T, as much as the ride gains, + bent (T - T0)^2/2.
+    """
     l, total = 1.0, (rise + ride + fall) / k
-    ending = [] if push is not None else [Variable(name="there", unit="m")]
-    phase = pl.Phase(
-        name="string",
-        states=_variables(x="m", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
-        duration="T",
-        end=(lambda x, p, m: (x.x - p.x1,)) if ending else None,
-        end_conditions=tuple(ending),
-        path=lambda x, u, p, m: (p.l - x.x,),
-        path_conditions=_variables(room="m"),
-    )
+    phase = _string_phase("string", "T", end=push is None)
     x0, x1 = l * math.cos(rise), l * math.cos(fall)
     problem = pl.Problem(
         name="string",
         phases=(phase,),
         start=lambda p, m: (p.x0, 0.0),
-        given=_given(T=(total, "s"), k=(k, "1/s"), l=(l, "m"), x1=(x1, "m"), push=(push or 0.0, "m/s"),
-                     bait=(bait, "m/s"), **({} if start_is_free else {"x0": (x0, "m")})),
-        free=(pl.Free(name="x0", unit="m", lower=-5.0, upper=5.0, typical=1.0),) if start_is_free else (),
-        objective=lambda x, p, m: x.c + p.push * x.x + p.bait * p.x0,
+        given=_given(k=(k, "1/s"), l=(l, "m"), x1=(x1, "m"), push=(push or 0.0, "m/s"), bait=(bait, "m/s"),
+                     cost=(0.0 if bent is None else 0.5 * (k * l) ** 2, "m^2/s^2"), bent=(bent or 0.0, "m^2/s^3"),
+                     T0=(total, "s"), **({} if start_is_free else {"x0": (x0, "m")}),
+                     **({} if bent is not None else {"T": (total, "s")})),
+        free=(*((pl.Free(name="x0", unit="m", lower=-5.0, upper=5.0, typical=1.0),) if start_is_free else ()),
+              *(() if bent is None else (pl.Free(name="T", unit="s", lower=0.0, upper=99.0, typical=total),))),
+        objective=lambda x, p, m: x.c + p.push * x.x + p.bait * p.x0 + p.cost * p.T + 0.5 * p.bent * (p.T - p.T0) ** 2,
         objective_unit="m^2/s",
     )  # fmt: skip
-    t1, w, t3 = rise / k, ride / k, fall / k
-    # Where the arc ends the multiplier of its rate is 0, or holds what the push asks for.
-    held = -(push or 0.0)
+    pieces = string_pieces(k, rise, ride, fall, push or 0.0)
+    chosen = ({"x0": x0} if start_is_free else {}) | ({} if bent is None else {"T": total})
+    return by_hand(problem, pieces, free=chosen)
+
+
+def string_pieces(k: float, rise: float, ride: float, fall: float, push: float = 0.0) -> list[Piece]:
+    t1, w, t3, l = rise / k, ride / k, fall / k, 1.0
     pieces = []
     if t1:
         pieces.append(_swing(k, l, t1, lambda t: k * (t1 - t), -1.0, 0.0))
     reached = pieces[-1].state[1][0](t1) if pieces else 0.0
+    # Where the arc ends the multiplier of its rate is 0, or holds what the push asks for.
     pieces.append(Piece(
-        w, [polynomial(l), polynomial(reached, -0.5 * (k * l) ** 2)], polynomial(0.0),
-        [polynomial(-held - k * k * l * w, k * k * l), polynomial(1.0)],
+        w, [polynomial(l), polynomial(reached, -0.5 * (k * l) ** 2)], [polynomial(0.0)],
+        [polynomial(push - k * k * l * w, k * k * l), polynomial(1.0)],
     ))  # fmt: skip
     if t3:
         pieces.append(_swing(k, l, t3, lambda t: k * t, 1.0, reached - 0.5 * (k * l) ** 2 * w))
-    return by_hand(problem, pieces, {"x0": x0} if start_is_free else None)
+    return pieces
+
+
+def _string_phase(name: str, duration: str, end: bool = True) -> pl.Phase:
+    return pl.Phase(
+        name=name,
+        states=_variables(x="m", c="m^2/s"),
+        controls=(pl.Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
+        duration=duration,
+        end=(lambda x, p, m: (x.x - p.x1,)) if end else None,
+        end_conditions=_variables(there="m") if end else (),
+        path=lambda x, u, p, m: (p.l - x.x,),
+        path_conditions=_variables(room="m"),
+    )
+
+
+def string_in_two_phases(k: float, rise: float, ride: float, fall: float, share: float, stop: bool = False) -> Solution:
+    """The string, its flight stated in two phases whose joint lies at this share of what is ridden.
+
+    With a `stop` it is stated that the first ends at l.
+    """
+    one = _string_phase("one", "T1", end=False)
+    if stop:
+        one = replace(one, end=lambda x, p, m: (x.x - p.l,), end_conditions=_variables(stop="m"))
+    joint, total = (rise + share * ride) / k, (rise + ride + fall) / k
+    problem = pl.Problem(
+        name="two_phases",
+        phases=(one, _string_phase("two", "T2")),
+        start=lambda p, m: (p.x0, 0.0),
+        links=(lambda x, p, m: (x.x, x.c),),
+        given=_given(T1=(joint, "s"), T2=(total - joint, "s"), k=(k, "1/s"), l=(1.0, "m"), x0=(math.cos(rise), "m"),
+                     x1=(math.cos(fall), "m")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s",
+    )  # fmt: skip
+    pieces = parted(string_pieces(k, rise, ride, fall), [joint])
+    count = 1 if share == 0 else 2
+    return by_hand(problem, pieces[:count], pieces[count:])
+
+
+def two_strings(first: tuple[float, ...], second: tuple[float, ...]) -> Solution:
+    """Two strings at once, each (k, rise, ride, fall), of one duration: what is ridden overlaps."""
+    phase = pl.Phase(
+        name="strings",
+        states=_variables(x="m", y="m", c="m^2/s"),
+        controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="w", unit="m/s")),
+        dynamics=lambda x, u, p, m: (
+            u.u, u.w, 0.5 * (u.u * u.u + u.w * u.w - p.k * p.k * x.x * x.x - p.h * p.h * x.y * x.y),
+        ),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.x1, x.y - p.y1),
+        end_conditions=_variables(there="m", beside="m"),
+        path=lambda x, u, p, m: (p.l - x.x, p.l - x.y),
+        path_conditions=_variables(room="m", space="m"),
+    )  # fmt: skip
+    (k, *own), (h, *other) = first, second
+    problem = pl.Problem(
+        name="two_strings",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, p.y0, 0.0),
+        given=_given(T=(sum(own) / k, "s"), k=(k, "1/s"), h=(h, "1/s"), l=(1.0, "m"), x0=(math.cos(own[0]), "m"),
+                     y0=(math.cos(other[0]), "m"), x1=(math.cos(own[2]), "m"), y1=(math.cos(other[2]), "m")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s",
+    )  # fmt: skip
+    of_each = [string_pieces(*first), string_pieces(*second)]
+    times = [np.cumsum([piece.length for piece in pieces]).tolist() for pieces in of_each]
+    halves = zip(parted(of_each[0], times[1]), parted(of_each[1], times[0]), strict=True)
+    return by_hand(problem, [_at_once(a, b) for a, b in halves])
+
+
+def _at_once(a: Piece, b: Piece) -> Piece:
+    """Both with one cost."""
+    (cost, rate), (more, faster) = a.state[1], b.state[1]
+    spent = (lambda t: cost(t) + more(t), lambda t: rate(t) + faster(t))
+    return Piece(a.length, [a.state[0], b.state[0], spent], [*a.control, *b.control],
+                 [a.costate[0], b.costate[0], polynomial(1.0)])  # fmt: skip
 
 
 def _swing(k: float, l: float, length: float, angle: Formula, way: float, cost: float) -> Piece:
@@ -143,26 +239,28 @@ def _swing(k: float, l: float, length: float, angle: Formula, way: float, cost: 
             (lambda t: l * np.cos(angle(t)), lambda t: -way * k * l * np.sin(angle(t))),
             (spent, lambda t: -((k * l) ** 2) * np.cos(2 * angle(t)) / 2),
         ],
-        (lambda t: -way * k * l * np.sin(angle(t)), lambda t: -k * k * l * np.cos(angle(t))),
+        [(lambda t: -way * k * l * np.sin(angle(t)), lambda t: -k * k * l * np.cos(angle(t)))],
         [(lambda t: way * k * l * np.sin(angle(t)), lambda t: k * k * l * np.cos(angle(t))), polynomial(1.0)],
     )
 
 
-def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
+def beam(k: float, rise: float, ride: float, *, bend: float = 0.6, level: float = 0.0) -> Solution:
     """The beam with l = 1, rising and falling alike; lengths of its arcs in radians of k.
 
-    It leaves l as x = l (cos z + cosh z)/2 - bend l (sinh z - sin z), z = k t.
+    It bends away from x = level, J = int (u^2 - k^4 (x - level)^2)/2 dt, and leaves l as x = level +
+    a (cos z + cosh z)/2 - bend (sinh z - sin z), z = k t, a = l - level. Its multiplier along the arc is k^4 a.
     """
     l, t1, w = 1.0, rise / k, ride / k
+    a = l - level
 
     def shape(order: int) -> Formula:
-        """The derivative of that order of x by z."""
+        """The derivative of that order of x - level by z."""
 
         def value(z: Any) -> Any:
             c, s, ch, sh = np.cos(z), np.sin(z), np.cosh(z), np.sinh(z)
             even = ((c, ch), (-s, sh), (-c, ch), (s, sh))[order % 4]
             odd = ((sh, s), (ch, c), (sh, -s), (ch, -c))[order % 4]
-            return l * (0.5 * (even[0] + even[1]) - bend * (odd[0] - odd[1]))
+            return 0.5 * a * (even[0] + even[1]) - bend * (odd[0] - odd[1])
 
         return value
 
@@ -185,9 +283,9 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
 
         return Piece(
             t1,
-            [(x(0, way), x(1, way)), (x(1, way), x(2, way)),
+            [(lambda t: level + x(0, way)(t), x(1, way)), (x(1, way), x(2, way)),
              (cost, lambda t: 0.5 * (x(2, way)(t) ** 2 - k**4 * x(0, way)(t) ** 2))],
-            (x(2, way), x(3, way)),
+            [(x(2, way), x(3, way))],
             [(x(3, way), x(4, way)), (lambda t: -x(2, way)(t), lambda t: -x(3, way)(t)), polynomial(1.0)],
         )  # fmt: skip
 
@@ -195,7 +293,7 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
         name="beam",
         states=_variables(x="m", v="m/s", c="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * x.x * x.x)),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * (x.x - p.level) ** 2)),
         duration="T",
         end=lambda x, p, m: (x.x - p.x0, x.v + p.v0),
         end_conditions=_variables(there="m", speed="m/s"),
@@ -204,17 +302,18 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6) -> Solution:
     )
     problem = pl.Problem(
         name="beam", phases=(phase,), start=lambda p, m: (p.x0, p.v0, 0.0),
-        given=_given(T=(2 * t1 + w, "s"), k=(k, "1/s"), l=(l, "m"), x0=(float(shape(0)(rise)), "m"),
+        given=_given(T=(2 * t1 + w, "s"), k=(k, "1/s"), l=(l, "m"), level=(level, "m"),
+                     x0=(level + float(shape(0)(rise)), "m"),
                      v0=(-k * float(shape(1)(rise)), "m/s")),
         objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
     )  # fmt: skip
-    third, up = -2 * bend * l * k**3, float(spent(rise))  # x''' as it leaves
+    third, up, load = -2 * bend * k**3, float(spent(rise)), k**4 * a  # of x, as it leaves
     ridden = Piece(
-        w, [polynomial(l), polynomial(0.0), polynomial(up, -0.5 * k**4 * l * l)], polynomial(0.0),
-        [polynomial(third - k**4 * l * w, k**4 * l),
-         polynomial(third * w - 0.5 * k**4 * l * w * w, k**4 * l * w - third, -0.5 * k**4 * l), polynomial(1.0)],
+        w, [polynomial(l), polynomial(0.0), polynomial(up, -0.5 * load * a)], [polynomial(0.0)],
+        [polynomial(third - load * w, load), polynomial(third * w - 0.5 * load * w * w, load * w - third, -0.5 * load),
+         polynomial(1.0)],
     )  # fmt: skip
-    return by_hand(problem, [swing(-1.0, 0.0), ridden, swing(1.0, up - 0.5 * k**4 * l * l * w)])
+    return by_hand(problem, [swing(-1.0, 0.0), ridden, swing(1.0, up - 0.5 * load * a * w)])
 
 
 def bryson_denham_ridden(ceiling: float, met: float) -> Solution:
@@ -232,12 +331,10 @@ def bryson_denham_ridden(ceiling: float, met: float) -> Solution:
         return [(value, value.deriv()) for value in values]
 
     one, spent = Polynomial([1.0]), float(cost(met))
-    rise = Piece(met, rows(up, up.deriv(), cost), rows(u)[0], rows(6 * b * one, -u, one))
-    ride = Piece(w, rows(ceiling * one, 0 * one, spent * one), rows(0 * one)[0],
+    rise = Piece(met, rows(up, up.deriv(), cost), rows(u), rows(6 * b * one, -u, one))
+    ride = Piece(w, rows(ceiling * one, 0 * one, spent * one), rows(0 * one),
                  rows(-6 * b * one, Polynomial([-last - 6 * b * w, 6 * b]), one))  # fmt: skip
-    fall = Piece(
-        met, rows(up(at), -up.deriv()(at), 2 * spent - cost(at)), rows(u(at))[0], rows(-6 * b * one, -u(at), one)
-    )
+    fall = Piece(met, rows(up(at), -up.deriv()(at), 2 * spent - cost(at)), rows(u(at)), rows(-6 * b * one, -u(at), one))
     return by_hand(bryson_denham(ceiling), [rise, ride, fall])
 
 
@@ -272,6 +369,6 @@ def floor(depth: float) -> Solution:
     for begin in (-1.0, 0.0):
         s = Polynomial([begin, 1.0])
         whole = depth * s - s**3 / 3  # lam' = -(s^2 - depth)
-        pieces.append(Piece(1.0, [polynomial(0.0), polynomial(begin, 1.0), polynomial(0.0)], polynomial(0.0),
+        pieces.append(Piece(1.0, [polynomial(0.0), polynomial(begin, 1.0), polynomial(0.0)], [polynomial(0.0)],
                             [(whole, whole.deriv()), polynomial(0.0), polynomial(1.0)]))  # fmt: skip
     return by_hand(problem, pieces)

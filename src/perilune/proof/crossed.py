@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import zip_longest
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,10 +31,11 @@ from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.feasible import feasibility
 from perilune.proof.flight import flights
-from perilune.structures.carry import split
-from perilune.structures.structure import Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import quotient
+
+if TYPE_CHECKING:
+    from perilune.structures.structure import Structure
 
 FINEST = 1e-9  # no difference between two tables is better known
 # Against the mesh error, which is of one segment; measured on good answers: states 9, costates 4, the rest less.
@@ -71,6 +73,8 @@ def agreement(
     yield _objectives(solution, near, error)
     yield _best(solution, rivals, error)
     if arcs is not None:
+        from perilune.structures.carry import split
+
         parts, structure = arcs
         same = _same_arcs(solution.problem, parts, structure)
         try:
@@ -100,6 +104,8 @@ def _usual(solution: Solution) -> Method:
 
 def _same_arcs(problem: Problem, parts: Solution, structure: Structure) -> Problem:
     """The problem restated in which arcs that are ridden begin and end when they do, and S >= 0 is kept by the arcs."""
+    from perilune.structures.structure import conditions_of
+
     times, phases = dict[str, float](), list[Phase]()
     for k, arcs in enumerate(structure.phases):
         kept = {c.variable.name for c in conditions_of(problem, k, structure.named(k)).values()}

@@ -22,9 +22,11 @@ from perilune.proof.crossed import agreement
 from perilune.proof.extremal import extremality
 from perilune.proof.feasible import feasibility, tables
 from perilune.proof.flight import flights
+from perilune.proof.met import meets
 from perilune.proof.resolved import Resolve, neighbours
 from perilune.proof.second_order import local_optimality
 from perilune.proof.stated import raised, sensible
+from perilune.proof.variations import Kept
 from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
 
@@ -97,19 +99,19 @@ def _checks(
     yield from feasibility(solution, flown)
     arcs = None
     if level >= 2:
-        parts, rides = solution, None
-        if any(len(arc.breaks) for arc, _ in flown):  # what is touched or ridden begins and ends at one
+        parts, kept = solution, dict[int, Kept]()
+        if any(meets(arc) for arc, _ in flown):
             from perilune.proof.ridden import Rides
             from perilune.proof.touched import cut, signs
 
             parts, structure = cut(solution)
-            arcs = None if structure.plain else (parts, structure)
+            arcs, rides = None if structure.plain else (parts, structure), Rides.of(solution, parts, structure)
             yield from (check for check in signs(solution, parts, structure) if check.level <= level)
-            rides = Rides.of(solution, parts, structure)
             yield from rides.checks()
+            kept = rides.kept() if level >= 3 else kept
         yield from extremality(parts, flown if parts is solution else flights(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
-            yield from local_optimality(parts, rides.kept() if rides else None)
+            yield from local_optimality(parts, kept)
             yield from neighbours(parts, resolve)
     if level >= 4:
         yield from agreement(solution, other, arcs)

@@ -164,25 +164,29 @@ class Rides:
         The flight restated.
     along
         What is ridden along each of its parts.
+    touches
+        What is touched at the end of each.
     begins
         Numbers of the parts with which the user's phases begin.
     """
 
     parts: Solution
     along: tuple[tuple[Ridden, ...], ...]
+    touches: tuple[tuple[Condition, ...], ...]
     begins: frozenset[int]
 
     @classmethod
     def of(cls, solution: Solution, parts: Solution, structure: Structure) -> Rides:
         """Of what `touched.cut` returns."""
-        along, begins = list[tuple[Ridden, ...]](), set[int]()
+        along, touches, begins = list[tuple[Ridden, ...]](), list[tuple[Condition, ...]](), set[int]()
         for k, arcs in enumerate(structure.phases):
             conditions = conditions_of(solution.problem, k, structure.named(k))
             begins.add(len(along))
             for arc in arcs:
                 part = Arc(solution=parts, index=len(along))
                 along.append(tuple(Ridden(part=part, condition=conditions[name]) for name in arc.along))
-        return cls(parts=parts, along=tuple(along), begins=frozenset(begins))
+                touches.append(tuple(conditions[name] for name in arc.touches))
+        return cls(parts=parts, along=tuple(along), touches=tuple(touches), begins=frozenset(begins))
 
     @cached_property
     def arcs(self) -> list[Arc]:
@@ -268,7 +272,13 @@ class Rides:
         """Checks of level 2."""
         for along in self.along:
             for ridden in along:
-                yield from _signs(self, ridden)
+                yield from _signs(self, ridden, f"_{ridden.condition.variable.name}" if len(along) > 1 else "")
+            if along:
+                yield Check(
+                    name=f"{along[0].part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=_lowered(along),
+                    meaning="most that a control which leaves the arc lowers the Hamiltonian of the multiplier of "
+                    f"{' and '.join(r.condition.name for r in along)} itself (scaled)",
+                )  # fmt: skip
 
     def strictly(self, ridden: Ridden, s: float) -> bool:
         """Whether the costates of S jump by a strictly negative nu where an arc begins (0) or ends (1)."""
@@ -285,23 +295,30 @@ class Rides:
         found = {}
         for k, along in enumerate(self.along):
             ahead = self.along[k + 1] if self.inner(k + 1) else ()
-            if along or ahead or (self.inner(k) and self.along[k - 1]):
+            if along or ahead or self._turns(k):
+                left = [name for r in ahead for name in self._left(r)]
+                # Where the time of a touch does not vary nor does that of its least value: it is kept in the mean.
+                left += [name for name in self._touch_rates(k) if self._turns(k + 1)]
                 found[k] = Kept(
                     rides=tuple(r.rate for r in along),
                     released=tuple(r.rate for r in along if not r.strict),
-                    begin=tuple(value for r in along for value in self._begins(r)),
+                    holds=tuple(value for r in along if r.strict for value in r.condition.values[:-1]),
                     end=tuple(r.condition.values[0] for r in along if self._ends(r)),
-                    left=tuple(name for r in ahead for name in self._left(r)),
-                    tied=self.inner(k) and bool(along or self.along[k - 1]),
+                    left=tuple(left),
+                    tied=self._turns(k),
                 )
         return found
 
-    def _begins(self, ridden: Ridden) -> Sequence[Any]:
-        """What has to vanish at the beginning of an arc that keeps S = 0, and is not said by other conditions."""
-        before = self.other(ridden, -1)
-        if not ridden.strict or self.entered(ridden) or (before is not None and before.strict):
-            return ()
-        return ridden.condition.values[: ridden.condition.order]
+    def _turns(self, joint: int) -> bool:
+        """Whether something begins or ends to be ridden at a joint inside one of the user's phases."""
+        if not self.inner(joint):
+            return False
+        before, after = ({r.condition.name for r in self.along[k]} for k in (joint - 1, joint))
+        return before != after
+
+    def _touch_rates(self, k: int) -> list[str]:
+        """Names of the conditions S' = 0 of what is touched at the end of a part."""
+        return [condition.rated(1, "touch_", 1.0).name for condition in self.touches[k]]
 
     def _ends(self, ridden: Ridden) -> bool:
         """Whether S = 0 is kept at the end of an arc that does not keep it on the way."""
@@ -331,30 +348,25 @@ def _unmoved(arc: Arc, names: Sequence[str]) -> Matrix:
     return left[:, int((sizes > 1e-12).sum()) :].T
 
 
-def _signs(rides: Rides, ridden: Ridden) -> Iterator[Check]:
-    """Signs of the multiplier along an arc, and at both ends."""
+def _signs(rides: Rides, ridden: Ridden, of: str) -> Iterator[Check]:
+    """Signs of the multiplier along an arc, and at both ends; `of` tells apart what is ridden at once."""
     part, name, q = ridden.part, ridden.condition.name, ridden.condition.order
     beyond = "" if q <= 2 else f"; not available for a condition of order {q}"
-    yield _met(rides, ridden)
+    yield _met(rides, ridden, of)
     yield Check(
-        name=f"{part.prefix}along", level=2, unit="1", limit=_ALONG, value=max(0.0, -float(ridden.mu.min())),
+        name=f"{part.prefix}along{of}", level=2, unit="1", limit=_ALONG, value=float(np.maximum(0.0, -ridden.mu.min())),
         meaning=f"multiplier of {name} along the arc, where it is negative (scaled): what J would gain if the flight "
         f"left it{beyond}; not available where it is no smooth function of time",
     )  # fmt: skip
     yield Check(
-        name=f"{part.prefix}along_ends", level=2, unit="1", limit=SIDEWAYS,
+        name=f"{part.prefix}along_ends{of}", level=2, unit="1", limit=SIDEWAYS,
         value=float(np.max([rides.jump(part.index), rides.jump(part.index + 1)])),
         meaning=f"jumps of the costates where the flight meets and leaves {name}, of a wrong sign or not along its "
         f"slope, as far as no condition at the end of a phase and no given start has them (scaled){beyond}",
     )  # fmt: skip
-    yield Check(
-        name=f"{part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=_lowered(ridden),
-        meaning=f"most that a control which leaves {name} lowers the Hamiltonian of the multiplier of {name} itself "
-        "(scaled)",
-    )  # fmt: skip
 
 
-def _met(rides: Rides, ridden: Ridden) -> Check:
+def _met(rides: Rides, ridden: Ridden, of: str) -> Check:
     """What was taken as an arc is one: S and its rates vanish where it begins."""
     part, condition, x = ridden.part, ridden.condition, ridden.edge(0.0)
     u = part.phase.control_record(*part.control(np.zeros(1))[:, 0].tolist())
@@ -363,20 +375,21 @@ def _met(rides: Rides, ridden: Ridden) -> Check:
         off = float(value(part.phase.state_record(*x[:, 0].tolist()), u, part.p, COMPLEX)[0].real)
         worst = float(np.max([worst, abs(off) / rides.scale(ridden, i)]))
     return Check(
-        name=f"{part.prefix}met", level=2, unit="1", limit=_MET, value=worst,
+        name=f"{part.prefix}met{of}", level=2, unit="1", limit=_MET, value=worst,
         meaning=f"{condition.name} and its rates where the flight is said to ride along it (scaled): they vanish",
     )  # fmt: skip
 
 
-def _lowered(ridden: Ridden) -> float:
+def _lowered(along: Sequence[Ridden]) -> float:
     """Most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled: what S >= 0 itself asks for.
 
     With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not those alone that
     keep S^(q) = 0 (Hartl, Sethi, Vickson 1995, section 5). What lam differs by beside is across all controls.
     """
-    part, inside = ridden.part, ridden.part.sampled
-    slopes = ridden.slope(ridden.condition.order - 1, inside.x) / part.state_scale[:, None]
-    lam = inside.lam - ridden.eta * slopes
+    part = along[0].part
+    inside, lam = part.sampled, part.sampled.lam
+    for ridden in along:
+        lam = lam - ridden.eta * ridden.slope(ridden.condition.order - 1, inside.x) / part.state_scale[:, None]
     few = np.unique(np.linspace(0, len(inside.t) - 1, _LOOKS).astype(int))
     x, u, lam = inside.x[:, few], inside.u[:, few], lam[:, few]
     parts = [

@@ -54,6 +54,7 @@ from perilune.words.types import Matrix, Vector
 CURVATURE_LIMIT = -1e-4
 # Discretisation lowers kappa by 1.6e-4 of itself (oscillator).
 KAPPA_LIMIT = 0.999
+_SAID_TWICE = 1e-7  # of a linearised condition: by so much others that say the same may differ
 
 
 def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None) -> Iterator[Check]:
@@ -197,12 +198,13 @@ def _form(pieces: Sequence[Piece]) -> tuple[Matrix, Matrix, int]:
     form, constraints, at = np.zeros((columns, columns)), [np.zeros((0, columns))], m
     parameters = np.eye(m, columns)
     parameters[m - len(curvature) :] /= np.sqrt(curvature)[:, None]
-    dx = np.zeros((0, columns))
+    dx = known = np.zeros((0, columns))
     for piece in pieces:
         if piece.first:
             dx, curved = _begin(piece, dx, parameters)
             form += curved
-            constraints += [_tied(piece, parameters), _vanishing(piece, piece.kept.begin, dx, parameters, 0.0)]
+            begun = _vanishing(piece, piece.kept.holds, dx, parameters, 0.0)
+            constraints += [_tied(piece, parameters), _beyond(begun, known)]
         n, _, k = piece.sizes
         identity, step = np.eye(n), 1.0 / piece.steps
         half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
@@ -223,12 +225,17 @@ def _form(pieces: Sequence[Piece]) -> tuple[Matrix, Matrix, int]:
         weighted = step * piece.W.transpose(2, 0, 1) @ path
         flat = (piece.steps * (n + m + k), columns)  # which may be none
         form += path.reshape(flat).T @ weighted.reshape(flat)
-        for close in ([_cross] if piece.crossing else []) + ([_finish] if piece.last else []):
-            rows, curved = close(piece, dx, parameters)
+        if piece.crossing:
+            rows, curved = _cross(piece, dx, parameters)
             form += curved
             constraints.append(rows)
         if piece.last:
-            constraints.append(_vanishing(piece, piece.kept.end, dx, parameters, piece.arc.duration))
+            rows, curved = _finish(piece, dx, parameters)
+            form += curved
+            left = _vanishing(piece, piece.kept.end, dx, parameters, piece.arc.duration)
+            held = _vanishing(piece, piece.kept.holds, dx, parameters, piece.arc.duration)
+            constraints.append(_beyond(np.vstack([rows, left]), held))
+            known = np.vstack([held, rows])
     return 0.5 * (form + form.T), np.vstack(constraints), m - len(curvature)
 
 
@@ -270,6 +277,16 @@ def _vanishing(piece: Piece, values: Sequence[Any], dx: Matrix, parameters: Matr
     first, _ = _curved(piece, rows, arc.state(np.array([t]))[:, 0], arc.state_scale, np.vstack([dx, parameters]))
     sizes = np.abs(first[1:]).max(axis=1, initial=0.0, keepdims=True)
     return np.divide(first[1:], sizes, out=np.zeros_like(first[1:]), where=sizes > 0)
+
+
+def _beyond(rows: Matrix, known: Matrix) -> Matrix:
+    """What rows say beyond others that vanish: said twice, the same but for the steps' error, it would be more."""
+    if not len(rows) or not len(known):
+        return rows
+    rows = rows / np.maximum(np.abs(rows).max(axis=1, keepdims=True, initial=0.0), 1e-300)
+    left = rows - rows @ np.linalg.pinv(known, rcond=1e-10) @ known
+    combined, sizes, _ = np.linalg.svd(left, full_matrices=False)
+    return combined[:, sizes > _SAID_TWICE].T @ rows
 
 
 def _begin(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:

@@ -18,26 +18,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 
-from perilune.problem.solution import Solution
+from perilune.problem.rates import acts
+from perilune.problem.solution import Solution, full
+from perilune.problem.tape import Expression
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
+from perilune.proof.met import LEAST, edges_of
 from perilune.structures.carry import split
-from perilune.structures.read import Contact, arcs_of, of_states, room_along
-from perilune.structures.structure import Condition, Structure, conditions_of
+from perilune.structures.read import POINTS, Contact, arcs_of
+from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
 _JUMP = 1e-9  # of a costate's size: less is no jump
-# The multiplier along an arc is a polynomial in time, to rounding; its derivatives are noise below a share of it.
-_DEGREE, _ROUGH, _ALONG = 12, 1e-6, 1e-4
-_LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
 _MET = 1e-9  # of its size: a condition that is met, or its rate
-_SIDEWAYS = 1e-6  # the same of what H told: it is continuous there to a double root only
+_SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
 _STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
 
@@ -46,19 +48,19 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
     phases = []
     for k, flown in enumerate(solution.trajectories):
         arc = Arc(solution=solution, index=k)
-        names = of_states(solution.problem, k) if flown.costate is not None else []
-        phases.append(arcs_of([c for name in names for c in _contacts(arc, name)], flown.duration))
+        known = margins(solution.problem, arc.index) if flown.costate is not None else {}
+        found = [c for name, (_, S, _) in known.items() if not acts(S) for c in _contacts(arc, name, S)]
+        phases.append(arcs_of(found, flown.duration))
     structure = Structure(tuple(phases))
     return solution if structure.plain else split(solution, structure), structure
 
 
-def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
+def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
     """Where a condition is met between the edges of the tables, or at one where the costates jump."""
-    edges = _edges(arc)
-    if not len(edges):
-        return
-    t, room = room_along(arc.solution, arc.index, name)
-    met = np.abs(room) <= _ON * float(np.ptp(room))
+    edges, size = edges_of(arc), LEAST * _size(arc, name)
+    t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
+    room = _room(arc, S, t)
+    met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
     if not met.any() or (order := _order(arc, name)) is None:
         return
     ends = [0.0, *edges.tolist(), arc.duration]
@@ -75,19 +77,27 @@ def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
             yield Contact(name=name, begin=time, end=time, ridden=False)
 
 
+def _room(arc: Arc, S: Expression, t: Vector) -> Vector:
+    """S at times of a phase [SI]."""
+    bounds = {given: g.value for given, g in plain_bounds(arc.problem).items()}
+    p, x, u = SimpleNamespace(**vars(arc.p), **bounds), arc.state(t), arc.control(t)
+    return full(S(arc.phase.state_record(*x), arc.phase.control_record(*u), p, NUMERIC)[0], t)
+
+
+def _size(arc: Arc, name: str) -> float:
+    """Size of a condition that goes through nothing [SI]: of the path condition, or of the state whose bound it is."""
+    paths = [condition.name for condition in arc.phase.path_conditions]
+    if name in paths:
+        return float(arc.path_scale[paths.index(name)])
+    return float(arc.state_scale[arc.phase.state_names.index(name.rpartition(".")[0])])
+
+
 def _order(arc: Arc, name: str) -> int | None:
     """Of a condition; None where no control moves it."""
     try:
         return conditions_of(arc.problem, arc.index, (name,))[name].order
     except PeriluneError:
         return None
-
-
-def _edges(arc: Arc) -> Vector:
-    """Times inside the phase at which a table begins anew [s]."""
-    found = [curve.time[1:][np.diff(curve.time) == 0] for curve in arc.curves]
-    times = np.unique(np.concatenate(found))
-    return times[(times > 0) & (times < arc.duration)]
 
 
 def _jumps(arc: Arc, time: float) -> bool:
@@ -124,7 +134,7 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
     scaled = nu * part.end_scale / part.objective_scale
     yield _met(part, [at, rate], name)
     yield Check(
-        name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=max(0.0, float(scaled[at])),
+        name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=float(np.maximum(0.0, scaled[at])),
         meaning=f"what J would gain if the flight left {name} where it touches it (scaled): the multiplier is not "
         "positive",
     )  # fmt: skip

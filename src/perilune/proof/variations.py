@@ -33,8 +33,10 @@ class Kept:
     ----------
     rides, released
         Names of the conditions S^(q) = 0 along it, and of those that variations need not keep.
-    begin, end
-        Values that are to vanish to first order at its beginning and end, beside the end conditions.
+    holds
+        Values that vanish to first order all along it, and so have to where it begins.
+    end
+        Those that have to where it ends, beside the end conditions.
     left
         Names of the end conditions that need not be kept.
     tied
@@ -43,7 +45,7 @@ class Kept:
 
     rides: tuple[str, ...] = ()
     released: tuple[str, ...] = ()
-    begin: tuple[Any, ...] = ()
+    holds: tuple[Any, ...] = ()
     end: tuple[Any, ...] = ()
     left: tuple[str, ...] = ()
     tied: bool = False

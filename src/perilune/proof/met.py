@@ -1,0 +1,40 @@
+"""Whether a flight may touch a condition or ride along it, for the price of a few points: most flights do not.
+
+What is touched is at an edge of the tables, where costates jump; what is ridden is ridden between edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from perilune.proof.arc import Arc
+from perilune.words.types import Vector
+
+LEAST = 1e-3  # of its size: what a condition goes through at least, as one that is met all along goes through nothing
+_NEAR = 1e-4  # of what it is elsewhere: so near to it a condition is looked at all along
+
+
+def edges_of(arc: Arc) -> Vector:
+    """Times inside the phase at which a table begins anew [s]."""
+    found = [curve.time[1:][np.diff(curve.time) == 0] for curve in arc.curves]
+    times = np.unique(np.concatenate(found))
+    return times[(times > 0) & (times < arc.duration)]
+
+
+def meets(arc: Arc) -> bool:
+    """Whether a path condition or a bound of a state is met at an edge, or half way between two."""
+    edges = edges_of(arc)
+    some = np.union1d(edges, [0.5 * (a + b) for a, b in pairwise([0.0, *edges.tolist(), arc.duration])])
+    return any(np.abs(S).min() <= _NEAR * max(float(np.abs(S).max()), LEAST * size) for S, size in _values(arc, some))
+
+
+def _values(arc: Arc, t: Vector) -> Iterator[tuple[Vector, float]]:
+    """Of every condition at times, and its size."""
+    x = arc.state(t)
+    if arc.phase.path_conditions:
+        yield from zip(arc.path(x, arc.control(t)), arc.path_scale.tolist(), strict=True)
+    for state, size, values in zip(arc.phase.states, arc.state_scale.tolist(), x, strict=True):
+        yield from ((values - limit, size) for limit in state.limits(arc.p) if np.isfinite(limit))
