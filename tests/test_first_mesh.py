@@ -50,7 +50,9 @@ def test_a_flight_that_winds_keeps_the_dynamics_and_gives_the_mesh() -> None:
     p, phase, duration = problem.parameters({}), problem.phases[0], problem.given["flight_time"].value
 
     def flow(at: float, x: np.ndarray) -> np.ndarray:
-        return duration * np.array(phase.rates(list(x), list(admissible(phase.controls, guess(np.array([at]))[1].T, p)[:, 0]), p))
+        return duration * np.array(
+            phase.rates(list(x), list(admissible(phase.controls, guess(np.array([at]))[1].T, p)[:, 0]), p)
+        )
 
     t = np.linspace(0.0, 1.0, 40)
     exact = solve_ivp(flow, (0.0, 1.0), guess(np.zeros(1))[0][0], "RK45", t_eval=t, rtol=1e-8, max_step=0.01).y

@@ -1,9 +1,9 @@
 """One step of Newton's method in the space that the dynamics leave.
 
-Of the unknowns the first m, the states, are determined by the first m equations, the dynamics: segment after segment,
-as their square part B is lower block triangular. With the other unknowns u and equations,
+Of the unknowns the first m, the states, are determined by the first m equations, the dynamics: block after block, as
+their square part B is lower block triangular. With the other unknowns u,
 
-    dx = p + T du,   T = -B^-1 N,   p = -B^-1 c,
+    dw = P + Z du,   Z = (-B^-1 N, 1),   P = (-B^-1 c, 0),
 
 and the conditions of a minimum in du are a small dense system (Nocedal, Wright 2006, section 16.2), whose inertia tells
 whether the step goes down.
@@ -12,7 +12,7 @@ whether the step goes down.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
@@ -20,6 +20,9 @@ from scipy.linalg import get_lapack_funcs
 from perilune.words.types import Matrix, Vector
 
 _getrf, _getrs, _sytrf, _sytrs = get_lapack_funcs(("getrf", "getrs", "sytrf", "sytrs"))
+
+# The first addition to H where it is that of no minimum, by how much the next ones are larger, and how many there are.
+LEAST, STEEPER, LARGER = 1e-4, 8.0, 12
 
 
 class Chain:
@@ -63,44 +66,92 @@ class Chain:
         return found / self.sizes
 
 
+class Weighed(NamedTuple):
+    """What is added to the second derivatives H: weights of the unknowns themselves, and of the ranges."""
+
+    unknowns: Vector
+    ranges: Vector
+
+
 class Reduced:
-    """The equations A dw = -c at a point, solved for the states, which have these sizes."""
+    """The equations at a point, solved for the states.
 
-    def __init__(self, A: Matrix, c: Vector, sizes: Vector, blocks: Sequence[slice]) -> None:
-        m = blocks[-1].stop
-        self.chain = Chain(A[:m, :m], sizes, blocks)
-        self.A, self.m = A, m
-        found = self.chain.solved(np.column_stack([A[:m, m:], c[:m]]))
-        self.T, self.p = -found[:, :-1], -found[:, -1]
-        self.rest = A[m:, :m] @ self.T + A[m:, m:]
-        self.c = c[m:] + A[m:, :m] @ self.p
+    Parameters
+    ----------
+    slopes
+        Of all equations, those of the dynamics first, and then of the ranges, shape (rows, n).
+    c
+        Values of all equations.
+    sizes, blocks
+        Of the states, and of B.
+    """
 
-    def step(self, H: Matrix, right: Matrix) -> tuple[Matrix, Matrix] | None:
-        """Two solutions (dw, y) of H dw + A' y = -right, side by side: of A dw = -c, and of A dw = 0.
+    def __init__(self, slopes: Matrix, c: Vector, sizes: Vector, blocks: Sequence[slice]) -> None:
+        m, n = blocks[-1].stop, slopes.shape[1]
+        self.chain, self.others, self.m, self.rows = Chain(slopes[:m, :m], sizes, blocks), slopes[m:], m, len(c) - m
+        right = np.empty((m, n - m + 1), order="F")
+        right[:, :-1], right[:, -1] = slopes[:m, m:], c[:m]
+        both = np.zeros((n, n - m + 1))  # Z and P
+        np.negative(self.chain.solved(right), out=both[:m])
+        both[m:].ravel()[:: n - m + 2] = 1.0
+        self.both, self.Z, self.P = both, both[:, :-1], both[:, -1]
+        of_others = self.others @ both
+        self.rest, self.c = of_others[: self.rows, :-1], c[m:] + of_others[: self.rows, -1]
+        self.ranged = of_others[self.rows :]
 
-        None if H is that of no minimum along A dw = 0.
+    def step(self, H: Any, weighed: Weighed, right: Matrix) -> tuple[Matrix, Matrix, Matrix] | None:
+        """Two steps side by side, one for A dw = -c and one for A dw = 0, each with a column of `right`.
+
+        Parameters
+        ----------
+        H
+            Second derivatives, or None for none.
+        weighed
+            What is added to them; more is added where H is that of no minimum along A dw = 0.
+        right
+            Slopes, shape (n, 2).
+
+        Returns
+        -------
+        tuple
+            The changes of the unknowns and of the ranges' values, and the multipliers of the equations; None where
+            all that is added is not enough.
         """
-        m, T, (rows, q) = self.m, self.T, self.rest.shape
-        HZ = H[:, :m] @ T + H[:, m:]
-        small = np.zeros((q + rows, q + rows))
-        small[:q, :q] = T.T @ HZ[:m] + HZ[m:]
-        small[:q, q:] = self.rest.T
-        factor, places, failed = _sytrf(small)
-        if failed or negative(factor, places) != rows:
-            return None
-        wanted = np.zeros((q + rows, 2))
-        wanted[:q] = T.T @ right[:m] + right[m:]
-        wanted[:q, 0] += self.p @ HZ[:m]
-        wanted[q:, 0] = self.c
+        m, rows, q, both = self.m, self.rows, self.Z.shape[1], self.both
+        curved = weighed.unknowns[:, None] * both
+        if H is not None:
+            curved += H @ both
+        G = self.Z.T @ curved
+        if len(weighed.ranges):
+            G += (self.ranged[:, :-1].T * weighed.ranges) @ self.ranged
+        small, wanted = np.zeros((q + rows, q + rows)), np.zeros((q + rows, 2))
+        small[:q, :q], small[:q, q:] = G[:, :-1], self.rest.T
+        wanted[:q], wanted[q:, 0] = self.Z.T @ right, self.c
+        wanted[:q, 0] += G[:, -1]
+        more, larger = 0.0, LEAST
+        while True:
+            factor, places, failed = _sytrf(small)
+            if not failed and negative(factor, places) == rows:
+                break
+            if larger > LEAST * STEEPER**LARGER:
+                return None
+            added = larger * (self.Z.T @ both)
+            small[:q, :q] += added[:, :-1]
+            wanted[:q, 0] += added[:, -1]
+            more, larger = more + larger, larger * STEEPER
         found = _sytrs(factor, places, -wanted)[0]
-        dw = np.empty_like(right)
-        dw[m:] = found[:q]
-        dw[:m] = T @ dw[m:]
-        dw[:m, 0] += self.p
+        du, y_rest = found[:q], found[q:]
+        dw, ds = self.Z @ du, self.ranged[:, :-1] @ du
+        dw[:, 0] += self.P
+        ds[:, 0] += self.ranged[:, -1]
+        slope = right + (weighed.unknowns + more)[:, None] * dw
+        if H is not None:
+            slope += H @ dw
+        slope += self.others.T @ np.concatenate([y_rest, weighed.ranges[:, None] * ds])
         y = np.empty((m + rows, 2))
-        y[m:] = found[q:]
-        y[:m] = self.chain.transposed(-(right[:m] + H[:m] @ dw + self.A[m:, :m].T @ y[m:]))
-        return dw, y
+        y[m:] = y_rest
+        y[:m] = self.chain.transposed(-slope[:m])
+        return dw, ds, y
 
 
 def negative(factor: Matrix, places: Vector) -> int:
