@@ -23,7 +23,7 @@ import numpy as np
 
 from perilune.direct.assembly import Assembled
 from perilune.direct.reduced import Reduced, Weighed
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 
 # First points keep this distance from a bound, or this part of the range between two.
 PUSH = 1e-2
@@ -44,7 +44,7 @@ class Posed:
     """A program with the numbers of one problem: given values, bounds of unknowns and rows.
 
     `states` are unknowns, `dynamics` the rows that determine them: in each of the `segments` of both from those before.
-    `sizes` are those of the states.
+    `sizes` are those of the states. `lengths` are rows that hold directions at length one, with the unknowns in them.
     """
 
     program: Assembled
@@ -57,6 +57,7 @@ class Posed:
     dynamics: Vector
     segments: Sequence[slice]
     sizes: Vector
+    lengths: Sequence[tuple[Vector, Matrix]]
 
 
 class Optimum(NamedTuple):
@@ -90,7 +91,8 @@ class _Step(NamedTuple):
 
 def optimum(posed: Posed, w: Vector, iterations: int, tolerance: float) -> Optimum | None:
     """The local optimum that the search reaches from w, or None."""
-    if (posed.lower == posed.upper)[posed.states].any():
+    fixed = posed.lower == posed.upper
+    if fixed[posed.states].any() or any(fixed[columns].any() for _, columns in posed.lengths):
         return None
     with np.errstate(all="ignore"):  # what is no number ends the search
         try:
@@ -109,8 +111,9 @@ class _Search:
         self.order = np.concatenate([posed.states, np.nonzero(others)[0]])
         equal = posed.low == posed.high
         self.ranged = np.nonzero(~equal)[0]
-        equal[posed.dynamics] = False
-        self.equal = np.concatenate([posed.dynamics, np.nonzero(equal)[0]])
+        first = np.concatenate([posed.dynamics, *(rows for rows, _ in posed.lengths)])
+        equal[first] = False
+        self.equal = np.concatenate([first, np.nonzero(equal)[0]])
         self.wanted = posed.low[self.equal]
         self.n = len(self.order)
         self.lower = np.concatenate([posed.lower[self.order], posed.low[self.ranged]])
@@ -121,6 +124,7 @@ class _Search:
         self.sign = np.concatenate([np.ones(len(below)), -np.ones(len(above))])
         self.bound = np.concatenate([self.lower[below], self.upper[above]])
         self.here = _Evaluated(posed, self.order, self.equal, self.ranged)
+        self.directions_at = [self.here.place[columns] for _, columns in posed.lengths]
 
     def run(self, start: Vector, iterations: int) -> Optimum | None:
         """The search from a start; the fixed unknowns keep its values."""
@@ -191,7 +195,7 @@ class _Search:
         here = self.here
         if here.reduced is None:
             c = here.g - self.wanted
-            here.reduced = Reduced(here.slopes, c, self.sizes, self.segments)
+            here.reduced = Reduced(here.slopes, c, self.sizes, self.segments, self.directions_at)
         return here.reduced
 
     def directions(self, point: _Point) -> tuple[_Step, _Step] | None:
@@ -259,6 +263,7 @@ class _Evaluated:
         self._equations, n = len(equal), len(order)
         place, row = np.full(len(posed.lower), -1), np.empty(len(posed.low), dtype=int)
         place[order], row[self.rows] = np.arange(n), np.arange(len(self.rows))
+        self.place = place
         of, by = program.jacobian_at
         known = np.nonzero(place[by] >= 0)[0]
         self._first, self._slots = known, (row[of] * n + place[by])[known]

@@ -139,3 +139,17 @@ def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, 
         row += sum(sizes)
     ends = [0, *np.cumsum([len(rows) for rows in dynamics]).tolist()]
     return np.concatenate(states), np.concatenate(dynamics), [slice(a, b) for a, b in pairwise(ends)]
+
+
+@lru_cache(maxsize=64)
+def unit_lengths(layouts: tuple[Layout, ...], free: int) -> list[tuple[Vector, Matrix]]:
+    """Rows that hold directions at length one, and the unknowns in each: an entry for each direction of a phase."""
+    found, at, row = list[tuple[Vector, Matrix]](), free, 0
+    for layout in layouts:
+        count, before = len(layout.directions), dict(layout.rows)
+        first = row + sum(size for kind, size in before.items() if kind in ("start", "defect", "quadrature"))
+        rows = first + np.arange(count * layout.nodes).reshape(layout.nodes, count)
+        controls = at + sum(layout.sizes[:2]) + np.arange(layout.sizes[2]).reshape(layout.nodes, layout.controls)
+        found += [(rows[:, k], controls[:, a:b]) for k, (a, b) in enumerate(layout.directions)]
+        at, row = at + sum(layout.sizes), row + sum(before.values())
+    return found

@@ -30,7 +30,7 @@ from perilune.direct.assembly import Assembled, assembled
 from perilune.direct.blocks import blocks
 from perilune.direct.collocation import Mesh, Scheme
 from perilune.direct.interior import Optimum, Posed, optimum
-from perilune.direct.layout import Layout, PhaseValues, by_kind, determined, layout_of, packed, unpacked
+from perilune.direct.layout import Layout, PhaseValues, by_kind, determined, layout_of, packed, unit_lengths, unpacked
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import Unnumbered, canonical_given, free_scales, state_scales
@@ -122,6 +122,7 @@ class Program:
             program=_assembled(Unnumbered(self.problem), self.layouts, nearest), given=canonical_given(self.problem),
             lower=np.append(lower, np.zeros(misses)), upper=np.append(upper, np.full(misses, math.inf)),
             low=low, high=high, states=states, dynamics=dynamics, segments=segments, sizes=_sizes(guesses),
+            lengths=unit_lengths(self.layouts, len(free)),
         )  # fmt: skip
         first = np.append(np.clip(start, lower, upper), np.full(misses, 0.1))
         found = None

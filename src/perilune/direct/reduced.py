@@ -1,17 +1,19 @@
 """One step of Newton's method in the space that the dynamics leave.
 
 Of the unknowns the first m, the states, are determined by the first m equations, the dynamics: block after block, as
-their square part B is lower block triangular. With the other unknowns u,
+their square part B is lower block triangular. The next equations hold the lengths of directions at one; each gives the
+largest component of its direction from the others. With the unknowns u that are left,
 
-    dw = P + Z du,   Z = (-B^-1 N, 1),   P = (-B^-1 c, 0),
+    dw = P + Z du,   Z = (-B^-1 N U, U),   P = (-B^-1 (c + N V), V),
 
-and the conditions of a minimum in du are a small dense system (Nocedal, Wright 2006, section 16.2), whose inertia tells
-whether the step goes down.
+where N are the slopes of the dynamics in all but the states, and U du + V is what the lengths leave of these. Then the
+conditions of a minimum in du are a small dense system (Nocedal, Wright 2006, section 16.2), whose inertia tells whether
+the step goes down.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +23,8 @@ from perilune.words.types import Matrix, Vector
 
 _getrf, _getrs, _sytrf, _sytrs = get_lapack_funcs(("getrf", "getrs", "sytrf", "sytrs"))
 
+# A component of a direction that is as small is none to divide by.
+SHORT = 1e-6
 # The first addition to H where it is that of no minimum, by how much the next ones are larger, and how many there are.
 LEAST, STEEPER, LARGER = 1e-4, 8.0, 12
 
@@ -66,6 +70,33 @@ class Chain:
         return found / self.sizes
 
 
+class Lengths:
+    """Equations, one for each direction, in its components alone: the largest of these from the others.
+
+    Parameters
+    ----------
+    slopes
+        In the components, shape (directions, components).
+    values
+        Of the equations.
+    columns
+        Which unknowns the components are, of those that are no states.
+
+    Raises
+    ------
+    ArithmeticError
+        If a direction has no length.
+    """
+
+    def __init__(self, slopes: Matrix, values: Vector, columns: Matrix) -> None:
+        rows = np.arange(len(slopes))
+        largest = np.abs(slopes).argmax(axis=1)
+        self.of, self.slope = columns[rows, largest], slopes[rows, largest]
+        if not np.abs(self.slope).min(initial=1.0) > SHORT:
+            raise ArithmeticError("a direction has no length")
+        self.columns, self.parts, self.rest = columns, -slopes / self.slope[:, None], -values / self.slope
+
+
 class Weighed(NamedTuple):
     """What is added to the second derivatives H: weights of the unknowns themselves, and of the ranges."""
 
@@ -79,25 +110,51 @@ class Reduced:
     Parameters
     ----------
     slopes
-        Of all equations, those of the dynamics first, and then of the ranges, shape (rows, n).
+        Of all equations, those of the dynamics first, then those of lengths, and then of the ranges, (rows, n).
     c
         Values of all equations.
     sizes, blocks
         Of the states, and of B.
+    directions
+        For each length the unknowns in it; one array for all directions of as many components.
     """
 
-    def __init__(self, slopes: Matrix, c: Vector, sizes: Vector, blocks: Sequence[slice]) -> None:
+    def __init__(
+        self, slopes: Matrix, c: Vector, sizes: Vector, blocks: Sequence[slice], directions: Sequence[Matrix] = ()
+    ) -> None:
         m, n = blocks[-1].stop, slopes.shape[1]
-        self.chain, self.others, self.m, self.rows = Chain(slopes[:m, :m], sizes, blocks), slopes[m:], m, len(c) - m
-        right = np.empty((m, n - m + 1), order="F")
-        right[:, :-1], right[:, -1] = slopes[:m, m:], c[:m]
-        both = np.zeros((n, n - m + 1))  # Z and P
-        np.negative(self.chain.solved(right), out=both[:m])
-        both[m:].ravel()[:: n - m + 2] = 1.0
-        self.both, self.Z, self.P = both, both[:, :-1], both[:, -1]
-        of_others = self.others @ both
-        self.rest, self.c = of_others[: self.rows, :-1], c[m:] + of_others[: self.rows, -1]
+        self.chain, self.slopes, self.m = Chain(slopes[:m, :m], sizes, blocks), slopes, m
+        self.lengths = list[Lengths]()
+        at = m
+        for columns in directions:
+            rows = slice(at, at + len(columns))
+            at = rows.stop
+            self.lengths.append(Lengths(slopes[np.arange(rows.start, at)[:, None], columns], c[rows], columns - m))
+        left = self._left(n - m)
+        right = slopes[:m, m:] @ left
+        right[:, -1] += c[:m]
+        self.both = np.empty((n, left.shape[1]))  # Z and P
+        np.negative(self.chain.solved(right), out=self.both[:m])
+        self.both[m:] = left
+        self.Z, self.P = self.both[:, :-1], self.both[:, -1]
+        self.others, self.rows = slopes[at:], len(c) - at
+        of_others = self.others @ self.both
+        self.rest, self.c = of_others[: self.rows, :-1], c[at:] + of_others[: self.rows, -1]
         self.ranged = of_others[self.rows :]
+
+    def _left(self, count: int) -> Matrix:
+        """U and V side by side: what the lengths leave of `count` unknowns."""
+        free = np.ones(count, dtype=bool)
+        for lengths in self.lengths:
+            free[lengths.of] = False
+        place = np.cumsum(free) - 1
+        found = np.zeros((count, int(free.sum()) + 1))
+        found[free, place[free]] = 1.0
+        for lengths in self.lengths:
+            others = lengths.columns != lengths.of[:, None]
+            found[np.repeat(lengths.of, others.sum(axis=1)), place[lengths.columns[others]]] = lengths.parts[others]
+            found[lengths.of, -1] = lengths.rest
+        return found
 
     def step(self, H: Any, weighed: Weighed, right: Matrix) -> tuple[Matrix, Matrix, Matrix] | None:
         """Two steps side by side, one for A dw = -c and one for A dw = 0, each with a column of `right`.
@@ -117,7 +174,7 @@ class Reduced:
             The changes of the unknowns and of the ranges' values, and the multipliers of the equations; None where
             all that is added is not enough.
         """
-        m, rows, q, both = self.m, self.rows, self.Z.shape[1], self.both
+        rows, q, both = self.rows, self.Z.shape[1], self.both
         curved = weighed.unknowns[:, None] * both
         if H is not None:
             curved += H @ both
@@ -148,10 +205,15 @@ class Reduced:
         if H is not None:
             slope += H @ dw
         slope += self.others.T @ np.concatenate([y_rest, weighed.ranges[:, None] * ds])
-        y = np.empty((m + rows, 2))
-        y[m:] = y_rest
-        y[:m] = self.chain.transposed(-slope[:m])
-        return dw, ds, y
+        return dw, ds, np.concatenate([*self._multipliers(slope), y_rest])
+
+    def _multipliers(self, slope: Matrix) -> Iterator[Matrix]:
+        """Those of the dynamics and of lengths, for what is not balanced yet."""
+        y = self.chain.transposed(-slope[: self.m])
+        yield y
+        for lengths in self.lengths:
+            of = self.m + lengths.of
+            yield -(slope[of] + self.slopes[: self.m, of].T @ y) / lengths.slope[:, None]
 
 
 def negative(factor: Matrix, places: Vector) -> int:
