@@ -1,9 +1,9 @@
 """A direct answer made exact: its structure, and Newton's method on the conditions that hold along each arc.
 
 A direct answer has costates, and so starts the indirect method. That needs no fine mesh: the first one is tried before
-any refinement, the refined one where the first was too coarse, and the best one where refinement did not get as far as
-was asked. What Newton's method reaches replaces the direct answer if it is a minimum that keeps every bound and
-condition and is no worse than the mesh can tell; else the direct answer stays, and says so.
+any refinement, a refined one where it tells another structure, and at last the best one, whether or not refinement got
+as far as was asked. What Newton's method reaches replaces the direct answer if it is a minimum that keeps every bound
+and condition and is no worse than the mesh can tell; else the direct answer stays, and says so.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.ladder import STRUCTURE, Ladder
@@ -20,6 +21,7 @@ from perilune.methods.structured import Polish
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.structures.read import read
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 
@@ -50,23 +52,19 @@ def polished(
         As the direct method says, where nothing exact was reached from its best flight either.
     """
     finish = _Finish(settings=Indirect(), problem=problem, watch=watch or silent, guided=guess is not None)
-    number, direct, exact = -1, None, None
+    direct, exact = None, None
     try:
-        for number, direct in enumerate(method.meshes(problem, guess, watch)):
-            if number == 0 and direct.statistics.residual < ROUGHEST:
-                exact = finish.of(direct)
-            if exact is not None:
+        for direct in method.meshes(problem, guess, watch):
+            if (exact := finish.soon(direct)) is not None:
                 return exact
     except NotConvergedError as error:
-        exact = finish.of(error.flight) if number > 0 else None
+        exact = None if direct is None else finish.of(error.flight)
         if exact is None:
             error.partial["tried"] = (*error.partial["tried"], *finish.tried)
             raise
         return exact
     assert direct is not None
-    if number > 0 or not finish.tried:
-        exact = finish.of(direct)
-    return exact or finish.left(direct)
+    return finish.of(direct) or finish.left(direct)
 
 
 @dataclass(kw_only=True)
@@ -79,10 +77,27 @@ class _Finish:
     guided: bool
     began: float = field(default_factory=time.perf_counter)
     tried: list[str] = field(default_factory=list)
+    seen: set[str] = field(default_factory=set)
+    settled: Solution | None = None  # that of which there is no more to try
+
+    def soon(self, direct: Solution) -> Solution | None:
+        """The same in brief, from a mesh that may not be the last, where it tells a structure that was not tried."""
+        if not direct.statistics.residual < ROUGHEST:
+            return None
+        structure = read(self.problem, direct)
+        text = "" if structure is None else structure.text
+        if text in self.seen:
+            return None
+        self.seen.add(text)
+        self.settled = direct if structure is None else None
+        return self._by_any_way(direct, brief=True)
 
     def of(self, direct: Solution) -> Solution | None:
         """The exact answer near a direct one; None, with the reason in `tried`, where none was found."""
-        for way, name in ((self._structured, STRUCTURE), (self._in_one_piece, NEWTON)):
+        return None if self.settled is direct else self._by_any_way(direct, brief=False)
+
+    def _by_any_way(self, direct: Solution, *, brief: bool) -> Solution | None:
+        for way, name in ((partial(self._structured, brief=brief), STRUCTURE), (self._in_one_piece, NEWTON)):
             self.watch(f"polish: {name}")
             found = self._found(way, direct)
             if found is not None and not self._worse(found, direct):
@@ -101,12 +116,13 @@ class _Finish:
             self.tried.append(f"polish: {error.what}")
             return None
 
-    def _structured(self, direct: Solution) -> Solution | None:
-        return Polish(settings=self.settings, problem=self.problem, watch=self.watch, tried=self.tried).run(direct)
+    def _structured(self, direct: Solution, *, brief: bool) -> Solution | None:
+        run = Polish(settings=self.settings, problem=self.problem, watch=self.watch, tried=self.tried, brief=brief)
+        return run.run(direct)
 
     def _in_one_piece(self, direct: Solution) -> Solution | None:
         search = Search(self.settings, self.problem, self.watch, tried=self.tried)
-        found, breach = search.near(direct)
+        found, breach = search.near(direct, family=not self.guided)
         if found.extremals[0].nature is Nature.WORST:
             self.tried.append("polish: an extremal that is no minimum")
         elif (broken := breach()) is not None:

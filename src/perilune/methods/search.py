@@ -77,10 +77,23 @@ class Search:
         self.answering, self.outdone = search, search._outdone(found)
         return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
 
-    def near(self, guess: Solution) -> tuple[Solution, Callable[[], Breach | None]]:
-        """The extremal that Newton's method reaches from a guess, and what tells the first condition that it breaks."""
+    def near(self, guess: Solution, *, family: bool = False) -> tuple[Solution, Callable[[], Breach | None]]:
+        """What Newton's method reaches from a guess, and what tells the first condition that it breaks.
+
+        With `family` the best of all extremals on the family through it, along a free parameter between bounds.
+        """
         search, found = self._from_guess(guess)
-        return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
+        if not family or search.scanned is None:
+            return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
+        root, place = found[0].root, search.conditions.free_at.start + search.scanned
+        value, choice = float(root.y[place]), root.choice.copy()
+        choice[[search.scanned, search.shooting.plan.held + search.scanned]] = 1.0, value
+        held = search._settled(root.y[None], choice, limits=search.others)[0]
+        if held.converged:
+            others = search._all_extremals(Member(value=value, root=held))[0]
+            found += new_among([f for f in others if search.judge.breach(f.root) is None], found)
+        found = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
+        return search._compose(found, "family"), lambda: search.judge.breach(found[0].root)
 
     def all_extremals(self, base: Member | None = None) -> tuple[Search, list[Found]]:
         """By the ladder; and of which search they are: this one, or one whose control keeps more of the path."""

@@ -46,6 +46,8 @@ class Polish:
         Receives a line for each structure.
     guessed
         Whether it begins with the user's guess, and not with what a search found.
+    brief
+        Whether each structure is tried from the rough answer alone, and on no mesh of its own.
     """
 
     settings: Ladder
@@ -53,6 +55,7 @@ class Polish:
     watch: Watch
     tried: list[str]
     guessed: bool = False
+    brief: bool = False
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
@@ -98,7 +101,7 @@ class Polish:
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
         meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=3, tolerance=1e-3)
         # Most are near enough as they are.
-        for mesh in (None, *meshes):
+        for mesh in (None,) if self.brief else (None, *meshes):
             try:
                 search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
                 return search.solve(guess if mesh is None else mesh.near(guess))
