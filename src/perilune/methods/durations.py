@@ -23,9 +23,10 @@ from perilune.shooting.function import Root, Roots
 from perilune.words.types import Matrix, Vector
 
 LEAST, RATIO = 0.2, 1.12  # the shortest share, and of each to the one before
-_STARTS = 3  # random starts at each share, in those of the settings
-_KEPT = 8  # best extremals of a share that are carried on
-_AROUND, _SPREAD = 6, 0.2  # starts around each, and how far their costates go, relative to their length
+_STARTS = 5  # random starts at each share, in those of the settings
+_KEPT = 16  # best extremals of a share that are carried on
+_AROUND, _SPREAD = 4, 0.2  # starts around each, and how far their costates go, relative to their length
+_LENGTH = 1.0  # of random costates: up to e times longer or shorter than one
 _HALVINGS = 4
 _NEAR = 0.3  # of 1 + |y|: a root farther from the one before belongs to another family
 
@@ -65,8 +66,7 @@ class Lengthened:
         known: list[Root] = []
         for number, share in enumerate(RATIO ** np.arange(-count, 1.0)):
             carried = self._carried(known, share / RATIO, share)
-            Y = [on_the_sphere(self.trials, _STARTS * self.starts, self.seed + number)]
-            Y += [self._around(root) for root in (*known, *carried)]
+            Y = [self._anywhere(number), *(self._around(root) for root in (*known, *carried))]
             fresh = self._roots(np.vstack(Y), share, doubt=0.0)
             known = distinct([*carried, *(root for root in fresh if root.converged)])[:_KEPT]
             met += sum(not any(same_extremal(root, other) for other in carried) for root in known)
@@ -105,6 +105,12 @@ class Lengthened:
         trials, p = self.trials, None if share == 1.0 else self._numbers(share)
         choices = np.tile(trials.shooting.holding({}), (len(Y), 1))
         return trials.settled(Y, choices, p, limits=trials.limits, limit=2 * PATIENCE, max_step=STRIDE, doubt=doubt)
+
+    def _anywhere(self, number: int) -> Matrix:
+        """Random costates of lengths about one: with the duration given H is no condition, and they have a scale."""
+        Y = on_the_sphere(self.trials, _STARTS * self.starts, self.seed + number)
+        Y[:, : self.trials.conditions.free_at.start] *= np.exp(self.rng.uniform(-_LENGTH, _LENGTH, size=(len(Y), 1)))
+        return Y
 
     def _around(self, root: Root) -> Matrix:
         Y, count = np.tile(root.y, (_AROUND, 1)), self.trials.conditions.free_at.start
