@@ -191,6 +191,7 @@ class Search:
             root = self._by_pieces(guess, y, choice, self.settings.segments, self.limits)
         name = self._outside(root)
         if root.converged and name is None:
+            root = self.shooting.met(root) if is_neighbour(self.problem) else root  # its J is compared to last digits
             held = self.scanned is None or root.choice[self.scanned] > 0
             return [Found(root=root, minimum=held or self.shooting.curvature(root, self.scanned or 0) > 0)]
         if name is not None:
