@@ -53,7 +53,7 @@ def composed(
         objective=extremals[0].objective,
         free=extremals[0].free,
         trajectories=Deferred(
-            len(problem.phases), lambda: trajectories(problem, conditions, exported(problem, conditions, best))
+            len(problem.phases), lambda: trajectories(problem, conditions, best.y, exported(problem, conditions, best))
         ),
         multipliers=multipliers(problem, conditions, best.y),
         extremals=extremals,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,7 +16,7 @@ from perilune.methods.flown import Flown
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
+from perilune.problem.solution import Curve, Solution, Trajectory, full, hermite_nodes
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -23,6 +24,8 @@ from perilune.words.types import Matrix, Vector
 # Accuracy to which curves are interpolated (canonical): the re-flight integrates the control's error over the whole
 # burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.
 _STATES, _COSTATES, _CONTROLS = 1e-10, 1e-9, 3e-11
+_PLAIN = 3.0  # times their sizes a control moves the states on a plain landing, for which these numbers are
+_LOOKS, _DIFFERENCE = 19, 1e-6  # of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
@@ -90,20 +93,23 @@ def _report(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> tuple[M
     return rate, u, u_rate
 
 
-def trajectories(problem: Problem, conditions: Conditions, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
+def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
     """Curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
-    p = extremal_parameters(problem)
-    return tuple(_trajectory(problem, conditions, k, arc, p) for k, arc in enumerate(flown))
+    free = free_values(problem, conditions, y)
+    return tuple(_trajectory(problem, conditions, k, arc, free) for k, arc in enumerate(flown))
 
 
-def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, p: Vector) -> Trajectory:
-    phase, extremal = problem.phases[k], conditions.phases[k]
+def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, free: Mapping[str, float]) -> Trajectory:
+    phase, extremal, p = problem.phases[k], conditions.phases[k], extremal_parameters(problem)
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
     duration = arc.duration
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
     size = np.maximum(1.0, reached)
     size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
-    tolerance = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], np.full(width, _CONTROLS)])
+    t = np.linspace(0.0, duration, _LOOKS)[1:-1]
+    x, u = arc(t)[:, :n].T * x_scale[:, None], controls(extremal, arc, t, p).T
+    told = _CONTROLS / _leverage(problem, phase, problem.parameters(free), (x, u), size[:n])
+    tolerance = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], told])
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
     joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > _NOTHING * duration]
@@ -131,6 +137,22 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, p:
     cut = np.split(np.arange(2 * n + width), [n, 2 * n])
     state, costate, control = (Curve(time=nodes * time, values=values[:, at], rates=rates[:, at]) for at in cut)
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
+
+
+def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matrix], size: Vector) -> Vector:
+    """How far an error of each control along the whole phase moves the states, by their sizes, and at least 1.
+
+    Of a descent that nearly hovers much more speed goes through the engine than the flight changes.
+    """
+    (x, u), x_scale = flown, state_scales(problem, phase)
+    scale = control_scales(phase.controls, problem.scales)
+
+    def rates(u: Matrix) -> Matrix:
+        return np.array([full(rate, x[0]) for rate in phase.rates(list(x), list(u), p)])
+
+    moved = [np.abs(rates(u + step[:, None]) - rates(u)) / _DIFFERENCE for step in _DIFFERENCE * np.diag(scale)]
+    by = [(change.mean(axis=1) * getattr(p, phase.duration) / x_scale / size).max() for change in moved]
+    return np.maximum(1.0, np.array(by) / _PLAIN)
 
 
 def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> Vector:

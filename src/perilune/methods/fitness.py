@@ -197,7 +197,7 @@ class CostateFitness:
             outcome=Outcome.NOT_CONVERGED,
             objective=float("nan"),
             free=free,
-            trajectories=trajectories(problem, conditions, in_one_piece(problem, conditions, y)),
+            trajectories=trajectories(problem, conditions, y, in_one_piece(problem, conditions, y)),
             multipliers=multipliers(problem, conditions, y),
             unknowns=y,
         )

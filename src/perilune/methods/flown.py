@@ -25,6 +25,7 @@ from perilune.words.types import Matrix, Vector
 
 _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
 _MISSED = 2e-11  # canonical, of what a flight leaves at its end: five times below the limit of the proof
+_MENDED = 0.1  # of that, which the flight in pieces may leave
 _SEGMENTS = 6
 _JOINED = 300  # unknowns at joints, which cost their number cubed
 
@@ -98,10 +99,13 @@ def exported(
 ) -> list[Flown]:
     """The flight of a root, in pieces where one alone leaves more at its ends than is allowed, canonical."""
     whole = in_one_piece(problem, conditions, root.y, **settings)
-    if _missed(problem, conditions, root, whole) <= allowed:
+    missed = _missed(problem, conditions, root, whole)
+    if missed <= allowed or not may_be_cut(conditions, _SEGMENTS):
         return whole
-    pieces = _in_pieces(problem, conditions, root, whole) if may_be_cut(conditions, _SEGMENTS) else None
-    return whole if pieces is None else pieces
+    pieces = _in_pieces(problem, conditions, root, whole)
+    # What large numbers round, as those of places far from their origin, no pieces mend.
+    mended = pieces is not None and _missed(problem, conditions, root, pieces) <= _MENDED * missed
+    return pieces if pieces is not None and mended else whole
 
 
 def may_be_cut(conditions: Conditions, segments: int) -> bool:

@@ -199,6 +199,8 @@ class Search:
             root = trials.by_pieces(guess, y, choice, self.settings.segments, trials.limits)
         name = trials.outside(root)
         if root.converged and name is None:
+            # The J of a neighbour is compared to last digits.
+            root = trials.shooting.met(root) if is_neighbour(self.problem) else root
             held = trials.scanned is None or root.choice[trials.scanned] > 0
             return [Found(root=root, minimum=held or trials.shooting.curvature(root, trials.scanned or 0) > 0)]
         if name is not None:

@@ -74,7 +74,7 @@ def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
             continue
         yield Check(
             name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
-            value=float(np.maximum(-falls, 0.0).max()) * arc.time_scale / arc.objective_scale,
+            value=float(np.maximum(-falls, 0.0).max()) / arc.rate_scale,
             meaning=f"most that the Hamiltonian falls as the control leaves {condition.name} = 0 for the inside: a "
             "multiplier of the wrong sign (scaled)",
         )  # fmt: skip
@@ -123,7 +123,8 @@ def strictness(arc: Arc) -> Iterator[Check]:
             continue
         S = np.abs(gradient[_row(arc, control)])
         jumps = arc.jumps[at] != 0
-        crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.time_scale
+        crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.time_scale**2
+        crossing = crossing * arc.objective_scale / arc.rate_scale
         slopes = np.append(S[held] / apart[held], crossing)
         yield Check(
             name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
@@ -188,7 +189,7 @@ def _minimum(arc: Arc) -> Check:
         worst = max(worst, gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
-        value=worst * arc.time_scale / arc.objective_scale,
+        value=worst / arc.rate_scale,
         meaning=f"most that any of {samples} controls inside each of {count} pieces lowers the Hamiltonian (scaled)",
     )  # fmt: skip
 
@@ -261,7 +262,7 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matri
     if arc.allowed:
         found = arc.allowed.multipliers(x, u, lam)
         gradient = gradient - found.pull
-    return gradient * arc.time_scale / arc.objective_scale, found
+    return gradient / arc.rate_scale, found
 
 
 def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:

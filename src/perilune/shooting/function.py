@@ -243,6 +243,11 @@ class Shooting:
         step = root.inverse @ root.residual[self.plan.rows]
         return bool(np.linalg.norm(step) <= _LAST_DIGITS * (1.0 + np.linalg.norm(root.y)))
 
+    def met(self, root: Root) -> Root:
+        """The same with J as if nothing were left at the ends: J + nu.psi is stationary, and J to second order."""
+        nu = root.y[self.conditions.free_at.stop : len(self.conditions.unknowns)]
+        return replace(root, cost=root.cost + float(nu @ root.residual[: len(nu)]))
+
     def in_one(self, root: Root, pieces: Root) -> Root:
         """What single shooting makes of a root in pieces.
 

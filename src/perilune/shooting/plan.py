@@ -223,9 +223,6 @@ class _Tracing:
             residual[row] = masks[i] * (value - values[i]) + (1 - masks[i]) * plain[row]
         for i, (row, nu) in enumerate(c.ranges, start=len(free)):
             residual[row] = masks[i] * (plain[row] - values[i]) + (1 - masks[i]) * self.y[nu]
-        # J + nu.psi is stationary: it is J to second order in what a flight leaves at its ends, J alone to first.
-        nu = self.y[c.free_at.stop :]
-        cost += ca.dot(nu, residual[: nu.numel()])
         silent = {row for row, _ in c.silent_rows}
         residual = ca.simplify(residual[[i for i in range(residual.numel()) if i not in silent]])
         slope = ca.jacobian(residual, Y)
