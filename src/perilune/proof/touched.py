@@ -21,10 +21,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from perilune.problem.controls import scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
+from perilune.proof.switching import on_bounds
 from perilune.structures.carry import split
 from perilune.structures.read import Contact, arcs_of, of_states, room_along
 from perilune.structures.structure import Condition, Structure, conditions_of
@@ -68,7 +70,8 @@ def _contacts(arc: Arc, name: str) -> Iterator[Contact]:
         if rides and begin is None:
             begin = ends[i]
         elif not rides and begin is not None:
-            yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
+            if not _by_bounds(arc, name, begin, ends[i]):
+                yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
             begin = None
     for i, time in enumerate(edges.tolist()):
         if order > 1 and not (riding[i] or riding[i + 1]) and met[np.argmin(np.abs(t - time))] and _jumps(arc, time):
@@ -81,6 +84,21 @@ def _order(arc: Arc, name: str) -> int | None:
         return conditions_of(arc.problem, arc.index, (name,))[name].order
     except PeriluneError:
         return None
+
+
+def _by_bounds(arc: Arc, name: str, begin: float, end: float) -> bool:
+    """Whether a condition is met and holds nothing back: the controls that move it are on bounds, lam does not jump.
+
+    An empty tank stays empty while the engine is off. Then it has no multiplier, and the checks are made without one.
+    """
+    condition = conditions_of(arc.problem, arc.index, (name,))[name]
+    moving = {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
+    u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
+    on = {
+        control.name: bool(np.logical_or(*on_bounds(arc, at, control, u)).all())
+        for at, control in scalars(arc.phase.controls)
+    }
+    return all(on.get(control, False) for control in moving) and not any(_jumps(arc, t) for t in (begin, end))
 
 
 def _edges(arc: Arc) -> Vector:
