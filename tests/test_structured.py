@@ -15,7 +15,13 @@ from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.solution import Curve, Solution
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file
-from problems.constrained import brachistochrone, brachistochrone_truth, bryson_denham, mars_glide_slope
+from problems.constrained import (
+    brachistochrone,
+    brachistochrone_truth,
+    bryson_denham,
+    bryson_denham_truth,
+    mars_glide_slope,
+)
 
 
 def slope(degrees: float) -> pl.Problem:
@@ -104,6 +110,12 @@ def test_rounding_in_a_sum_of_durations_is_not_its_size(touching: Solution, roun
     last = Arc(solution=parts, index=1)
     size = dict(zip((c.name for c in last.phase.end_conditions), last.end_scale.tolist(), strict=True))
     assert size["T"] > 9e-5
+
+
+def test_a_guess_of_another_problem_leads_to_the_answer_of_this_one(touching: Solution) -> None:
+    lower = pl.solve(bryson_denham(0.19), guess=touching, level=2)
+    assert lower.objective == pytest.approx(bryson_denham_truth(0.19), abs=1e-12)
+    assert lower.outcome is pl.Outcome.PROVED
 
 
 @pytest.mark.parametrize("amount", [1e-6, -1e-6, -1.0, -2.0])

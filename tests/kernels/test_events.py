@@ -301,7 +301,7 @@ def test_dense_output_over_a_switch(backend: str) -> None:
 
 
 def test_dense_output_that_ends_at_a_switch(backend: str) -> None:
-    """The last step has no length where the switch is met at the very end, and no step has where the flight has none."""
+    """The last step has no length where the switch is met at the very end; no step has in a flight without any."""
     modes, events = modes_and_switch()
     e = compile_arcs(modes, events=events, backend=backend)
     met = e.propagate(START, PARAMETERS, FINAL_TIME).event_time[0, 0]

@@ -109,6 +109,46 @@ def fuller() -> pl.Problem:
     )
 
 
+def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl.Problem:
+    """From s = 0 with x = s' = 1 m/s to x = 0.3 m/s, the least int (x^2 - (s/k)^2)/2, |x'| <= 4 m/s^2, k = 1 s.
+
+    Along its singular arc s'' = -s/k^2, as if x were the control. `end` is s at the end [m], free where None. With
+    `bent` [s^2/m] the first state is not s but s + bent x^2, which changes formulas and nothing else.
+    """
+
+    def place(x, p):
+        return x.s - p.bent * x.x * x.x
+
+    def dynamics(x, u, p, m):
+        s = place(x, p) / p.k
+        return (x.x + 2.0 * p.bent * x.x * u.u, u.u, 0.5 * (x.x * x.x - s * s))
+
+    phase = pl.Phase(
+        name="go",
+        states=_variables(s="m", x="m/s", c="m^2/s"),
+        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-4.0, upper=4.0),),
+        dynamics=dynamics,
+        duration="T",
+        end=lambda x, p, m: (x.x - p.slow, *(() if end is None else (place(x, p) - p.end,))),
+        end_conditions=_variables(slow="m/s", **({} if end is None else {"there": "m"})),
+    )
+    return pl.Problem(
+        name="swinging",
+        phases=(phase,),
+        start=lambda p, m: (p.bent * p.fast * p.fast, p.fast, 0.0),
+        given={
+            "T": Given(value=duration, unit="s"),
+            "k": Given(value=1.0, unit="s"),
+            "bent": Given(value=bent, unit="s^2/m"),
+            "fast": Given(value=1.0, unit="m/s"),
+            "slow": Given(value=0.3, unit="m/s"),
+            "end": Given(value=0.0 if end is None else end, unit="m"),
+        },
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s",
+    )
+
+
 def planar_goddard(down: float = 2500.0) -> pl.Problem:
     """Goddard's rocket in a vertical plane, its thrust in a free direction: greatest altitude so far `down` range [m].
 

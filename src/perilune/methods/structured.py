@@ -14,16 +14,18 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
+from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
-from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, read
-from perilune.structures.regimes import revised_stays, stays_of
-from perilune.structures.restate import part_name
+from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
+from perilune.structures.regimes import revised_stays, stays_of, wavering
+from perilune.structures.restate import part_name, restate
 from perilune.structures.structure import Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
@@ -59,18 +61,30 @@ class Polish:
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
-        seen = set[str]()
-        least = _GUESSED if self.guessed else NEAR[0]
-        # What looks like a singular arc may be none.
-        structures = (read(self.problem, rough, least, regimes=regimes) for regimes in (True, False))
-        found = (self._followed(rough, structure, seen) for structure in structures)
-        return next((solution for solution in found if solution is not None), None)
+        seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
+        for known in self._known(rough):
+            structures = readings(self.problem, known, least)
+            few = [structure for structure in structures if structure.count <= MOST_ARCS]
+            for structure in few or structures:
+                if (found := self._followed(known, structure, seen)) is not None:
+                    return found
+        return None
+
+    def _known(self, rough: Solution) -> Iterator[Solution]:
+        """The rough answer, and where a control between its bounds may be singular that of a finer mesh."""
+        yield rough
+        if not self.guessed and wavering(rough):
+            from perilune.methods.pseudospectral import Pseudospectral
+
+            with suppress(PeriluneError):
+                yield Pseudospectral(nodes=6, segments=32, refine=0).near(rough)
 
     def _followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
         """From the first structure that an answer has to the one that its extremal keeps to."""
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
-            if sum(len(arcs) for arcs in structure.phases) > MOST_ARCS:
-                self.tried.append(f"structure of more than {MOST_ARCS} arcs: not tried")
+            if structure.count > MOST_ARCS:
+                line = f"structure of more than {MOST_ARCS} arcs: not tried"
+                self.tried += [] if line in self.tried else [line]
                 return None
             seen.add(structure.text)
             self.watch(f"structure: {structure.text}")
@@ -80,7 +94,8 @@ class Polish:
                 self.tried.append(f"structure {structure.text}: {error.what}")
                 return None
             rough, structure = joined(self.problem, solved, structure), self._timed(structure, solved)
-            revised = self._revised(structure, solved, rough)
+            # A neighbour has the arcs of its guess.
+            revised = structure if is_neighbour(self.problem) else self._revised(structure, solved, rough)
             if revised is structure:
                 self.tried.append(f"structure {structure.text}: an extremal")
                 return self._composed(rough)
@@ -97,9 +112,11 @@ class Polish:
     def _extremal(self, rough: Solution, structure: Structure) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
-        guess, failure = split(rough, structure), None
+        guess, failure = split(rough, structure, restate(self.problem, structure)), None
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
-        meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=3, tolerance=1e-3)
+        # Where a control chatters no mesh is fine enough.
+        refine = 0 if structure.singular else 3
+        meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=refine, tolerance=1e-3)
         # Most are near enough as they are.
         for mesh in (None,) if self.brief else (None, *meshes):
             try:

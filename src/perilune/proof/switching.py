@@ -29,6 +29,7 @@ from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
 from perilune.proof.arc import Arc
 from perilune.proof.numerics import STEP, jacobian
 from perilune.proof.pieces import just_before
+from perilune.proof.singular import Singular, slopes_beside
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.
@@ -122,16 +123,17 @@ def strictness(arc: Arc) -> Iterator[Check]:
         if not held.any():
             continue
         S = np.abs(gradient[_row(arc, control)])
-        jumps = arc.jumps[at] != 0
+        jumps = (arc.jumps[at] != 0) & ~Singular.of(arc).junctions
         crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.time_scale**2
         crossing = crossing * arc.objective_scale / arc.rate_scale
-        slopes = np.append(S[held] / apart[held], crossing)
+        slopes = np.append(slopes_beside(arc, at, S, t, apart, held), crossing * arc.duration)
         yield Check(
             name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
-            value=-float(slopes.min()) * arc.duration / float(S.max()),
+            value=-float(slopes.min()) / float(S.max()),
             meaning=f"minus the least switching function of {control.name} on a bound, over the time to the nearest "
             "switch, and its slope at each switch (in units of its largest value over the flight time): below 0 "
-            "when it vanishes at switches only and crosses zero there",
+            "when it vanishes at switches only and crosses zero there; beside a singular arc, over the square of that "
+            "time",
         )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
-from perilune.structures.regimes import Stay, read_stays, regimes_at
+from perilune.structures.regimes import LEVELS, Stay, read_stays, regimes_at
 from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -41,7 +41,9 @@ class Contact:
     ridden: bool
 
 
-def read(problem: Problem, solution: Solution, least: float = NEAR[0], *, regimes: bool = True) -> Structure | None:
+def read(
+    problem: Problem, solution: Solution, least: float = NEAR[0], level: tuple[int, float] | None = None
+) -> Structure | None:
     """The arcs of a solution, by its curves.
 
     Parameters
@@ -52,8 +54,8 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0], *, regime
         Of any method, however coarse.
     least
         As near as counts whatever the mesh, as a share of what a condition goes through.
-    regimes
-        Whether singular arcs are looked for too.
+    level
+        Of `regimes.LEVELS`, at which singular arcs are looked for; None looks for none.
 
     Returns
     -------
@@ -62,7 +64,7 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0], *, regime
     """
     phases = []
     for k, flown in enumerate(solution.trajectories):
-        stays = read_stays(solution, k) if regimes else []
+        stays = [] if level is None else read_stays(solution, k, level)
         found = [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
         phases.append(arcs_of([c for c in found if not _at_bounds(c, stays)], flown.duration, stays))
     structure = Structure(tuple(phases))
@@ -74,6 +76,18 @@ def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
     names = {s.control for s in stays}
     here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
     return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
+
+
+def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
+    """Every structure that a solution may have: those with singular arcs first, of few arcs before those of many."""
+    different = dict[str, Structure]()
+    for size in (0, 1):
+        found = [read(problem, solution, least, level) for level in LEVELS if level[0] == size]
+        singular = [s for s in found if s is not None and s.singular]
+        for structure in sorted(singular, key=lambda s: s.count):
+            different.setdefault(structure.text, structure)
+    without = read(problem, solution, least)
+    return [*different.values(), *([without] if without is not None else [])]
 
 
 def of_states(problem: Problem, k: int) -> list[str]:

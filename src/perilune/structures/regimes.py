@@ -22,10 +22,14 @@ from perilune.problem.solution import Solution
 from perilune.structures.structure import Regimes, Structure
 from perilune.words.types import Vector
 
-LEVELS = (5e-3, 2e-2)  # of the size of the gain: so small it is zero, on a better and on a worse mesh
+# Of the size of the gain: so small it is zero, on better and on worse meshes. Its size is what it reaches while the
+# control is on a bound, on the bound where that is less and on the other: where a state rides along a bound of its own
+# a mesh tells costates of any size, and along a short arc hardly more than its noise.
+LEVELS = tuple((size, level) for size in (0, 1) for level in (2e-3, 5e-3, 1e-2, 2e-2, 4e-2, 8e-2))
 WIDER, STAYS = 4.0, 0.5  # a wider level; singular where the gain stays for such a share of the time below the wider one
 SHORTEST, BURST = 0.01, 2e-3  # of a phase: singular arcs that are read are longer, and arcs on bounds
 INSIDE = 0.02  # of its range: on the average a singular control is farther from its bounds
+BETWEEN = 0.1  # of its range and of a phase
 CLEAR = 0.05  # of its range: so near to its lower bound a control is there, whatever the gain
 POINTS = 2000
 WRONG = 1e-6  # of the largest gain, and of the range of a control: more is no rounding
@@ -54,20 +58,29 @@ def linear_scalars(solution: Solution, k: int) -> list[tuple[int, Bounded]]:
     ]
 
 
-def read_stays(solution: Solution, k: int) -> list[Stay]:
-    """The regimes of each scalar of phase k that is singular for a while; nothing of one that is not."""
+def wavering(solution: Solution) -> bool:
+    """Whether a scalar that enters linearly stays between its bounds for longer than a switch on a mesh."""
+    for k in range(len(solution.trajectories)):
+        for at, control in linear_scalars(solution, k):
+            flown = solution.trajectories[k].control
+            share = control.share(flown(np.linspace(0.0, flown.time[-1], POINTS))[:, at], solution.parameters)
+            if float(((share > BETWEEN) & (share < 1 - BETWEEN)).mean()) > BETWEEN:
+                return True
+    return False
+
+
+def read_stays(solution: Solution, k: int, level: tuple[int, float]) -> list[Stay]:
+    """The regimes of each scalar of phase k that is singular for a while, at a level; nothing of one that is not."""
     if solution.trajectories[k].costate is None:
         return []
     found = list[Stay]()
     for at, control in linear_scalars(solution, k):
         t, gain, share = gain_along(solution, k, at, control)
-        for level in (part * _size(gain, share) for part in LEVELS):
-            singular = list(_singular(t, gain, share, level))
-            if singular:
-                # A mesh passes from bound to bound within a segment: there the gain says which it is.
-                upper = (share > 0.5) | ((share > CLEAR) & (gain < -level))
-                found += _filled(control.name, t, upper, singular)
-                break
+        zero = level[1] * _sizes(gain, share)[level[0]]
+        if singular := list(_singular(t, gain, share, zero)):
+            # A mesh passes from bound to bound within a segment: there the gain says which it is.
+            upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
+            found += _filled(control.name, t, upper, singular)
     return found
 
 
@@ -87,13 +100,11 @@ def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[V
     return t, sides[1] - sides[0], control.share(u[at], p)
 
 
-def _size(gain: Vector, share: Vector) -> float:
-    """The largest gain while the control is on a bound, of that one of them where it is less.
-
-    Where a state rides along a bound of its own a mesh tells costates that have any size.
-    """
+def _sizes(gain: Vector, share: Vector) -> tuple[float, float]:
+    """The largest gain while the control is on a bound: on the one where it is less, and on the other."""
     sizes = [float(np.abs(gain[on]).max()) for on in (share < INSIDE, share > 1 - INSIDE) if on.mean() > SHORTEST]
-    return min(sizes, default=float(np.abs(gain).max()))
+    sizes = sizes or [float(np.abs(gain).max())]
+    return min(sizes), max(sizes)
 
 
 def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[tuple[float, float]]:

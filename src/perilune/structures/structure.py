@@ -77,6 +77,16 @@ class Structure:
         return Structure(tuple(phases))
 
     @property
+    def count(self) -> int:
+        """How many arcs there are."""
+        return sum(len(arcs) for arcs in self.phases)
+
+    @property
+    def singular(self) -> bool:
+        """Whether a control is singular along an arc."""
+        return any(regime == "singular" for arcs in self.phases for arc in arcs for _, regime in arc.regimes)
+
+    @property
     def plain(self) -> bool:
         """Whether nothing is ridden or touched, and no phase is cut."""
         return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches or arcs[0].regimes) for arcs in self.phases)
