@@ -191,6 +191,7 @@ def test_the_mesh_error_exposes_a_coarse_mesh():
         ({"refine": -1}, "refine is too small"),
         ({"iterations": 0}, "iterations is too small"),
         ({"tolerance": 0.0}, "tolerance must lie between 0 and 1"),
+        ({"polish": "no"}, "polish is a yes or a no"),
         ({"nlp_tolerance": math.nan}, "nlp_tolerance must lie between 0 and 1"),
     ],
 )

@@ -29,6 +29,8 @@ from perilune.words.types import Matrix, Vector
 PUSH = 1e-2
 # Steps halved before it is given up.
 HALVINGS = 6
+# Iterations after which a search that violates more than at its start is given up.
+WANDERING = 8
 # Least gain of a step: part of the violation.
 GAIN = 1e-5
 # Multipliers at the start beyond this say nothing.
@@ -134,7 +136,7 @@ class _Search:
         here.evaluate(w, np.zeros(len(self.equal)), np.zeros(len(self.ranged)))
         point = self.first_multipliers(self.inside(np.concatenate([w, here.g_ranged])))
         here.curve(point.y, point.ranged)
-        found, best = None, self.tolerance
+        found, best, missed = None, self.tolerance, self.missed(point.v)
         for iteration in range(iterations + 1):
             error, apart = self.errors(point)
             if max(error, apart) <= self.tolerance:
@@ -143,7 +145,8 @@ class _Search:
                     found, best = here.optimum(point.y, point.ranged, iteration), error
                 if error <= CLOSER * self.tolerance or error > best:
                     break
-            if iteration == iterations or not math.isfinite(error):
+            wandering = iteration > WANDERING and self.missed(point.v) > missed
+            if iteration == iterations or wandering or not math.isfinite(error):
                 break
             steps = self.directions(point)
             moved = steps and self.moved(point, *self.centred(point, *steps))
@@ -189,6 +192,10 @@ class _Search:
     def violations(self, here: _Evaluated, v: Vector) -> tuple[Vector, Vector]:
         """Of equations and of ranges, whose slacks are not their values yet."""
         return np.abs(here.g - self.wanted), np.abs(here.g_ranged - v[self.n :])
+
+    def missed(self, v: Vector) -> float:
+        """Sum of all violations."""
+        return sum(float(part.sum()) for part in self.violations(self.here, v))
 
     def reduced(self) -> Reduced:
         """The equations at the current point, solved for the states once."""
@@ -237,7 +244,7 @@ class _Search:
         stay = max(0.99, 1.0 - mu)
         part = _longest(d, step.d, stay)
         z = z + _longest(z, change_z, stay) * change_z
-        before = sum(float(part.sum()) for part in self.violations(here, v))
+        before = self.missed(v)
         worth = here.objective - mu * float(np.log(d).sum())
         rounding = 10.0 * np.finfo(float).eps * max(1.0, abs(worth))
         for _ in range(HALVINGS):
@@ -247,7 +254,7 @@ class _Search:
                 y + part * (step.y - y), ranged + part * (step.ranged - ranged),
             )  # fmt: skip
             here.evaluate(new[: self.n], fresh.y, fresh.ranged)
-            after = sum(float(part.sum()) for part in self.violations(here, new))
+            after = self.missed(new)
             lost = here.objective - mu * float(np.log(far).sum()) - worth
             if after <= max((1 - GAIN) * before, self.tolerance) or lost <= rounding - GAIN * before:
                 return fresh

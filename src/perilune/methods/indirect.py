@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
 from perilune.problem.guess import fitting_guess
+from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.outcome import InfeasibleError, NotConvergedError
@@ -96,8 +97,9 @@ class Indirect(Ladder):
         from perilune.methods.structured import Polish
 
         found = Polish(
-            settings=self, problem=search.problem, watch=search.watch, tried=search.tried, guessed=guessed
-        ).run(rough)
+            settings=self, problem=search.problem, watch=search.watch, tried=search.tried, guessed=guessed,
+            brief=is_neighbour(search.problem),
+        ).run(rough)  # fmt: skip
         if found is None:
             return None
         took = time.perf_counter() - search.began

@@ -41,6 +41,8 @@ class Transcription:
         for name in ("tolerance", "nlp_tolerance"):
             if not 0 < getattr(self, name) < 1:
                 raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))
+        if not isinstance(self.polish, bool):
+            raise PeriluneError("polish is a yes or a no", got=repr(self.polish)[:60], expected="True or False")
 
 
 class Look(NamedTuple):
