@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from problems.circles import to_circle
+from problems.circles import meeting, to_circle
 from problems.constrained import brachistochrone
 
 
@@ -48,3 +48,12 @@ def test_from_circle_to_circle_it_may_wait_at_both_ends() -> None:
     assert len(solution.extremals) == 1
     assert any("not isolated" in line for line in solution.statistics.tried)
     assert mass(20.0, **orbits) >= -solution.objective - 1e-9
+
+
+def test_four_revolutions_with_nine_switches() -> None:
+    """The first mesh cannot follow it; called a singular arc once, for what that mesh made of its thrust."""
+    problem = meeting(4)
+    solution = pl.solve(problem, level=0)
+    assert (np.diff(solution.trajectories[0].time) == 0).sum() == 9
+    direct = pl.Pseudospectral(nodes=5, segments=24, refine=0).run(problem)
+    assert direct.objective == pytest.approx(solution.objective, abs=1e-4)
