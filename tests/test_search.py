@@ -57,3 +57,11 @@ def test_four_revolutions_with_nine_switches() -> None:
     assert (np.diff(solution.trajectories[0].time) == 0).sum() == 9
     direct = pl.Pseudospectral(nodes=5, segments=24, refine=0).run(problem)
     assert direct.objective == pytest.approx(solution.objective, abs=1e-4)
+
+
+def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method alone comes as near as 1e-10 m^2 and no nearer; said with the nearest approach."""
+    monkeypatch.setattr("perilune.methods.trials.completed", lambda shooting, roots, p: roots)
+    monkeypatch.setattr("perilune.methods.durations.Lengthened.extremals", lambda self: [])
+    with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*a condition more at the end"):
+        pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)
