@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from problems.circles import to_circle
+from problems.circles import meeting, to_circle
 from problems.constrained import brachistochrone
 
 
@@ -48,3 +48,20 @@ def test_from_circle_to_circle_it_may_wait_at_both_ends() -> None:
     assert len(solution.extremals) == 1
     assert any("not isolated" in line for line in solution.statistics.tried)
     assert mass(20.0, **orbits) >= -solution.objective - 1e-9
+
+
+def test_four_revolutions_with_nine_switches() -> None:
+    """The first mesh cannot follow it; called a singular arc once, for what that mesh made of its thrust."""
+    problem = meeting(4)
+    solution = pl.solve(problem, level=0)
+    assert (np.diff(solution.trajectories[0].time) == 0).sum() == 9
+    direct = pl.Pseudospectral(nodes=5, segments=24, refine=0).run(problem)
+    assert direct.objective == pytest.approx(solution.objective, abs=1e-4)
+
+
+def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method alone comes as near as 1e-10 m^2 and no nearer; said with the nearest approach."""
+    monkeypatch.setattr("perilune.methods.trials.completed", lambda shooting, roots, p: roots)
+    monkeypatch.setattr("perilune.methods.durations.Lengthened.extremals", lambda self: [])
+    with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*a condition more at the end"):
+        pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)

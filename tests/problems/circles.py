@@ -48,3 +48,43 @@ def to_circle(
 
 
 _UNITS = ("m", "m", "m/s", "m/s", "kg")
+
+
+def meeting(revolutions: int, thrust: float = 0.03, parameter: float = 2.0, f: float = 0.2) -> pl.Problem:
+    """Most mass at a place on an ellipse after so many revolutions, from a circle; equinoctial elements p, f, g, L."""
+
+    def rates(x, u, p, m):
+        s, c = m.sin(x.L), m.cos(x.L)
+        q, root = 1 + x.f * c + x.g * s, m.sqrt(x.p / p.mu) * u.T / x.m
+        return (
+            2 * x.p / q * root * u.t,
+            root * (s * u.r + ((q + 1) * c + x.f) / q * u.t),
+            root * (-c * u.r + ((q + 1) * s + x.g) / q * u.t),
+            m.sqrt(p.mu * x.p) * (q / x.p) ** 2,
+            -u.T / p.exhaust_speed,
+        )
+
+    units = {"p": "m", "f": "1", "g": "1", "L": "rad"}
+    phase = pl.Phase(
+        name="meeting",
+        states=tuple(pl.Variable(name=n, unit=u) for n, u in {**units, "m": "kg"}.items()),
+        controls=(pl.Direction(names=("r", "t")), pl.Bounded(name="T", unit="N", lower=0.0, upper=thrust)),
+        dynamics=rates,
+        duration="time",
+        end=lambda x, p, m: (x.p - p.far, x.f - p.f, x.g, x.L - p.angle),
+        end_conditions=tuple(pl.Variable(name=f"{n}_end", unit=u) for n, u in units.items()),
+        typical_end=lambda p, m: (p.far, p.f, 0 * p.f, p.angle, 0.8 * p.mass),
+    )
+    time = revolutions * 2 * math.pi * ((1 + parameter / (1 - f**2)) / 2) ** 1.5
+    given = {
+        "mu": (1.0, "m^3/s^2"), "near": (1.0, "m"), "far": (parameter, "m"), "f": (f, "1"), "mass": (1.0, "kg"),
+        "angle": (2 * math.pi * revolutions, "rad"), "exhaust_speed": (2.0, "m/s"), "time": (time, "s"),
+    }  # fmt: skip
+    return pl.Problem(
+        name="meeting",
+        phases=(phase,),
+        start=lambda p, m: (p.near, 0.0, 0.0, 0.0, p.mass),
+        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        objective=lambda x, p, m: -x.m,
+        objective_unit="kg",
+    )

@@ -8,6 +8,7 @@ direction).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -43,6 +44,7 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
     if guess is not None:
         yield _from_solution(problem, fitting_guess(problem, guess))
         return
+    problem = trusted(problem)
     for stretch in STRETCHES if set(problem.duration_names) & set(problem.free_names) else (1.0,):
         free = {
             f.name: float(np.clip(f.typical * (stretch if f.name in problem.duration_names else 1.0), f.lower, f.upper))
@@ -53,6 +55,53 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
             _straight_lines(problem, free),
             f"straight line, durations x {stretch:g}",
         )
+
+
+def trusted(problem: Problem) -> Problem:
+    """The problem, without its rough ends where these are worse than none.
+
+    They are if they miss end conditions and bounds by more than a flight does that stays where it starts.
+
+    Raises
+    ------
+    PeriluneError
+        If a rough end is no number.
+    """
+    if all(phase.typical_end is None for phase in problem.phases):
+        return problem
+    bare = replace(problem, phases=tuple(replace(phase, typical_end=None) for phase in problem.phases))
+    return problem if _ends_missed(problem) <= _ends_missed(bare) else bare
+
+
+def _ends_missed(problem: Problem) -> float:
+    """By how much the rough ends of the phases miss end conditions and bounds, in canonical units."""
+    p = problem.parameters({f.name: f.typical for f in problem.free})
+    missed, before = 0.0, None
+    for k, phase in enumerate(problem.phases):
+        before = _rough_end(phase, begin_of(problem, k, before, p), p)
+        conditions = zip(phase.end_conditions, phase.evaluate("end", before, (), p), strict=True)
+        missed += sum(
+            abs(condition.missed(float(value), p)) / problem.size_of(condition) for condition, value in conditions
+        )
+        for state, value in zip(phase.states, before.tolist(), strict=True):
+            lower, upper = state.limits(p)
+            missed += max(lower - value, value - upper, 0.0) / problem.size_of(state)
+    return missed
+
+
+def _rough_end(phase: Phase, begin: Vector, p: Any) -> Vector:
+    """Where a phase ends roughly [SI]; where it begins, if nothing is said."""
+    if phase.typical_end is None:
+        return begin
+    end = np.array(phase.typical_end(p, NUMERIC), dtype=float)
+    if not np.isfinite(end).all():
+        raise PeriluneError(
+            f"typical_end of {phase.name} is no number",
+            got=", ".join(f"{name} {value:g}" for name, value in zip(phase.state_names, end, strict=True)),
+            expected="a rough end state in SI",
+            advice="leave typical_end out where nothing is known",
+        )
+    return end
 
 
 def _from_solution(problem: Problem, guess: Solution) -> tuple[Vector, list[Sampler], str]:
@@ -98,7 +147,7 @@ def _straight_lines(problem: Problem, free: dict[str, float]) -> list[Sampler]:
     before: Vector | None = None
     for k, phase in enumerate(problem.phases):
         start = begin_of(problem, k, before, p)
-        before = start if phase.typical_end is None else np.array(phase.typical_end(p, NUMERIC), dtype=float)
+        before = _rough_end(phase, start, p)
         samplers.append(_line(problem, phase, start, before, free))
     return samplers
 

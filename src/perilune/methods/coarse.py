@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from perilune.methods.ladder import Ladder
+from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Variable
@@ -18,8 +19,10 @@ from perilune.words.types import Vector
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _ROUGHEST = 0.05  # relative mesh error beyond which a flight is not said to keep anything
+_FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
 _BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
 _TOUCHING = 1e-3  # of its range
+_FEW = 3  # switches that a mesh of eight segments follows
 _FINER = 100  # most iterations of an attempt on the finer mesh
 _LOOKS = 400  # times of a phase at which its conditions are looked at
 
@@ -49,6 +52,8 @@ class Coarse:
         Its answer, however rough.
     refusal
         What it said where it had none.
+    finer
+        Segments of the finer meshes that were not tried yet.
     """
 
     settings: Ladder
@@ -56,6 +61,10 @@ class Coarse:
     tried: list[str]
     solution: Solution | None = field(default=None, init=False)
     refusal: PeriluneError | None = field(default=None, init=False)
+    finer: list[int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.finer = [16, 24, 48] if self.settings.transcription is None else []
 
     def solve(self, guess: Solution | None = None) -> Solution | None:
         """Its answer, from nothing or from a guess."""
@@ -71,6 +80,16 @@ class Coarse:
             if self.solution is not None and _fair(self.solution):
                 break
         return self.solution
+
+    def resolved(self) -> Iterator[Solution]:
+        """Its answer, and of a flight of many arcs that no mesh has followed yet those on finer ones, one by one."""
+        known = self.solve()
+        if known is not None:
+            yield known
+        while known is not None and self.finer and known.statistics.residual > _FOLLOWED and _often_switched(known):
+            with suppress(PeriluneError):
+                self.solution = known = self._run(segments=self.finer.pop(0), iterations=_FINER, guess=known)
+                yield known
 
     @cached_property
     def flight(self) -> Solution | None:
@@ -121,6 +140,18 @@ def touched(flight: Solution) -> set[str]:
             if np.min(along) <= _TOUCHING * np.ptp(along)
         }
     return found
+
+
+def _often_switched(flight: Solution) -> bool:
+    """Whether a bounded control goes through the middle of its range more often than a few times."""
+    for phase, flown in zip(flight.problem.phases, flight.trajectories, strict=True):
+        u = flown.control(np.linspace(0.0, flown.duration, _LOOKS))
+        for at, control in scalars(phase.controls):
+            if control.bounded:
+                high = control.share(u[:, at], flight.parameters) > 0.5
+                if np.count_nonzero(high[1:] != high[:-1]) > _FEW:
+                    return True
+    return False
 
 
 def _fair(solution: Solution) -> bool:

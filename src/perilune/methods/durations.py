@@ -23,7 +23,7 @@ from perilune.shooting.function import Root, Roots
 from perilune.words.types import Matrix, Vector
 
 LEAST, RATIO = 0.2, 1.12  # the shortest share, and of each to the one before
-_STARTS = 5  # random starts at each share, in those of the settings
+_STARTS = 8  # random starts at each share, in those of the settings
 _KEPT = 16  # best extremals of a share that are carried on
 _AROUND, _SPREAD = 4, 0.2  # starts around each, and how far their costates go, relative to their length
 _LENGTH = 1.0  # of random costates: up to e times longer or shorter than one

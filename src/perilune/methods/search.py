@@ -275,22 +275,24 @@ class Search:
             yield from ((member, name) for member in breaking)
 
     def _transcription(self) -> Iterator[tuple[Member, str]]:
-        """An extremal from a coarse direct solution, in one piece or, where that fails, by multiple shooting."""
-        rough = self.coarse.solve()
-        if rough is None:
-            return
-        trials = self.trials
-        y = unknowns_from(self.problem, trials.conditions, rough)
-        choice, value = held_in(trials, rough, y), 0.0
-        if trials.scanned is not None:
-            value = float(y[trials.conditions.free_at.start + trials.scanned])
-            choice[[trials.scanned, trials.shooting.plan.held + trials.scanned]] = 1.0, value
-        for segments, rung in ((1, "direct transcription"), (self.settings.segments, "multiple shooting")):
-            root = trials.by_pieces(rough, y, choice, segments, trials.others)
-            if root.converged:
-                yield Member(value=value, root=root), rung
-                return
-            self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
+        """An extremal from a direct solution, in one piece or by multiple shooting; from finer ones in more pieces."""
+        trials, some = self.trials, self.settings.segments
+        pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
+        for rough, counts in zip(self.coarse.resolved(), pieces, strict=False):
+            y = unknowns_from(self.problem, trials.conditions, rough)
+            choice, value = held_in(trials, rough, y), 0.0
+            if trials.scanned is not None:
+                value = float(y[trials.conditions.free_at.start + trials.scanned])
+                choice[[trials.scanned, trials.shooting.plan.held + trials.scanned]] = 1.0, value
+            for segments in counts:
+                if not may_be_cut(trials.conditions, segments):
+                    continue
+                rung = "direct transcription" if segments == 1 else "multiple shooting"
+                root = trials.by_pieces(rough, y, choice, segments, trials.others)
+                if root.converged:
+                    yield Member(value=value, root=root), rung
+                    return
+                self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 

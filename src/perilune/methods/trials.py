@@ -71,7 +71,7 @@ class Trials:
         if function is not self.shooting:
             self.shooting.arcs += function.arcs
             self.shooting.iterations += function.iterations
-        if p is None and not roots.converged.all():
+        if p is None and function is self.shooting and not roots.converged.all():
             failed = np.where(roots.converged | ~np.isfinite(roots.residuals), np.inf, roots.residuals)
             nearest, worst = int(np.argmin(failed)), self.best_failure
             if np.isfinite(failed[nearest]) and (worst is None or failed[nearest] < np.abs(worst.residual).max()):
