@@ -65,7 +65,7 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
     solution
         An extremal with costates.
     kept
-        Of `ridden.Rides.kept`, where it rides along conditions on states.
+        Of `rides.Rides.kept`, where it rides along conditions on states.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     inner = varied(solution, arcs)
@@ -129,6 +129,12 @@ def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:
 
 def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
     """The same in all that may vary of the control where the flight rides along a condition on states."""
+    if pieces[0].kept.pays is not None:
+        return Check(
+            name=f"{arc.prefix}along_sufficient", level=3, value=-pieces[0].kept.pays, limit=CURVATURE_LIMIT, unit="1",
+            meaning="minus the least multiplier of what is ridden over its largest, where H is linear in the control: "
+            "below 0 where flights that leave it for a moment pay to first order",
+        )  # fmt: skip
     value, loose = float("nan"), [piece.loosened for piece in pieces]
     if all(piece.regular for piece in loose) and _steady(arc):
         curvature = [np.linalg.eigvalsh(piece.H_uu) for piece in loose if piece.sizes[2]]

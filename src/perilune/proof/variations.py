@@ -41,6 +41,8 @@ class Kept:
         Names of the end conditions that need not be kept.
     tied
         Whether its duration stays in proportion to that of the phase before.
+    pays
+        The least multiplier of what is ridden over its largest, where that is what counts: H is linear in the control.
     """
 
     rides: tuple[str, ...] = ()
@@ -49,6 +51,7 @@ class Kept:
     end: tuple[Any, ...] = ()
     left: tuple[str, ...] = ()
     tied: bool = False
+    pays: float | None = None
 
 
 def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept]) -> list[Piece]:
