@@ -14,7 +14,14 @@ from perilune.proof.crossed import agreement
 from perilune.proof.touched import cut
 from perilune.structures.carry import split
 from problems.by_hand import by_hand, parted
-from problems.constrained import brachistochrone, bryson_denham, speed_limit, speed_limit_truth
+from problems.constrained import (
+    OFFSET,
+    brachistochrone,
+    brachistochrone_truth,
+    bryson_denham,
+    speed_limit,
+    speed_limit_truth,
+)
 from problems.ridden import (
     CLAMPED,
     beam,
@@ -111,6 +118,21 @@ def test_a_lander_with_a_speed_limit_is_locally_optimal(limit: float) -> None:
     assert solution.objective == pytest.approx(-mass, rel=1e-9)
     along = next(arc for arc in solution.structure if arc.words == "along room")
     assert (along.begin, along.end) == (pytest.approx(met, rel=1e-6), pytest.approx(left, rel=1e-6))
+
+
+def test_a_condition_may_hold_the_duration_that_is_free() -> None:
+    """The line falls by 1 cm for each second that the slide takes: the least time is that of the line as it is then."""
+    fixed = brachistochrone()
+    phase = replace(fixed.phases[0], path=lambda x, u, p, m: (p.slope * x.x + p.offset + p.falls * (p.T - p.T0) - x.y,))
+    falls = {"falls": pl.Given(value=0.01, unit="m/s"), "T0": pl.Given(value=1.8, unit="s")}
+    problem = pl.Problem(
+        name="falling", phases=(phase,), start=fixed.start, given={**fixed.given, **falls}, free=fixed.free,
+        objective=lambda x, p, m: p.T, objective_unit="s",
+    )  # fmt: skip
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    least = brachistochrone_truth(OFFSET + 0.01 * (solution.objective - 1.8))[2]
+    assert solution.objective == pytest.approx(least, abs=1e-9)
 
 
 @pytest.mark.parametrize(("pull", "passes"), [(0.0, True), (0.5, True), (1.5, False)])

@@ -82,7 +82,7 @@ def brachistochrone() -> pl.Problem:
     )
 
 
-def brachistochrone_truth() -> tuple[float, float, float]:
+def brachistochrone_truth(offset: float = OFFSET) -> tuple[float, float, float]:
     """When the line is met, when it is left, and the least time [s]: a cycloid, the line, a cycloid, each tangent.
 
     On a cycloid x = R (phi - sin phi), y = R (1 - cos phi) the slope is cot(phi/2) and the time sqrt(R/g) phi; the last
@@ -90,8 +90,8 @@ def brachistochrone_truth() -> tuple[float, float, float]:
     """
     phi = 2 * math.atan(1 / SLOPE)
     high, wide = 1 - math.cos(phi), phi - math.sin(phi)
-    first = OFFSET / (high - SLOPE * wide)
-    last = (SLOPE + OFFSET) / (high + SLOPE * (math.pi - wide))
+    first = offset / (high - SLOPE * wide)
+    last = (SLOPE + offset) / (high + SLOPE * (math.pi - wide))
     met, gained = first * high, last * high  # heights fallen, where speeds are sqrt(2 y)
     along = (math.sqrt(2 * gained) - math.sqrt(2 * met)) * math.hypot(1, SLOPE) / SLOPE
     entered = math.sqrt(first) * phi

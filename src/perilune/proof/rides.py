@@ -31,7 +31,7 @@ analysis of control-affine problems with scalar state constraint, Math. Program.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,7 @@ from perilune.proof.numerics import COMPLEX, STEP, stacked
 from perilune.proof.ridden import ALONG, Ridden
 from perilune.proof.switching import gain, product_of
 from perilune.proof.variations import Kept
+from perilune.structures.restate import sums_of, with_sums
 from perilune.structures.structure import Condition, Structure, conditions_of
 from perilune.words.types import Matrix, Vector
 
@@ -52,7 +53,7 @@ _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other cont
 _MET = 1e-9  # of its size: a condition that is met, or its rate
 _SIDEWAYS = 1e-6  # of a multiplier: a jump of the costates so small in a direction is none, as H is continuous there
 _STRICT = 1e-6  # of J per condition, canonical: a jump with a smaller multiplier may be none
-_CLEAR = 1e-3  # of a control's size: a jump that tells when an arc begins
+_STEADY, _CLEAR = 1e-5, 1e-3  # of the size of a control: a jump that is none, and one that tells when an arc begins
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +80,14 @@ class Rides:
     @classmethod
     def of(cls, solution: Solution, parts: Solution, structure: Structure) -> Rides:
         """Of what `touched.cut` returns."""
+        sums = sums_of(solution.problem, structure)
         along, touches, begins = list[tuple[Ridden, ...]](), list[tuple[Condition, ...]](), set[int]()
         for k, arcs in enumerate(structure.phases):
-            conditions = conditions_of(solution.problem, k, structure.named(k))
+            known = conditions_of(solution.problem, k, structure.named(k))
+            conditions = {  # in the durations of the parts
+                name: replace(c, values=tuple(with_sums(value, sums) for value in c.values))
+                for name, c in known.items()
+            }
             begins.add(len(along))
             for arc in arcs:
                 part = Arc(solution=parts, index=len(along))
@@ -207,6 +213,7 @@ class Rides:
                     end=tuple(r.condition.values[0] for r in along if self._ends(r)),
                     left=tuple(left),
                     tied=self._turns(k) and not (self._jumps_on(k) or self._jumps_on(k - 1)),
+                    steady=all(self._jump(joint) <= _STEADY for joint in (k, k + 1) if self._turns(joint)),
                     pays=along[0].pays if self._jumps_on(k) else None,
                 )
         return found
@@ -223,12 +230,13 @@ class Rides:
         near = [self.along[k + step] for step in (-1, 1) if self._turns(k + max(step, 0))]
         if len(self.along[k]) != 1 or any(near) or not self.along[k][0].linear:
             return False
-        return all(self._jump_of_control(joint) for joint in (k, k + 1) if self._turns(joint))
+        return all(self._jump(joint) > _CLEAR for joint in (k, k + 1) if self._turns(joint))
 
-    def _jump_of_control(self, joint: int) -> bool:
+    def _jump(self, joint: int) -> float:
+        """By how much a control jumps at a joint, over its size."""
         before, after = self.arcs[joint - 1], self.arcs[joint]
         jump = before.control(np.array([before.duration])) - after.control(np.zeros(1))
-        return bool((np.abs(jump[:, 0]) > _CLEAR * after.control_scale).any())
+        return float((np.abs(jump[:, 0]) / after.control_scale).max())
 
     def _touch_rates(self, k: int) -> list[str]:
         """Names of the conditions S' = 0 of what is touched at the end of a part."""
