@@ -85,7 +85,9 @@ def test_processes_answer_as_one_after_the_other(fixed: Problem, grid: Family) -
 def test_another_method_on_threads(fixed: Problem) -> None:
     """And a member that physics refuses is a member with its reason."""
     with ThreadPoolExecutor(1) as pool:
-        family = sweep(fixed, {"vehicle.thrust": [440.0, 1.0]}, Pseudospectral(nodes=20, refine=0), executor=pool)
+        family = sweep(
+            fixed, {"vehicle.thrust": [440.0, 1.0]}, Pseudospectral(nodes=20, refine=0, polish=False), executor=pool
+        )
     assert family.points[0].solution and family.points[0].solution.method == "pseudospectral"
     assert family.points[1].outcome is Outcome.INFEASIBLE
     assert "too weak" in family.points[1].message

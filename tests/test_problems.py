@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import perilune as pl
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
@@ -25,8 +26,10 @@ from perilune.shooting.function import Shooting
 from perilune.words.outcome import PeriluneError
 from problems import LIBRARY, Answered
 from problems.answered import Method
+from problems.delta import delta
 from problems.goddard import FOOT, goddard
 from problems.orbit_raising import PRINTED_RADIUS
+from problems.reentries import PRINTED_CONTROL, PRINTED_COSTATE, apollo, shuttle
 
 ROOT = Path(__file__).parent.parent
 CLAIMS = [(answered, method) for answered in LIBRARY for method in answered.methods]
@@ -165,6 +168,23 @@ def test_the_page_on_own_problems_shows_the_example() -> None:
     page = (ROOT / "docs" / "your-own-problem.md").read_text(encoding="utf-8")
     example = (ROOT / "examples" / "own_problem.py").read_text(encoding="utf-8")
     assert page.split("```python\n")[1].split("```")[0] == example
+
+
+def test_entries_and_the_ascent_are_those_of_the_books() -> None:
+    """To every digit that is printed, and locally optimal."""
+    entry = pl.prove(solved(next(a for a in LIBRARY if a.make is apollo), Indirect()))
+    assert entry.verification.level == 3
+    assert entry.free["time"] == pytest.approx(224.900756, abs=5e-7)
+    (flown,) = entry.trajectories
+    assert flown.costate is not None
+    assert flown.costate(0.0)[:3] == pytest.approx(PRINTED_COSTATE, abs=5e-9)
+    cosine, sine = flown.control(np.array([0.0, flown.duration])).T
+    assert np.degrees(np.arctan2(sine, cosine)) == pytest.approx(PRINTED_CONTROL, abs=5e-5)
+    ascent = pl.prove(solved(next(a for a in LIBRARY if a.make is delta), Indirect()))
+    assert ascent.verification.level == 3
+    glide = pl.prove(solved(next(a for a in LIBRARY if a.make is shuttle), Indirect()))
+    assert glide.verification.level == 3
+    assert glide.free["time"] == pytest.approx(2008.59, abs=5e-3)
 
 
 def test_the_printed_orbit_is_not_quite_the_greatest() -> None:

@@ -89,7 +89,7 @@ def test_a_template_states_its_problem(kind: str) -> None:
     assert possible(preflight(problem))
     # With every key in use it is read as well: the examples of what may be left out are values of their kind.
     whole = re.sub(r"^# (?=\[|\w+ = )", "", template(kind), flags=re.MULTILINE)
-    whole = re.sub(r"^(gravitational_parameter|radius|rotation_rate) = .*\n", "", whole, flags=re.MULTILINE)
+    whole = re.sub(r"^(gravitational_parameter|radius|rotation_rate|gravity) = .*\n", "", whole, flags=re.MULTILINE)
     assert set(problem.given) <= set(load_text(whole).given)
 
 

@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.models.bodies import MERCURY
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.solution import Curve, Solution
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file
-from problems.constrained import brachistochrone, brachistochrone_truth, bryson_denham, mars_glide_slope
+from problems.constrained import (
+    brachistochrone,
+    brachistochrone_truth,
+    bryson_denham,
+    bryson_denham_truth,
+    mars_glide_slope,
+)
 
 
 def slope(degrees: float) -> pl.Problem:
@@ -103,6 +112,12 @@ def test_rounding_in_a_sum_of_durations_is_not_its_size(touching: Solution, roun
     assert size["T"] > 9e-5
 
 
+def test_a_guess_of_another_problem_leads_to_the_answer_of_this_one(touching: Solution) -> None:
+    lower = pl.solve(bryson_denham(0.19), guess=touching, level=2)
+    assert lower.objective == pytest.approx(bryson_denham_truth(0.19), abs=1e-12)
+    assert lower.outcome is pl.Outcome.PROVED
+
+
 @pytest.mark.parametrize("amount", [1e-6, -1e-6, -1.0, -2.0])
 def test_another_jump_of_the_costates_is_none(touching: Solution, amount: float) -> None:
     assert not pl.verify(jumped(touching, amount), level=2).passed
@@ -163,3 +178,19 @@ def test_a_ceiling_that_is_missed_by_little_is_not_touched() -> None:
     lower = pl.solve(bryson_denham(1 / 5 - 1.5e-8), level=0)
     wrong = replace(lower, problem=bryson_denham(1 / 5))
     assert "swing-1_met" in {c.name for c in pl.verify(wrong, level=2).failed}
+
+
+def test_what_is_broken_just_before_its_touch_is_ridden() -> None:
+    """A heavy lander on Mercury skims the ground: broken from 428 to 478.2 s, touched at 478.7 s (random lander 72)."""
+    problem = hybrid_landing(
+        Vehicle(mass=154.3876831394529, thrust=174.5308161412424, specific_impulse=322.68904626453923),
+        Retro(specific_impulse=304.05725231747493),
+        Orbit(parking_altitude=90651.43049123246, perilune_altitude=8118.463553784256),
+        MERCURY,
+    )
+    solution = pl.solve(problem, level=2)
+    assert solution.outcome is pl.Outcome.PROVED
+    (arc,) = solution.structure
+    assert arc.words == "along height above site" and arc.end - arc.begin == pytest.approx(18.0, abs=0.5)
+    direct = Pseudospectral(nodes=5, segments=16, refine=0).run(problem, solution)
+    assert direct.objective == pytest.approx(solution.objective, rel=1e-4)

@@ -29,8 +29,8 @@ from problems.constrained import (
     mars_glide_slope,
 )
 
-COARSE = pl.Pseudospectral(segments=4, nodes=8, refine=0)
-ONE_MESH = pl.Pseudospectral(refine=0)
+COARSE = pl.Pseudospectral(segments=4, nodes=8, refine=0, polish=False)
+ONE_MESH = pl.Pseudospectral(refine=0, polish=False)
 
 
 def riding(name: str) -> Structure:
@@ -195,7 +195,7 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
 def test_a_return_touches_its_shell_in_a_leg_of_a_shared_duration() -> None:
     """The legs stay equal, whatever the first is made of. The touch lasts no time; its time is free."""
     problem = deorbit()
-    coarse = pl.solve(problem, pl.Pseudospectral(refine=0, segments=4, nodes=6), level=0)
+    coarse = pl.solve(problem, pl.Pseudospectral(refine=0, segments=4, nodes=6, polish=False), level=0)
     structure = read(problem, coarse)
     assert structure is not None and structure.text == "free and touches above, free; free; free"
     guess = split(coarse, structure)
@@ -244,7 +244,7 @@ MESHES = [{"segments": 4, "nodes": 8}, {"segments": 8, "nodes": 5}, {"nodes": 20
 def test_structures_are_read_off_coarse_meshes(make: Any, text: str | None, mesh: Any) -> None:
     """What falls below its limit between the points of a mesh, and bulges above it."""
     problem = make()
-    structure = read(problem, pl.solve(problem, pl.Pseudospectral(refine=0, **mesh), level=0))
+    structure = read(problem, pl.solve(problem, pl.Pseudospectral(refine=0, polish=False, **mesh), level=0))
     assert (structure and structure.text) == text
 
 

@@ -13,7 +13,7 @@ from scipy.linalg import get_lapack_funcs
 from perilune.direct import blocks, errors, interior, nlp
 from perilune.direct.collocation import Mesh, Polynomial, rule
 from perilune.direct.nlp import Program
-from perilune.direct.reduced import Reduced, negative
+from perilune.direct.reduced import Reduced, Weighed, negative
 from perilune.direct.segments import Segment
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.phase import Phase
@@ -152,23 +152,30 @@ def test_threads_share_programs():
         assert answer.statistics.iterations == alone[k % 2].statistics.iterations
 
 
-@pytest.mark.parametrize("least", [1.0, -1.0])
-def test_a_step_solves_the_whole_system(least):
-    """Against a dense solution of the whole; `least` curves H along what the equations leave, up or down."""
+@pytest.mark.parametrize(("least", "added"), [(1.0, 0.0), (-3.0, 1e-4 * sum(8.0**k for k in range(6))), (-1e9, None)])
+def test_a_step_solves_the_whole_system(least: float, added: float | None):
+    """Against a dense solution of the whole; `least` curves H along what the equations leave, up or down.
+
+    Then so much of the identity is added, in steps, that it curves up, or there is no step.
+    """
     random = np.random.default_rng(3)
-    n, m, rows = 11, 7, 9
-    A, c, right = random.normal(size=(rows, n)), random.normal(size=rows), random.normal(size=(n, 2))
+    n, m, rows, ranges = 11, 7, 9, 3
+    A, c, right = random.normal(size=(rows + ranges, n)), random.normal(size=rows), random.normal(size=(n, 2))
     A[:3, 3:7] = 0.0  # the first three states are determined without the others
-    H = least * np.eye(n)
+    H, weighed = least * np.eye(n), Weighed(random.uniform(0.1, 1.0, n), random.uniform(0.1, 1.0, ranges))
     sizes = 10.0 ** random.uniform(-3, 3, m)
-    found = Reduced(A, c, sizes, [slice(0, 3), slice(3, 7)]).step(H, right)
-    if least < 0:
+    found = Reduced(A, c, sizes, [slice(0, 3), slice(3, 7)]).step(H, weighed, right)
+    if added is None:
         assert found is None
         return
     assert found is not None
-    whole = np.block([[H, A.T], [A, np.zeros((rows, rows))]])
+    dw, ds, y = found
+    equations, ranged = A[:rows], A[rows:]
+    H = H + added * np.eye(n) + np.diag(weighed.unknowns) + ranged.T @ np.diag(weighed.ranges) @ ranged
+    whole = np.block([[H, equations.T], [equations, np.zeros((rows, rows))]])
     wanted = -np.vstack([right, np.column_stack([c, np.zeros(rows)])])
-    assert np.vstack(found) == pytest.approx(np.linalg.solve(whole, wanted), rel=1e-8, abs=1e-9)
+    assert np.vstack([dw, y]) == pytest.approx(np.linalg.solve(whole, wanted), rel=1e-8, abs=1e-9)
+    assert ds == pytest.approx(ranged @ dw, rel=1e-8, abs=1e-9)
 
 
 def test_negative_eigenvalues_are_counted():

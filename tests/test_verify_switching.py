@@ -158,8 +158,8 @@ def test_a_switch_away_from_the_zero_of_its_function_is_feasible_but_no_extremal
     verification = verify(solution, level=2)
     assert verification.level == 1, str(verification)
     assert failed(verification) >= {"switch_u", "switching_u"}
-    # S = t - 1 - pull y(2) at the switch, over the size of J
-    size = max(1.0, abs(solution.objective))
+    # S = t - 1 - pull y(2) at the switch, over the size of J in the 2 s of the flight
+    size = max(1.0, abs(solution.objective)) / 2.0
     assert check(verification, "switch_u").value == pytest.approx(abs(late - 0.1 * 2 * late) / size, rel=1e-6)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
@@ -18,6 +18,7 @@ from perilune.words.outcome import Outcome
 from perilune.words.watch import Watch
 
 if TYPE_CHECKING:
+    from perilune.methods.pseudospectral import Pseudospectral
     from perilune.proof.resolved import Resolve
 
 
@@ -37,7 +38,8 @@ def solve(
     problem
         What to solve.
     method
-        ``Indirect()`` unless another is given.
+        ``Indirect()`` unless another is given. The answer of ``Pseudospectral()`` is made exact
+        (`perilune.methods.polished`); ``Pseudospectral(polish=False)`` leaves it as its mesh has it.
     guess
         A solution of any method for this or a similar problem. None is needed.
     level
@@ -66,7 +68,16 @@ def solve(
     demand_callable(watch, "a watch")
     demand_tolerance(tolerance)
     refuse_impossible(preflight(problem))
-    return prove(usable(method).run(problem, guess, watch), level, tolerance)
+    return prove(_answered(usable(method), problem, guess, watch), level, tolerance)
+
+
+def _answered(method: Method, problem: Problem, guess: Solution | None, watch: Watch | None) -> Solution:
+    """What a method says, made exact where it is one that asks for that."""
+    if not getattr(method, "polish", False):
+        return method.run(problem, guess, watch)
+    from perilune.methods.polished import polished  # and with it the direct method, and much of SciPy
+
+    return polished(cast("Pseudospectral", method), problem, guess, watch)
 
 
 def usable(method: Method | None) -> Method:

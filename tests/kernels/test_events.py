@@ -300,6 +300,18 @@ def test_dense_output_over_a_switch(backend: str) -> None:
         np.testing.assert_allclose(d(t), e.propagate(START, PARAMETERS, t).z[0], atol=1e-10)
 
 
+def test_dense_output_that_ends_at_a_switch(backend: str) -> None:
+    """The last step has no length where the switch is met at the very end; no step has in a flight without any."""
+    modes, events = modes_and_switch()
+    e = compile_arcs(modes, events=events, backend=backend)
+    met = e.propagate(START, PARAMETERS, FINAL_TIME).event_time[0, 0]
+    for end in (met, np.nextafter(met, 0), np.nextafter(met, 2)):
+        d = e.dense(START, PARAMETERS, end)
+        np.testing.assert_allclose(d([end, 0.3 * end]), [d.end.z[0], e.propagate(START, PARAMETERS, 0.3 * end).z[0]],
+                                   atol=1e-10)  # fmt: skip
+    np.testing.assert_array_equal(e.dense(START, PARAMETERS, 0.0)(0.0), START)
+
+
 def test_events_that_contradict_themselves_are_refused() -> None:
     rhs, height = fall()
     with pytest.raises(PeriluneError, match="direction"):

@@ -6,7 +6,7 @@ here once, and tests that look at one of them more closely import its function f
 
 from __future__ import annotations
 
-from problems import ascents, goddard, integrators, landings, orbit_raising, staging
+from problems import ascents, delta, goddard, integrators, landings, orbit_raising, reentries, singular, staging
 from problems.answered import Answered
 
 LIBRARY: tuple[Answered, ...] = (
@@ -16,6 +16,9 @@ LIBRARY: tuple[Answered, ...] = (
     *orbit_raising.ANSWERED,
     *landings.ANSWERED,
     *goddard.ANSWERED,
+    *singular.ANSWERED,
+    *reentries.ANSWERED,
+    *delta.ANSWERED,
 )
 
 __all__ = ["LIBRARY", "Answered"]

@@ -59,6 +59,31 @@ def tangent_steering(split: bool = False) -> Problem:
     )
 
 
+def lunar_ascent(acceleration: float, gravity: float, height: float, speed: float) -> Problem:
+    """From rest on a flat Moon to horizontal flight at a height, with constant acceleration in least time; SI."""
+    phase = Phase(
+        name="ascent",
+        states=STATES,
+        controls=(Direction(names=("cx", "cy")),),
+        dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx, p.a * u.cy - p.g),
+        duration="time",
+        end=lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy),
+        end_conditions=END,
+        typical_end=lambda p, m: (p.height, p.speed, 0 * p.speed),
+    )
+    given = {"a": (acceleration, "m/s^2"), "g": (gravity, "m/s^2"), "height": (height, "m"), "speed": (speed, "m/s")}
+    return Problem(
+        name="lunar_ascent",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(Free(name="time", unit="s", lower=0.0, typical=300.0),),
+        objective=lambda x, p, m: p.time,
+        objective_unit="s",
+        scales=Scales(length=height, time=100.0),
+    )
+
+
 class Stage(NamedTuple):
     """Mass at its ignition [kg], thrust [N], exhaust speed [m/s], burning time [s] (None: to the end)."""
 
@@ -160,9 +185,29 @@ def flat_ascent(stages: Sequence[Stage], gravity: float, height: float, speed: f
     return FlatAscent(*(found.x * guess))
 
 
+FOOT = 0.3048
+BRYSON = (20.8 * FOOT, 5.32 * FOOT, 50000 * FOOT, 5444 * FOOT)
+APOLLO = (15.9 * FOOT, 5.3 * FOOT, 50000 * FOOT, 5780 * FOOT)
+
+
+def lunar_law(acceleration: float, gravity: float, height: float, speed: float) -> FlatAscent:
+    """The steering of `lunar_ascent`."""
+    return flat_ascent(
+        (Stage(1.0, acceleration, math.inf),),
+        gravity,
+        height,
+        speed,
+        FlatAscent(0.8, 0.003, 1.2 * speed / acceleration),
+    )
+
+
 LINEAR_TANGENT = partial(flat_ascent, (Stage(1.0, 100.0, math.inf),), 0.0, 5.0, 45.0, FlatAscent(1.5, 5.0, 0.6))
 LUNAR = partial(flat_ascent, (LUNAR_LAUNCH,), LUNAR_GRAVITY, 185e3, 1627.0, FlatAscent(2.7, 0.008, 480.0))
 STAGED = partial(flat_ascent, TWO_STAGES, LUNAR_GRAVITY, 60e3, 1700.0, FlatAscent(1.0, 0.003, 550.0))
+
+
+def _time(numbers: tuple[float, float, float, float]) -> float:
+    return lunar_law(*numbers).time
 
 
 def linear_tangent_costate() -> tuple[float, float, float]:
@@ -205,5 +250,16 @@ ANSWERED = (
         objective=STAGED().time,
         source="quadrature of the steering law; lambda of the velocity passes the drop unchanged",
         truth=lambda: STAGED().time,
+    ),
+    *(
+        Answered(
+            name=f"lunar ascent from rest in {time:.0f} s",
+            make=partial(lunar_ascent, *numbers),
+            objective=time,
+            uncertainty=uncertainty,
+            source="steering law by quadrature; the numbers are those of textbooks, in feet",
+            truth=partial(_time, numbers),
+        )
+        for numbers, time, uncertainty in ((APOLLO, 386.874111928, 5e-10), (BRYSON, 272.706050, 5e-7))
     ),
 )

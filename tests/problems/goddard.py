@@ -6,8 +6,6 @@ singular arc H does not depend on the thrust, so that a direct method in one pha
 
 from __future__ import annotations
 
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -66,7 +64,5 @@ ANSWERED = (
         objective=-18550.872 * FOOT,
         uncertainty=0.005 * FOOT,
         source="Betts 2010, example 4.9",
-        methods=(Pseudospectral(),),
-        refused=((Indirect(), r"no extremal was found[\s\S]*thrust of ascent stays between its bounds"),),
     ),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 from cho import cho_landing
@@ -47,6 +48,37 @@ def meditch() -> Problem:
     )
 
 
+def constant_mass(gravity: float, height: float, speed: float, most: float) -> Problem:
+    """Meditch's landing where the engine takes nothing of the mass: u between 0 and `most` m/s^2, least int u."""
+    phase = Phase(
+        name="descent",
+        states=(Variable(name="h", unit="m"), Variable(name="v", unit="m/s"), Variable(name="effort", unit="m/s")),
+        controls=(Bounded(name="push", unit="m/s^2", lower=0.0, upper=most),),
+        dynamics=lambda x, u, p, m: (x.v, u.push - p.g, u.push),
+        duration="t_f",
+        end=lambda x, p, m: (x.h, x.v),
+        end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
+        typical_end=lambda p, m: (0 * p.h, 0 * p.v, 1.5 * p.g * p.t_f),
+    )
+    given = {"g": (gravity, "m/s^2"), "h": (height, "m"), "v": (speed, "m/s")}
+    return Problem(
+        name="constant_mass",
+        phases=(phase,),
+        start=lambda p, m: (p.h, p.v, 0.0),
+        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(Free(name="t_f", unit="s", lower=0.0, upper=50.0, typical=5.0),),
+        objective=lambda x, p, m: x.effort,
+        objective_unit="m/s",
+    )
+
+
+def constant_mass_effort(gravity: float, height: float, speed: float, most: float) -> float:
+    """It falls to a speed w, and what it fell and what it brakes make up the height."""
+    brake = most - gravity  # height + (speed^2 - w^2)/(2 gravity) = w^2/(2 brake)
+    fastest = math.sqrt((2 * gravity * height + speed * speed) / (1 + gravity / brake))
+    return most * fastest / brake
+
+
 def ordinary() -> Problem:
     """Cho et al. 2015 without a retro burn."""
     return cho_landing().with_given(retro_delta_v=0.0)
@@ -62,6 +94,21 @@ ANSWERED = (
         costate=(0.267592863436, -0.209525212070, 1.70643283042, 1.0),
         free={"t_f": 1.39680808911},
         switches=(0.239259108626,),
+    ),
+    *(
+        Answered(
+            name=f"lander of constant mass, {duration:.2f} s",
+            make=partial(constant_mass, *numbers),
+            objective=effort,
+            source="closed form",
+            free={"t_f": duration},
+            switches=(switch,),
+            truth=partial(constant_mass_effort, *numbers),
+        )
+        for numbers, effort, duration, switch in (
+            ((1.5, 10.0, -2.0, 3.0), 8.24621125124, 4.16414083416, 1.41540375041),
+            ((1.625, 20.0, -2.5, 4.0), 10.9544511501, 5.20273916929, 2.46412638177),
+        )
     ),
     Answered(
         name="ordinary landing",

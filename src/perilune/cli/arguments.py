@@ -43,7 +43,7 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
 
 def settings(typed: argparse.Namespace) -> dict[str, Any]:
     """The settings of the method, by name; None where none was typed."""
-    return {name: getattr(typed, name) for name in ("nodes", "tolerance", "starts", "seed")}
+    return {name: getattr(typed, name) for name in ("nodes", "tolerance", "polish", "starts", "seed")}
 
 
 def help_text() -> str:
@@ -148,6 +148,13 @@ _SETTINGS = (
         type=_real,
         help="Relative error at which the direct method's mesh has converged. Usually 1e-6. "
         "What a proof may leave open is stated in the file, under [proof].",
+    ),
+    _option(
+        "--no-polish",
+        dest="polish",
+        action="store_const",
+        const=False,
+        help="Leave the direct method's answer as its mesh has it, and do not make it exact by Newton's method.",
     ),
     _option("--starts", metavar="N", type=_number(0), help="Random starts of the indirect method. Usually 24."),
     _option("--seed", metavar="N", type=_number(0), help="Of random starts, and of the genetic search. Usually 0."),

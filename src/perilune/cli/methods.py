@@ -11,7 +11,12 @@ if TYPE_CHECKING:
     from perilune.methods.method import Method
 
 # What each method can be told; of the hybrid the seed is the search's, the others are the direct method's.
-SETTINGS = {"indirect": ("starts", "seed"), "direct": ("nodes", "tolerance"), "hybrid": ("seed", "nodes", "tolerance")}
+SETTINGS = {
+    "indirect": ("starts", "seed"),
+    "direct": ("nodes", "tolerance", "polish"),
+    "hybrid": ("seed", "nodes", "tolerance"),
+}
+_TYPED = {"polish": "no-polish"}  # what is typed where that is not the setting's name
 NAMES = tuple(SETTINGS)
 
 
@@ -31,8 +36,8 @@ def method_of(name: str, settings: Mapping[str, Any] | None = None) -> Method:
             having = " or ".join(f"--method {other}" for other in NAMES if key in SETTINGS[other])
             raise PeriluneError(
                 f"the {name} method has no setting {key}",
-                got=f"--{key} {value:g}",
-                expected=", ".join(f"--{known}" for known in SETTINGS[name]),
+                got=f"--{_TYPED.get(key) or f'{key} {value:g}'}",
+                expected=", ".join(f"--{_TYPED.get(known, known)}" for known in SETTINGS[name]),
                 advice=having,
             )
     if name == "indirect":

@@ -19,6 +19,7 @@ import numpy as np
 
 from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.conditions.held import Held, held_back, keepable
+from perilune.conditions.singular import Motion
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.neighbours import offsets, unmoved
@@ -172,16 +173,31 @@ def canonical_equations(
     laws, flows, solved, reports = [], [], [], []
     for f in dynamics.rates:
         hamiltonian = ca.dot(lam[:n], f)
-        law = minimising_control(phase, hamiltonian, u, limits, kept, always)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
         gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
-        for control, found, held in zip(law.control, law.solved, law.held, strict=True):
+
+        def moving(
+            control: ca.SX,
+            held: Held,
+            between: tuple[int, ...] = (),
+            f: ca.SX = f,
+            hamiltonian: ca.SX = hamiltonian,
+            gradient: ca.SX = gradient,
+        ) -> ca.SX:
+            """z' as an expression of u, beside which there is a control; `between` are the scalars between bounds."""
             # A limit that is a free parameter moves the control with it.
             pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, bounds, q))
-            pull -= held_back(
-                phase, hamiltonian, u, [*always.values(), *(kept[name] for name in held)], ca.vertcat(x, q)
+            holds = [*always.values(), *(kept[name] for name in held)]
+            pull -= held_back(phase, hamiltonian, u, holds, ca.vertcat(x, q), between)
+            return ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
+
+        motion = Motion(z=z, rate=lambda control, held, moving=moving: ca.substitute(moving(control, held), u, control))
+        law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion)
+        for control, found, held, regimes in zip(law.control, law.solved, law.held, law.regimes, strict=True):
+            between = (
+                at for (at, _), regime in zip(scalars(phase.controls), regimes, strict=True) if regime == "interior"
             )
-            whole = ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
+            whole = moving(control, held, tuple(between))
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
             if found is None:

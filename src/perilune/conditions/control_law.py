@@ -6,6 +6,9 @@ function of the scalars alone, whose slopes S = dH/du are the same with d in pla
 which H is linear sits at a bound, at the upper one where S < 0. One in which H bends sits at a bound, or between them
 where S = 0: in closed form where H is quadratic, else by Newton's method.
 
+A scalar may be known to stay in one regime all along its phase (`perilune.problem.controls.Settled`): on a bound, or
+singular, where what it does follows from the motion of state and costate (`perilune.conditions.singular`).
+
 Conditions of the path that are linear in a direction are held where H asks for more (`perilune.conditions.held`).
 
 A *mode* names the regime of every scalar and the conditions that are held; its control is smooth in (x, lambda). Zeros
@@ -24,7 +27,9 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.held import Held, best_direction, together, told_scalar
-from perilune.problem.controls import Bounded, Regime, directions, scalars
+from perilune.conditions.riding import riding_control
+from perilune.conditions.singular import Motion, singular_control
+from perilune.problem.controls import Bounded, Regime, Settled, directions, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 from perilune.words.outcome import PeriluneError
@@ -81,6 +86,7 @@ def minimising_control(
     limits: dict[str, tuple[ca.SX, ca.SX]],
     kept: Mapping[str, ca.SX] = MappingProxyType({}),
     always: Mapping[str, ca.SX] = MappingProxyType({}),
+    motion: Motion | None = None,
 ) -> ControlLaw:
     """The control that minimises H.
 
@@ -96,6 +102,8 @@ def minimising_control(
         Conditions of the path by name, expressions of u that must not become negative; each must be `keepable`.
     always
         Expressions of u by name that vanish all along the phase: linear in a direction, or in one scalar alone.
+    motion
+        How state and costate move, which a singular scalar has to know.
 
     Raises
     ------
@@ -114,7 +122,11 @@ def minimising_control(
             for at, control in scalars(phase.controls)
         ]
         for regimes in product(*(kind.regimes for kind in kinds)):
-            step = _control(phase, reduced, law, u, kinds, regimes)
+            ridden = riding_control(phase, hamiltonian, u, here) if regimes == ("interior",) else None
+            none = ca.SX(0, 1)
+            step = _control(phase, reduced, law, u, kinds, regimes) if ridden is None else (ridden, none, none)
+            if "singular" in regimes:
+                step = _without_singular(phase, hamiltonian, u, kinds, step, motion, held)
             modes.append(_Mode(held=held, regimes=regimes, kinds=kinds))
             stepped.append(step)
             controls.append(ca.substitute(*step))
@@ -152,12 +164,17 @@ class _Scalar:
         limits: tuple[ca.SX, ca.SX],
         told: ca.SX | None,
     ) -> None:
-        self.at, self.control, self.limits, self.told = at, control, limits, told
+        self.at, self.control, self.limits, self.told, self.symbol = at, control, limits, told, u[at]
         if told is not None:
             self.regimes: tuple[Regime, ...] = ("held",)
             return
         self.slope = ca.gradient(reduced, u[at])
         self.linear = not ca.depends_on(self.slope, u[at])
+        if isinstance(control, Settled):
+            if control.regime == "singular" and not self.linear:
+                raise _no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
+            self.regimes = (control.regime,)
+            return
         lower, upper = (not (limit.is_constant() and np.isinf(float(limit))) for limit in limits)
         if self.linear and not (lower and upper):
             raise _no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
@@ -165,7 +182,9 @@ class _Scalar:
         self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
 
     def value(self, regime: Regime) -> ca.SX:
-        """The control at a bound, or as a held condition says."""
+        """The control at a bound, or as a held condition says; of a singular one its symbol."""
+        if regime == "singular":
+            return self.symbol
         return self.limits[regime == "upper"] if self.told is None else self.told
 
 
@@ -227,6 +246,28 @@ def _control(
         places += [kind.at for kind in free]
     whole = ca.vertcat(ca.SX(0, 1), *law)
     return _put(whole, u, places, values), w, found
+
+
+def _without_singular(
+    phase: Phase,
+    hamiltonian: ca.SX,
+    u: ca.SX,
+    kinds: list[_Scalar],
+    step: tuple[ca.SX, ca.SX, ca.SX],
+    motion: Motion | None,
+    held: Held,
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The control of `_control` with what the motion says in place of the symbol of the singular scalar."""
+    singular = [kind for kind in kinds if kind.regimes == ("singular",)]
+    control, solved, _ = step
+    if motion is None or len(singular) > 1 or solved.numel():
+        names = tuple(kind.control.name for kind in singular)
+        raise _no_law(phase, names, "more than one singular control, or one beside a control without a formula")
+    (kind,) = singular
+    slope = ca.substitute(ca.gradient(hamiltonian, kind.symbol), u, control)
+    name = f"{kind.control.name} of {phase.name}"
+    found = singular_control(name, slope, kind.symbol, motion.z, motion.rate(control, held))
+    return ca.substitute(control, kind.symbol, found), ca.SX(0, 1), ca.SX(0, 1)
 
 
 def _put(expression: ca.SX, u: ca.SX, places: list[int], values: list[ca.SX]) -> ca.SX:
@@ -302,7 +343,7 @@ def _transitions(u: ca.SX, modes: list[_Mode], controls: list[ca.SX], kept: Mapp
 
 def _ways(kind: _Scalar, regime: Regime, control: ca.SX, u: ca.SX) -> list[tuple[Regime, ca.SX, int]]:
     """(regime after, function, direction) of what leads a scalar out of a regime."""
-    if regime == "held":
+    if len(kind.regimes) == 1:
         return []
     if regime == "interior":
         value, out = control[kind.at], list[tuple[Regime, ca.SX, int]]()

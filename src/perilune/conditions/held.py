@@ -25,11 +25,13 @@ def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
     return _direction_of(phase, condition, u) is not None
 
 
-def held_back(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX) -> ca.SX:
+def held_back(
+    phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX, between: Sequence[int] = ()
+) -> ca.SX:
     """What holding conditions c = 0 adds to -dH/dz: their multipliers mu times dc/dz, as functions of the control u.
 
-    H - mu.c is stationary in the control: mu of a direction's conditions from the tangents of the sphere, that of a
-    scalar's from its slope.
+    H - mu.c is stationary in the control: mu of a direction's conditions from the tangents of the sphere and scalars
+    `between` their bounds, that of a scalar's from its slope.
     """
     total = ca.SX.zeros(z.numel(), 1)
     if not any(ca.depends_on(c, z) for c in held):
@@ -40,8 +42,11 @@ def held_back(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX],
         if own:
             d, c = u[first:last], ca.vertcat(*own)
             sphere = ca.SX.eye(d.numel()) - ca.mtimes(d, d.T)
-            G = ca.mtimes(ca.jacobian(c, d), sphere)
-            mu = ca.solve(ca.mtimes(G, G.T), ca.mtimes(G, slopes[first:last]))
+            free = ca.vertcat(ca.SX(0, 1), *(u[i] for i in between))
+            G = ca.horzcat(ca.mtimes(ca.jacobian(c, d), sphere), ca.jacobian(c, free))
+            mu = ca.solve(
+                ca.mtimes(G, G.T), ca.mtimes(G, ca.vertcat(slopes[first:last], *(slopes[i] for i in between)))
+            )
             total += ca.jtimes(c, z, mu, True)
             slopes -= ca.jtimes(c, u, mu, True)
             rest = [c for c in rest if not any(ca.is_equal(c, other) for other in own)]
@@ -110,14 +115,20 @@ def best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> ca.SX:
     """Where gradient . d is least on the sphere, with up to two linear conditions held."""
     if not held:
         return -gradient / ca.norm_2(gradient)
-    axes = [ca.gradient(c, d) for c in held]
-    shares = ca.vertcat(*(-ca.substitute(c, d, ca.SX.zeros(d.numel(), 1)) for c in held))
     if len(held) == 1:
-        size = ca.norm_2(axes[0])
-        axis, share = axes[0] / size, shares / size
+        axis, share = unit_share(held[0], d)
         across = gradient - ca.dot(gradient, axis) * axis
         return share * axis - ca.sqrt(1 - share * share) * across / ca.norm_2(across)
+    axes = [ca.gradient(c, d) for c in held]
+    shares = ca.vertcat(*(-ca.substitute(c, d, ca.SX.zeros(d.numel(), 1)) for c in held))
     A = ca.horzcat(*axes)
     base, normal = ca.mtimes(A, ca.solve(ca.mtimes(A.T, A), shares)), ca.cross(axes[0], axes[1])
     down = ca.if_else(ca.dot(gradient, normal) > 0, -normal, normal) / ca.norm_2(normal)
     return base + ca.sqrt(1 - ca.sumsqr(base)) * down
+
+
+def unit_share(condition: ca.SX, d: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """A linear condition on d as axis . d = share, with an axis of length one."""
+    axis = ca.gradient(condition, d)
+    size = ca.norm_2(axis)
+    return axis / size, -ca.substitute(condition, d, ca.SX.zeros(d.numel(), 1)) / size

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -62,38 +62,33 @@ def check_consistent(problem: Problem) -> None:
                 got=f"at most {longest[name]:g} s",
                 expected="> 0 s",
             )
-    start, ends = _known(Unnumbered(problem))
-    given = canonical_given(problem)
-    values = np.array(start(math.nan, given)).ravel()
+    function, ends = _known(Unnumbered(problem))
+    values = np.array(function(math.nan, canonical_given(problem))).ravel().tolist()
     phase = problem.phases[0]
-    for state, value, scale in zip(phase.states, values, state_scales(problem, phase), strict=True):
+    for state, value in zip(phase.states, values, strict=False):
         # The free parameters were NaN: what is a number does not depend on them.
         if not math.isnan(value):
-            _check_inside(f"the start puts {state.name}", state, problem.bounds(state), value * scale, scale)
-    for end in ends:
+            _check_inside(f"the start puts {state.name}", problem, state, value, p)
+    for end, value in zip(ends, values[len(phase.states) :], strict=True):
         phase = problem.phases[end.phase]
-        state, scale = phase.states[end.state], state_scales(problem, phase)[end.state]
-        value, gradient = (float(v) for v in end.line(0.0, 0.0, given))
-        what = f"the end condition {phase.end_conditions[end.condition].name} of {phase.name} puts {state.name}"
-        _check_inside(what, state, problem.bounds(state), -value / gradient * scale, scale)
+        what = f"the end condition {phase.end_conditions[end.condition].name} of {phase.name} puts "
+        _check_inside(what + phase.states[end.state].name, problem, phase.states[end.state], value, p)
 
 
 class _Fixed(NamedTuple):
-    """An end condition that is affine in one state, with known coefficients, and so fixes it: value and slope at 0."""
+    """An end condition that is affine in one state, with known coefficients, and so fixes it."""
 
     phase: int
     condition: int
     state: int
-    line: ca.Function
 
 
 @lru_cache(maxsize=32)
 def _known(unnumbered: Unnumbered) -> tuple[ca.Function, tuple[_Fixed, ...]]:
-    """The start, and the end conditions that fix a state; ranges do not."""
+    """The end conditions that fix a state, which ranges do not; and the states at the start, then what these fix."""
     problem = unnumbered.problem
     p = trace_parameters(problem)
-    start = ca.Function("start", [p.free, p.given], [column(problem.start(p.record, SYMBOLIC))])
-    found = []
+    values, found = [column(problem.start(p.record, SYMBOLIC))], []
     for k, phase in enumerate(problem.phases):
         if not phase.end_conditions:
             continue
@@ -105,13 +100,15 @@ def _known(unnumbered: Unnumbered) -> tuple[ca.Function, tuple[_Fixed, ...]]:
             touched = slope.sparsity().get_triplet()[1]
             if condition.ranged or len(touched) != 1 or touched[0] >= x.numel() or ca.depends_on(slope, unknown):
                 continue
-            line = ca.Function("end", [x, p.free, p.given], [conditions[i], slope[touched[0]]])
-            found.append(_Fixed(k, i, touched[0], line))
-    return start, tuple(found)
+            at_nothing = ca.substitute(conditions[i], unknown, ca.SX.zeros(unknown.numel()))
+            values.append(-at_nothing / slope[touched[0]])
+            found.append(_Fixed(k, i, touched[0]))
+    return ca.Function("known", [p.free, p.given], [ca.vertcat(*values)]), tuple(found)
 
 
-def _check_inside(what: str, state: Variable, bounds: tuple[float, float], value: float, scale: float) -> None:
-    lower, upper = bounds
+def _check_inside(what: str, problem: Problem, state: Variable, canonical: float, p: Any) -> None:
+    (lower, upper), scale = state.limits(p), problem.size_of(state)
+    value = canonical * scale
     over = max(lower - value, value - upper)
     if over > SLACK * scale:
         raise InfeasibleError(

@@ -107,7 +107,7 @@ def _simulated(phase: Phase, pieces: Sequence[_Fine], p: Any, tolerance: float, 
             rates = np.column_stack([full(rate, inner[:, 0]) for rate in rates])
             split = np.split(rates, np.cumsum([len(piece.rule.points) for piece in pieces])[:-1])
             later = [piece.flown(rate) for piece, rate in zip(pieces, split, strict=True)]
-        left = [_left(piece, before, after, fine) for piece, before, after in zip(pieces, x, later, strict=True)]
+            left = [_left(piece, before, after, fine) for piece, before, after in zip(pieces, x, later, strict=True)]
         x = later
         if not max(left) > 1.0:
             break

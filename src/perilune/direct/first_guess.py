@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -83,16 +84,20 @@ def _flown(trajectory: Trajectory) -> Sampler:
     return sample
 
 
+def begin_of(problem: Problem, k: int, before: Vector | None, p: Any) -> Vector:
+    """Where phase k begins [SI], after the end of the one before."""
+    if before is None:
+        return np.array(problem.start(p, NUMERIC), dtype=float)
+    ended = problem.phases[k - 1].state_record(*before)
+    return np.array(problem.links[k - 1](ended, p, NUMERIC), dtype=float)
+
+
 def _straight_lines(problem: Problem, free: dict[str, float]) -> list[Sampler]:
     p = problem.parameters(free)
     samplers: list[Sampler] = []
     before: Vector | None = None
     for k, phase in enumerate(problem.phases):
-        if before is None:
-            start = problem.start(p, NUMERIC)
-        else:
-            start = problem.links[k - 1](problem.phases[k - 1].state_record(*before), p, NUMERIC)
-        start = np.array(start, dtype=float)
+        start = begin_of(problem, k, before, p)
         before = start if phase.typical_end is None else np.array(phase.typical_end(p, NUMERIC), dtype=float)
         samplers.append(_line(problem, phase, start, before, free))
     return samplers

@@ -22,13 +22,13 @@ import casadi as ca
 import numpy as np
 
 from perilune.direct.assembly import Assembled
-from perilune.direct.reduced import Reduced
+from perilune.direct.reduced import Reduced, Weighed
 from perilune.words.types import Matrix, Vector
 
 # First points keep this distance from a bound, or this part of the range between two.
 PUSH = 1e-2
-# Steps halved, and times that H is made larger, before it is given up.
-HALVINGS, LARGER = 6, 12
+# Steps halved before it is given up.
+HALVINGS = 6
 # Least gain of a step: part of the violation.
 GAIN = 1e-5
 # Multipliers at the start beyond this say nothing.
@@ -44,7 +44,7 @@ class Posed:
     """A program with the numbers of one problem: given values, bounds of unknowns and rows.
 
     `states` are unknowns, `dynamics` the rows that determine them: in each of the `segments` of both from those before.
-    `sizes` are those of the states.
+    `sizes` are those of the states. `lengths` are rows that hold directions at length one, with the unknowns in them.
     """
 
     program: Assembled
@@ -57,6 +57,7 @@ class Posed:
     dynamics: Vector
     segments: Sequence[slice]
     sizes: Vector
+    lengths: Sequence[tuple[Vector, Matrix]]
 
 
 class Optimum(NamedTuple):
@@ -90,7 +91,8 @@ class _Step(NamedTuple):
 
 def optimum(posed: Posed, w: Vector, iterations: int, tolerance: float) -> Optimum | None:
     """The local optimum that the search reaches from w, or None."""
-    if (posed.lower == posed.upper)[posed.states].any():
+    fixed = posed.lower == posed.upper
+    if fixed[posed.states].any() or any(fixed[columns].any() for _, columns in posed.lengths):
         return None
     with np.errstate(all="ignore"):  # what is no number ends the search
         try:
@@ -109,8 +111,9 @@ class _Search:
         self.order = np.concatenate([posed.states, np.nonzero(others)[0]])
         equal = posed.low == posed.high
         self.ranged = np.nonzero(~equal)[0]
-        equal[posed.dynamics] = False
-        self.equal = np.concatenate([posed.dynamics, np.nonzero(equal)[0]])
+        first = np.concatenate([posed.dynamics, *(rows for rows, _ in posed.lengths)])
+        equal[first] = False
+        self.equal = np.concatenate([first, np.nonzero(equal)[0]])
         self.wanted = posed.low[self.equal]
         self.n = len(self.order)
         self.lower = np.concatenate([posed.lower[self.order], posed.low[self.ranged]])
@@ -121,6 +124,7 @@ class _Search:
         self.sign = np.concatenate([np.ones(len(below)), -np.ones(len(above))])
         self.bound = np.concatenate([self.lower[below], self.upper[above]])
         self.here = _Evaluated(posed, self.order, self.equal, self.ranged)
+        self.directions_at = [self.here.place[columns] for _, columns in posed.lengths]
 
     def run(self, start: Vector, iterations: int) -> Optimum | None:
         """The search from a start; the fixed unknowns keep its values."""
@@ -163,9 +167,10 @@ class _Search:
         here, z = self.here, np.ones(len(self.at))
         pull = self.onto(self.sign)
         ranged = -pull[self.n :]
-        slope = here.gradient - pull[: self.n] + ranged @ here.A_ranged
-        found = self.reduced().step(np.eye(self.n), np.column_stack([slope, slope]))
-        y = np.zeros(len(self.equal)) if found is None else found[1][:, 1]
+        slope = here.gradient - pull[: self.n] + here.pulled(np.zeros(len(self.equal)), ranged)
+        weighed = Weighed(np.ones(self.n), np.zeros(len(ranged)))
+        found = self.reduced().step(None, weighed, np.column_stack([slope, slope]))
+        y = np.zeros(len(self.equal)) if found is None else found[2][:, 1]
         y = y if np.abs(y).max() < LARGEST else np.zeros(len(y))
         return _Point(v, self.sign * (v[self.at] - self.bound), z, y, ranged)
 
@@ -173,7 +178,7 @@ class _Search:
         """Largest violation of the optimality conditions, relative to large multipliers, and largest d z."""
         here, (_, d, z, y, ranged) = self.here, point
         dual = -self.onto(self.sign * z)
-        dual[: self.n] += here.gradient + y @ here.A + ranged @ here.A_ranged
+        dual[: self.n] += here.gradient + here.pulled(y, ranged)
         dual[self.n :] -= ranged
         count = len(y) + len(ranged) + len(z)
         scale = max(1.0, (np.abs(y).sum() + np.abs(ranged).sum() + z.sum()) / (100.0 * count))
@@ -189,31 +194,22 @@ class _Search:
         """The equations at the current point, solved for the states once."""
         here = self.here
         if here.reduced is None:
-            here.reduced = Reduced(here.A, here.g - self.wanted, self.sizes, self.segments)
+            c = here.g - self.wanted
+            here.reduced = Reduced(here.slopes, c, self.sizes, self.segments, self.directions_at)
         return here.reduced
 
     def directions(self, point: _Point) -> tuple[_Step, _Step] | None:
         """The affine step, and what each unit of mu adds to it."""
         here, n, d = self.here, self.n, point.d
         pull, sigma = self.onto(self.sign / d), self.onto(point.z / d)
-        A_r, missed = here.A_ranged, here.g_ranged - point.v[n:]
-        H, right = here.H.copy(), np.empty((n, 2))
-        H.flat[:: n + 1] += sigma[:n]
+        missed, right = here.g_ranged - point.v[n:], np.empty((n, 2))
         right[:, 0], right[:, 1] = here.gradient, -pull[:n]
         if len(missed):
-            H += (A_r.T * sigma[n:]) @ A_r
-            right += A_r.T @ np.column_stack([sigma[n:] * missed, -pull[n:]])
-        reduced = self.reduced()
-        found, larger = reduced.step(H, right), 1e-4
-        for _ in range(LARGER):
-            if found is not None:
-                break
-            H.flat[:: n + 1] += larger
-            found, larger = reduced.step(H, right), 8.0 * larger
+            right += here.slopes[len(self.equal) :].T @ np.column_stack([sigma[n:] * missed, -pull[n:]])
+        found = self.reduced().step(here.H, Weighed(sigma[:n], sigma[n:]), right)
         if found is None:
             return None
-        dw, y = found
-        ds = A_r @ dw
+        dw, ds, y = found
         ds[:, 0] += missed
         ranged = sigma[n:, None] * ds
         ranged[:, 1] -= pull[n:]
@@ -264,15 +260,18 @@ class _Evaluated:
 
     def __init__(self, posed: Posed, order: Vector, equal: Vector, ranged: Vector) -> None:
         program, self.order, self.rows = posed.program, order, np.concatenate([equal, ranged])
-        self._equations, self._n = len(equal), len(order)
+        self._equations, n = len(equal), len(order)
         place, row = np.full(len(posed.lower), -1), np.empty(len(posed.low), dtype=int)
-        place[order], row[self.rows] = np.arange(len(order)), np.arange(len(self.rows))
+        place[order], row[self.rows] = np.arange(n), np.arange(len(self.rows))
+        self.place = place
         of, by = program.jacobian_at
-        self._own = np.nonzero(place[by] >= 0)[0]
-        self._slots = (row[of] * len(order) + place[by])[self._own]
+        known = np.nonzero(place[by] >= 0)[0]
+        self._first, self._slots = known, (row[of] * n + place[by])[known]
+        self.slopes = np.zeros((len(self.rows), n))
         of, by = (place[at] for at in program.hessian_at)
-        self._both = np.nonzero((of >= 0) & (by >= 0))[0]
-        self._upper, self._lower = ((a * len(order) + b)[self._both] for a, b in ((of, by), (by, of)))
+        self._second = np.nonzero((of >= 0) & (by >= 0))[0]
+        self._upper, self._lower = ((a * n + b)[self._second] for a, b in ((of, by), (by, of)))
+        self.H = np.zeros((n, n))
         self._call = _Call(program.everything)
         self._call.taken[1][:] = posed.given
         self._call.taken[2][:] = 1.0
@@ -287,18 +286,19 @@ class _Evaluated:
         J, g, gradient, jacobian = self.curve(y, ranged)
         self.objective, self.gradient = float(J[0]), gradient[self.order]
         self.g, self.g_ranged = np.split(g[self.rows], [self._equations])
-        A = np.zeros(len(self.rows) * self._n)
-        A[self._slots] = jacobian[self._own]
-        self.A, self.A_ranged = np.split(A.reshape(-1, self._n), [self._equations])
+        self.slopes.ravel()[self._slots] = jacobian[self._first]
 
     def curve(self, y: Vector, ranged: Vector) -> list[Vector]:
         """The second derivatives of the Lagrangian with these multipliers, where it was evaluated last."""
         self._call.taken[3][self.rows] = np.concatenate([y, ranged])
         *others, hessian = self._call()
-        H = np.zeros(self._n**2)
-        H[self._upper] = H[self._lower] = hessian[self._both]
-        self.H: Matrix = H.reshape(self._n, self._n)
+        H = self.H.ravel()
+        H[self._upper] = H[self._lower] = hessian[self._second]
         return others
+
+    def pulled(self, y: Vector, ranged: Vector) -> Vector:
+        """Slopes of equations and ranges with these multipliers."""
+        return np.concatenate([y, ranged]) @ self.slopes
 
     def optimum(self, y: Vector, ranged: Vector, iterations: int) -> Optimum:
         """The current point as the answer."""

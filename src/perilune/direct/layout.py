@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import lru_cache
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ class Layout(NamedTuple):
     @property
     def rules(self) -> tuple[Rule, ...]:
         """The rule of each segment."""
-        return tuple(rule(self.scheme, degree) for degree in self.degrees)
+        return _rules(self.scheme, self.degrees)
 
     @property
     def nodes(self) -> int:
@@ -39,7 +40,7 @@ class Layout(NamedTuple):
     @property
     def starts(self) -> tuple[int, ...]:
         """Index of the state point at which each segment starts, and of the last one."""
-        return tuple(int(i) for i in np.cumsum([0, *(r.stride for r in self.rules)]))
+        return tuple(accumulate((r.stride for r in self.rules), initial=0))
 
     @property
     def sizes(self) -> tuple[int, int, int]:
@@ -64,6 +65,11 @@ class Layout(NamedTuple):
             "path": self.path * self.nodes,
             "end": self.end,
         }
+
+
+@lru_cache(maxsize=256)
+def _rules(scheme: Scheme, degrees: tuple[int, ...]) -> tuple[Rule, ...]:
+    return tuple(rule(scheme, degree) for degree in degrees)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +98,9 @@ def unpacked(layouts: tuple[Layout, ...], w: Vector) -> tuple[PhaseValues, ...]:
     """The values of every phase from the unknowns behind the free parameters."""
     at, found = 0, []
     for layout in layouts:
-        joints, states, controls = np.split(w[at : at + sum(layout.sizes)], np.cumsum(layout.sizes)[:-1])
-        at += sum(layout.sizes)
+        ends = [at, *(at + end for end in accumulate(layout.sizes))]
+        joints, states, controls = (w[a:b] for a, b in pairwise(ends))
+        at = ends[-1]
         found.append(
             PhaseValues(
                 joints=np.concatenate([[0.0], joints, [1.0]]),
@@ -114,6 +121,7 @@ def by_kind(layouts: tuple[Layout, ...], values: Vector) -> dict[tuple[int, str]
     return found
 
 
+@lru_cache(maxsize=64)
 def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, list[slice]]:
     """Unknowns that are states, rows that determine them when all else is known, and the segments of both, in order.
 
@@ -131,3 +139,17 @@ def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, 
         row += sum(sizes)
     ends = [0, *np.cumsum([len(rows) for rows in dynamics]).tolist()]
     return np.concatenate(states), np.concatenate(dynamics), [slice(a, b) for a, b in pairwise(ends)]
+
+
+@lru_cache(maxsize=64)
+def unit_lengths(layouts: tuple[Layout, ...], free: int) -> list[tuple[Vector, Matrix]]:
+    """Rows that hold directions at length one, and the unknowns in each: an entry for each direction of a phase."""
+    found, at, row = list[tuple[Vector, Matrix]](), free, 0
+    for layout in layouts:
+        count, before = len(layout.directions), dict(layout.rows)
+        first = row + sum(size for kind, size in before.items() if kind in ("start", "defect", "quadrature"))
+        rows = first + np.arange(count * layout.nodes).reshape(layout.nodes, count)
+        controls = at + sum(layout.sizes[:2]) + np.arange(layout.sizes[2]).reshape(layout.nodes, layout.controls)
+        found += [(rows[:, k], controls[:, a:b]) for k, (a, b) in enumerate(layout.directions)]
+        at, row = at + sum(layout.sizes), row + sum(before.values())
+    return found

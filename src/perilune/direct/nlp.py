@@ -30,7 +30,7 @@ from perilune.direct.assembly import Assembled, assembled
 from perilune.direct.blocks import blocks
 from perilune.direct.collocation import Mesh, Scheme
 from perilune.direct.interior import Optimum, Posed, optimum
-from perilune.direct.layout import Layout, PhaseValues, by_kind, determined, layout_of, packed, unpacked
+from perilune.direct.layout import Layout, PhaseValues, by_kind, determined, layout_of, packed, unit_lengths, unpacked
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import Unnumbered, canonical_given, free_scales, state_scales
@@ -122,6 +122,7 @@ class Program:
             program=_assembled(Unnumbered(self.problem), self.layouts, nearest), given=canonical_given(self.problem),
             lower=np.append(lower, np.zeros(misses)), upper=np.append(upper, np.full(misses, math.inf)),
             low=low, high=high, states=states, dynamics=dynamics, segments=segments, sizes=_sizes(guesses),
+            lengths=unit_lengths(self.layouts, len(free)),
         )  # fmt: skip
         first = np.append(np.clip(start, lower, upper), np.full(misses, 0.1))
         found = None
@@ -167,14 +168,15 @@ class Program:
 
     def _row_bounds(self) -> tuple[Vector, Vector]:
         """Lower and upper bounds of the rows."""
-        lower, upper = [], []
+        lower, upper = (np.zeros(sum(sum(layout.rows.values()) for layout in self.layouts)) for _ in range(2))
+        end = 0
         for phase, layout in zip(self.problem.phases, self.layouts, strict=True):
-            ranges = {"path": [(0.0, math.inf)], "end": [_end_range(self.problem, c) for c in phase.end_conditions]}
-            for kind, size in layout.rows.items():
-                pairs = np.resize(np.array(ranges.get(kind, [(0.0, 0.0)])), (size, 2))
-                lower.append(pairs[:, 0])
-                upper.append(pairs[:, 1])
-        return np.concatenate(lower), np.concatenate(upper)
+            end += sum(layout.rows.values())
+            ends = end - layout.end
+            upper[ends - layout.path * layout.nodes : ends] = math.inf
+            for row, condition in enumerate(phase.end_conditions, ends):
+                lower[row], upper[row] = _end_range(self.problem, condition)
+        return lower, upper
 
 
 def _sizes(guesses: tuple[PhaseValues, ...]) -> Vector:
@@ -188,9 +190,11 @@ def _sizes(guesses: tuple[PhaseValues, ...]) -> Vector:
 
 def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
     """Canonical bounds of an end condition's value."""
+    if not condition.ranged:
+        return 0.0, 0.0
     scale = problem.size_of(condition)
     lower, upper = condition.limits(problem.parameters({}))
-    return (lower / scale, upper / scale) if condition.ranged else (0.0, 0.0)
+    return lower / scale, upper / scale
 
 
 def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> Matrix:

@@ -1,18 +1,20 @@
 """One step of Newton's method in the space that the dynamics leave.
 
-Of the unknowns the first m, the states, are determined by the first m equations, the dynamics: segment after segment,
-as their square part B is lower block triangular. With the other unknowns u and equations,
+Of the unknowns the first m, the states, are determined by the first m equations, the dynamics: block after block, as
+their square part B is lower block triangular. The next equations hold the lengths of directions at one; each gives the
+largest component of its direction from the others. With the unknowns u that are left,
 
-    dx = p + T du,   T = -B^-1 N,   p = -B^-1 c,
+    dw = P + Z du,   Z = (-B^-1 N U, U),   P = (-B^-1 (c + N V), V),
 
-and the conditions of a minimum in du are a small dense system (Nocedal, Wright 2006, section 16.2), whose inertia tells
-whether the step goes down.
+where N are the slopes of the dynamics in all but the states, and U du + V is what the lengths leave of these. Then the
+conditions of a minimum in du are a small dense system (Nocedal, Wright 2006, section 16.2), whose inertia tells whether
+the step goes down.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
@@ -20,6 +22,11 @@ from scipy.linalg import get_lapack_funcs
 from perilune.words.types import Matrix, Vector
 
 _getrf, _getrs, _sytrf, _sytrs = get_lapack_funcs(("getrf", "getrs", "sytrf", "sytrs"))
+
+# A component of a direction that is as small is none to divide by.
+SHORT = 1e-6
+# The first addition to H where it is that of no minimum, by how much the next ones are larger, and how many there are.
+LEAST, STEEPER, LARGER = 1e-4, 8.0, 12
 
 
 class Chain:
@@ -63,44 +70,150 @@ class Chain:
         return found / self.sizes
 
 
+class Lengths:
+    """Equations, one for each direction, in its components alone: the largest of these from the others.
+
+    Parameters
+    ----------
+    slopes
+        In the components, shape (directions, components).
+    values
+        Of the equations.
+    columns
+        Which unknowns the components are, of those that are no states.
+
+    Raises
+    ------
+    ArithmeticError
+        If a direction has no length.
+    """
+
+    def __init__(self, slopes: Matrix, values: Vector, columns: Matrix) -> None:
+        rows = np.arange(len(slopes))
+        largest = np.abs(slopes).argmax(axis=1)
+        self.of, self.slope = columns[rows, largest], slopes[rows, largest]
+        if not np.abs(self.slope).min(initial=1.0) > SHORT:
+            raise ArithmeticError("a direction has no length")
+        self.columns, self.parts, self.rest = columns, -slopes / self.slope[:, None], -values / self.slope
+
+
+class Weighed(NamedTuple):
+    """What is added to the second derivatives H: weights of the unknowns themselves, and of the ranges."""
+
+    unknowns: Vector
+    ranges: Vector
+
+
 class Reduced:
-    """The equations A dw = -c at a point, solved for the states, which have these sizes."""
+    """The equations at a point, solved for the states.
 
-    def __init__(self, A: Matrix, c: Vector, sizes: Vector, blocks: Sequence[slice]) -> None:
-        m = blocks[-1].stop
-        self.chain = Chain(A[:m, :m], sizes, blocks)
-        self.A, self.m = A, m
-        found = self.chain.solved(np.column_stack([A[:m, m:], c[:m]]))
-        self.T, self.p = -found[:, :-1], -found[:, -1]
-        self.rest = A[m:, :m] @ self.T + A[m:, m:]
-        self.c = c[m:] + A[m:, :m] @ self.p
+    Parameters
+    ----------
+    slopes
+        Of all equations, those of the dynamics first, then those of lengths, and then of the ranges, (rows, n).
+    c
+        Values of all equations.
+    sizes, blocks
+        Of the states, and of B.
+    directions
+        For each length the unknowns in it; one array for all directions of as many components.
+    """
 
-    def step(self, H: Matrix, right: Matrix) -> tuple[Matrix, Matrix] | None:
-        """Two solutions (dw, y) of H dw + A' y = -right, side by side: of A dw = -c, and of A dw = 0.
+    def __init__(
+        self, slopes: Matrix, c: Vector, sizes: Vector, blocks: Sequence[slice], directions: Sequence[Matrix] = ()
+    ) -> None:
+        m, n = blocks[-1].stop, slopes.shape[1]
+        self.chain, self.slopes, self.m = Chain(slopes[:m, :m], sizes, blocks), slopes, m
+        self.lengths = list[Lengths]()
+        at = m
+        for columns in directions:
+            rows = slice(at, at + len(columns))
+            at = rows.stop
+            self.lengths.append(Lengths(slopes[np.arange(rows.start, at)[:, None], columns], c[rows], columns - m))
+        left = self._left(n - m)
+        right = slopes[:m, m:] @ left
+        right[:, -1] += c[:m]
+        self.both = np.empty((n, left.shape[1]))  # Z and P
+        np.negative(self.chain.solved(right), out=self.both[:m])
+        self.both[m:] = left
+        self.Z, self.P = self.both[:, :-1], self.both[:, -1]
+        self.others, self.rows = slopes[at:], len(c) - at
+        of_others = self.others @ self.both
+        self.rest, self.c = of_others[: self.rows, :-1], c[at:] + of_others[: self.rows, -1]
+        self.ranged = of_others[self.rows :]
 
-        None if H is that of no minimum along A dw = 0.
+    def _left(self, count: int) -> Matrix:
+        """U and V side by side: what the lengths leave of `count` unknowns."""
+        free = np.ones(count, dtype=bool)
+        for lengths in self.lengths:
+            free[lengths.of] = False
+        place = np.cumsum(free) - 1
+        found = np.zeros((count, int(free.sum()) + 1))
+        found[free, place[free]] = 1.0
+        for lengths in self.lengths:
+            others = lengths.columns != lengths.of[:, None]
+            found[np.repeat(lengths.of, others.sum(axis=1)), place[lengths.columns[others]]] = lengths.parts[others]
+            found[lengths.of, -1] = lengths.rest
+        return found
+
+    def step(self, H: Any, weighed: Weighed, right: Matrix) -> tuple[Matrix, Matrix, Matrix] | None:
+        """Two steps side by side, one for A dw = -c and one for A dw = 0, each with a column of `right`.
+
+        Parameters
+        ----------
+        H
+            Second derivatives, or None for none.
+        weighed
+            What is added to them; more is added where H is that of no minimum along A dw = 0.
+        right
+            Slopes, shape (n, 2).
+
+        Returns
+        -------
+        tuple
+            The changes of the unknowns and of the ranges' values, and the multipliers of the equations; None where
+            all that is added is not enough.
         """
-        m, T, (rows, q) = self.m, self.T, self.rest.shape
-        HZ = H[:, :m] @ T + H[:, m:]
-        small = np.zeros((q + rows, q + rows))
-        small[:q, :q] = T.T @ HZ[:m] + HZ[m:]
-        small[:q, q:] = self.rest.T
-        factor, places, failed = _sytrf(small)
-        if failed or negative(factor, places) != rows:
-            return None
-        wanted = np.zeros((q + rows, 2))
-        wanted[:q] = T.T @ right[:m] + right[m:]
-        wanted[:q, 0] += self.p @ HZ[:m]
-        wanted[q:, 0] = self.c
+        rows, q, both = self.rows, self.Z.shape[1], self.both
+        curved = weighed.unknowns[:, None] * both
+        if H is not None:
+            curved += H @ both
+        G = self.Z.T @ curved
+        if len(weighed.ranges):
+            G += (self.ranged[:, :-1].T * weighed.ranges) @ self.ranged
+        small, wanted = np.zeros((q + rows, q + rows)), np.zeros((q + rows, 2))
+        small[:q, :q], small[:q, q:] = G[:, :-1], self.rest.T
+        wanted[:q], wanted[q:, 0] = self.Z.T @ right, self.c
+        wanted[:q, 0] += G[:, -1]
+        more, larger = 0.0, LEAST
+        while True:
+            factor, places, failed = _sytrf(small)
+            if not failed and negative(factor, places) == rows:
+                break
+            if larger > LEAST * STEEPER**LARGER:
+                return None
+            added = larger * (self.Z.T @ both)
+            small[:q, :q] += added[:, :-1]
+            wanted[:q, 0] += added[:, -1]
+            more, larger = more + larger, larger * STEEPER
         found = _sytrs(factor, places, -wanted)[0]
-        dw = np.empty_like(right)
-        dw[m:] = found[:q]
-        dw[:m] = T @ dw[m:]
-        dw[:m, 0] += self.p
-        y = np.empty((m + rows, 2))
-        y[m:] = found[q:]
-        y[:m] = self.chain.transposed(-(right[:m] + H[:m] @ dw + self.A[m:, :m].T @ y[m:]))
-        return dw, y
+        du, y_rest = found[:q], found[q:]
+        dw, ds = self.Z @ du, self.ranged[:, :-1] @ du
+        dw[:, 0] += self.P
+        ds[:, 0] += self.ranged[:, -1]
+        slope = right + (weighed.unknowns + more)[:, None] * dw
+        if H is not None:
+            slope += H @ dw
+        slope += self.others.T @ np.concatenate([y_rest, weighed.ranges[:, None] * ds])
+        return dw, ds, np.concatenate([*self._multipliers(slope), y_rest])
+
+    def _multipliers(self, slope: Matrix) -> Iterator[Matrix]:
+        """Those of the dynamics and of lengths, for what is not balanced yet."""
+        y = self.chain.transposed(-slope[: self.m])
+        yield y
+        for lengths in self.lengths:
+            of = self.m + lengths.of
+            yield -(slope[of] + self.slopes[: self.m, of].T @ y) / lengths.slope[:, None]
 
 
 def negative(factor: Matrix, places: Vector) -> int:

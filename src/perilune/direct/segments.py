@@ -142,7 +142,9 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
     fine = max(tolerance, FINEST) * np.concatenate(
         [x_scale, np.full(n, 10.0) * lam_scale, control_scales(phase.controls, problem.scales)]
     )
-    pieces = [_nodes(phase, segment, fine, problem.parameters({})) for segment in flown]
+    # A free joint may have moved all the way to the next.
+    lasting = [segment for segment in flown if segment.end > segment.begin] or flown[:1]
+    pieces = [_nodes(phase, segment, fine, problem.parameters({})) for segment in lasting]
     time = np.concatenate([t for t, _, _ in pieces])
     values, rates = (np.concatenate([piece[i] for piece in pieces]) for i in (1, 2))
     keep = np.ones(len(time), dtype=bool)
@@ -160,7 +162,7 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
 
 def _nodes(phase: Phase, segment: Segment, fine: Vector, p: Any) -> tuple[Vector, Matrix, Matrix]:
     """Times, values and rates of state, costate and control along one segment."""
-    slope = 2.0 / (segment.end - segment.begin)
+    slope = 2.0 / (segment.end - segment.begin or 1.0)
     parts = (segment.state, segment.costate, segment.control)
 
     def evaluate(t: Vector) -> tuple[Matrix, Matrix]:

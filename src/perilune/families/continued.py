@@ -45,16 +45,16 @@ class Continuation:
         at, scale = list(problem.given).index(self.name), problem.scales.of(problem.unit_of(self.name))
 
         def numbers(value: float) -> Vector:
-            p = search.p.copy()
+            p = search.trials.p.copy()
             p[at] = value / scale
             return p
 
         def correct(y: Vector, value: float) -> Root:
-            return search.correct(y, base.root, numbers(value))
+            return search.trials.correct(y, base.root, numbers(value))
 
         def tangent(root: Root, value: float) -> Vector:
             step = 1e-6 * max(abs(value), abs(target - before))  # a central difference of the residual
-            return search.shooting.shift(root, numbers(value + step), numbers(value - step)) / (2 * step)
+            return search.trials.shooting.shift(root, numbers(value + step), numbers(value - step)) / (2 * step)
 
         reached = next(iter(follow(Member(value=before, root=base.root), [target], correct, tangent)))
         return None if reached is None else Member(value=base.value, root=reached.root)

@@ -66,7 +66,8 @@ def _record(section: Section, values: Any, where: str) -> Any:
         values = {}
     if not isinstance(values, dict):
         refuse(where, str(values)[:40], "a record")
-    keys = keys_of(section.record)
+    record = section.stated(values)
+    keys = keys_of(record)
     for key in values:
         if key not in keys:
             refuse(f"{where}.{key}"[:80], "a key that is not known", ", ".join(keys))
@@ -74,4 +75,4 @@ def _record(section: Section, values: Any, where: str) -> Any:
         if found.required and key not in values:
             refuse(f"{where}.{key}", "nothing", "a value")
     read = {k: number(values, k, where) if isinstance(keys[k].declared, Quantity) else text(values, k) for k in values}
-    return made_of(section.record, read)
+    return made_of(record, read)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import free_values, multipliers, objective_scale, trajectories
+from perilune.methods.flown import exported
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Statistics
-from perilune.shooting.extremals import Found
+from perilune.shooting.extremals import Found, same
 from perilune.words.outcome import Outcome
+from perilune.words.types import Vector
+
+_SAME = 1e-9  # of J and of the free parameters, canonical: what two extremals may differ by and be listed as one
 
 
 def composed(
@@ -30,7 +34,7 @@ def composed(
     statistics
         Of the run; `rung` says whether a guess led to the root. The residual is added.
     """
-    ranked = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
+    ranked = listed_once(conditions, sorted(found, key=lambda f: (not f.minimum, f.root.cost)))
     unit, guessed = objective_scale(problem), statistics.rung == "guess"
     extremals = tuple(
         Extremal(
@@ -48,12 +52,31 @@ def composed(
         outcome=Outcome.SOLVED,
         objective=extremals[0].objective,
         free=extremals[0].free,
-        trajectories=Deferred(len(problem.phases), lambda: trajectories(problem, conditions, best.y)),
+        trajectories=Deferred(
+            len(problem.phases), lambda: trajectories(problem, conditions, best.y, exported(problem, conditions, best))
+        ),
         multipliers=multipliers(problem, conditions, best.y),
         extremals=extremals,
         unknowns=best.y,
         statistics=replace(statistics, residual=float(np.abs(best.residual).max())),
     )
+
+
+def listed_once(conditions: Conditions, ranked: Iterable[Found]) -> list[Found]:
+    """Those whose J or free parameters differ.
+
+    Mirror images, or a coast flown before the burn or behind it, are one extremal to whoever reads the list.
+    """
+    kept: list[Found] = []
+    for found in ranked:
+        values = _told(conditions, found)
+        if not any(same(values, _told(conditions, other), _SAME) for other in kept):
+            kept.append(found)
+    return kept
+
+
+def _told(conditions: Conditions, found: Found) -> Vector:
+    return np.append(found.root.y[conditions.free_at], found.root.cost)
 
 
 def _nature(found: Found, free: int, *, best: bool, guessed: bool) -> Nature:

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal, extremal_parameters
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import DenseArc
+from perilune.methods.flown import Flown
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
+from perilune.problem.solution import Curve, Solution, Trajectory, full, hermite_nodes
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
-from perilune.shooting.propagate import flight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
-# Tolerance of the arcs that are exported. Their curves are interpolated to 1e-10 in states, 1e-9 in costates and 3e-11
-# in controls (canonical): the re-flight integrates the control's error over the whole burn, and 3e-11 rad of a few
-# m/s^2 over 1000 s stays below 1e-6 m/s.
-_FINE = {"rtol": 1e-13, "atol": 1e-13}
+# Accuracy to which curves are interpolated (canonical): the re-flight integrates the control's error over the whole
+# burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.
+_STATES, _COSTATES, _CONTROLS = 1e-10, 1e-9, 3e-11
+_PLAIN = 3.0  # times their sizes a control moves the states on a plain landing, for which these numbers are
+_LOOKS, _DIFFERENCE = 19, 1e-6  # of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
@@ -62,20 +64,9 @@ def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def fly(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[DenseArc]:
-    """Canonical z(t) of each phase, flown in one piece from the unknowns y; settings as for `flight`."""
-    p, before, flown = extremal_parameters(problem), np.zeros(0), []
-    for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
-        z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p))
-        flown.append(flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings}))
-        before = flown[-1].z[-1]
-    return flown
-
-
-def controls(extremal: PhaseExtremal, arc: DenseArc, t: Vector, p: Vector) -> Matrix:
+def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matrix:
     """Minimising control along an arc, (n, controls); at a switch, the one after it."""
-    step = np.clip(np.searchsorted(arc.t, t, side="right") - 1, 0, len(arc.mode) - 1)
-    modes, z = arc.mode[step], arc(t)
+    modes, z = arc.modes(t), arc(t)
     out = np.zeros((len(t), extremal.reports[0].size1_out(0)))
     for mode in np.unique(modes):
         here = modes == mode
@@ -102,27 +93,29 @@ def _report(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> tuple[M
     return rate, u, u_rate
 
 
-def trajectories(problem: Problem, conditions: Conditions, y: Vector) -> tuple[Trajectory, ...]:
+def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
     """Curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
-    p = extremal_parameters(problem)
-    flown = fly(problem, conditions, y)
-    return tuple(_trajectory(problem, conditions, k, arc, p) for k, arc in enumerate(flown))
+    free = free_values(problem, conditions, y)
+    return tuple(_trajectory(problem, conditions, k, arc, free) for k, arc in enumerate(flown))
 
 
-def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc, p: Vector) -> Trajectory:
-    phase, extremal = problem.phases[k], conditions.phases[k]
+def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, free: Mapping[str, float]) -> Trajectory:
+    phase, extremal, p = problem.phases[k], conditions.phases[k], extremal_parameters(problem)
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
-    duration = float(arc.t[-1])
+    duration = arc.duration
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
     size = np.maximum(1.0, reached)
     size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
-    tolerance = np.concatenate([1e-10 * size[:n], 1e-9 * size[half : half + n], np.full(width, 3e-11)])
+    t = np.linspace(0.0, duration, _LOOKS)[1:-1]
+    x, u = arc(t)[:, :n].T * x_scale[:, None], controls(extremal, arc, t, p).T
+    told = _CONTROLS / _leverage(problem, phase, problem.parameters(free), (x, u), size[:n])
+    tolerance = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], told])
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
-    inside = np.abs(arc.end.event_time[0] - 0.5 * duration) < (0.5 - _NOTHING) * duration
+    inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
+    joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > _NOTHING * duration]
     pieces = []
-    for left, right in pairwise([0.0, *arc.end.event_time[0][inside].tolist(), duration]):
-        step = int(np.clip(np.searchsorted(arc.t, 0.5 * (left + right)) - 1, 0, len(arc.mode) - 1))
-        mode = int(arc.mode[step])
+    for left, right in pairwise([0.0, *sorted([*inside, *joints]), duration]):
+        mode = int(arc.modes(np.array([0.5 * (left + right)]))[0])
 
         def evaluate(
             t: Vector, left: float = left, mode: int = mode, before: float = np.nextafter(right, left)
@@ -133,8 +126,9 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
         nodes = hermite_nodes(evaluate, right - left, tolerance)
-        # The last node is the switch itself, not a sum that may miss it by one rounding.
-        pieces.append((np.append(left + nodes[:-1], right), *evaluate(nodes)))
+        # The last node is the switch itself, not a sum that may miss it by one rounding; a joint is the next piece's.
+        piece = np.append(left + nodes[:-1], right), *evaluate(nodes)
+        pieces.append([part[:-1] for part in piece] if right in joints else piece)
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     time = problem.scales.time
     u_scale = control_scales(phase.controls, problem.scales)
@@ -143,6 +137,22 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
     cut = np.split(np.arange(2 * n + width), [n, 2 * n])
     state, costate, control = (Curve(time=nodes * time, values=values[:, at], rates=rates[:, at]) for at in cut)
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
+
+
+def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matrix], size: Vector) -> Vector:
+    """How far an error of each control along the whole phase moves the states, by their sizes, and at least 1.
+
+    Of a descent that nearly hovers much more speed goes through the engine than the flight changes.
+    """
+    (x, u), x_scale = flown, state_scales(problem, phase)
+    scale = control_scales(phase.controls, problem.scales)
+
+    def rates(u: Matrix) -> Matrix:
+        return np.array([full(rate, x[0]) for rate in phase.rates(list(x), list(u), p)])
+
+    moved = [np.abs(rates(u + step[:, None]) - rates(u)) / _DIFFERENCE for step in _DIFFERENCE * np.diag(scale)]
+    by = [(change.mean(axis=1) * getattr(p, phase.duration) / x_scale / size).max() for change in moved]
+    return np.maximum(1.0, np.array(by) / _PLAIN)
 
 
 def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> Vector:

@@ -16,6 +16,7 @@ from perilune.problem.variables import Variable
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
+_SEGMENTS = 8  # of a phase; of several phases together at first
 _ROUGHEST = 0.05  # relative mesh error beyond which a flight is not said to keep anything
 _BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
 _TOUCHING = 1e-3  # of its range
@@ -60,10 +61,15 @@ class Coarse:
         """Its answer, from nothing or from a guess."""
         if self.solution is not None or self.refusal is not None:
             return self.solution
-        try:
-            self.solution = self._run(segments=8, guess=guess)
-        except PeriluneError as error:
-            self.refusal = error
+        # Phases are segments already: of several the mesh of one would be too fine to be found from straight lines.
+        few = max(2, _SEGMENTS // len(self.problem.phases)) if self.settings.transcription is None else _SEGMENTS
+        for segments in dict.fromkeys((few, _SEGMENTS)):
+            try:
+                self.solution = self._run(segments=segments, guess=self.solution or guess)
+            except PeriluneError as error:
+                self.refusal = error
+            if self.solution is not None and _fair(self.solution):
+                break
         return self.solution
 
     @cached_property

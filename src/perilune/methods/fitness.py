@@ -31,6 +31,7 @@ import numpy as np
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.assemble import free_values, multipliers, trajectories
+from perilune.methods.flown import in_one_piece
 from perilune.problem.controls import control_scales
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -196,7 +197,7 @@ class CostateFitness:
             outcome=Outcome.NOT_CONVERGED,
             objective=float("nan"),
             free=free,
-            trajectories=trajectories(problem, conditions, y),
+            trajectories=trajectories(problem, conditions, y, in_one_piece(problem, conditions, y)),
             multipliers=multipliers(problem, conditions, y),
             unknowns=y,
         )

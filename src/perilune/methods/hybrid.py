@@ -111,8 +111,7 @@ def _best(answers: list[Solution], tried: tuple[str, ...], wall_time: float) -> 
     best = answers[0]
     known = list(best.extremals) or [_extremal(best, Nature.NEAR_GUESS)]
     # Each answer is near the individual that it began from; of these the first is the best.
-    ranked = {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
-    known[0] = replace(known[0], nature=ranked.get(known[0].nature, known[0].nature))
+    known[0] = replace(known[0], nature=known[0].nature.unguided)
     for other in answers[1:]:
         # Nearer than the methods' own accuracy is the same answer.
         if other.objective - known[-1].objective > 1e-6 * abs(best.objective):

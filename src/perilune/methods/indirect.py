@@ -1,11 +1,13 @@
 """The indirect method without a guess: Pontryagin's conditions, shooting, and a ladder of ways to start it.
 
-Rungs, in order, each tried only where the one before failed:
+Rungs, in order; the last two are tried only where those before failed:
 
 1. *costates on the unit sphere*: the conditions are linear in the costates up to a factor, and `Problem.scales` make
    their components comparable, so random directions of length one cover the possibilities;
-2. *direct transcription*: a coarse pseudospectral solution and the costates that its multipliers give;
-3. *multiple shooting* from the same, for arcs too unstable to fly in one piece.
+2. *continuation in the duration*, where every duration is given and nothing is free: extremals of shorter flights are
+   carried to the whole one (`perilune.methods.durations`), unless most of the random directions led to a single one;
+3. *direct transcription*: a coarse pseudospectral solution and the costates that its multipliers give;
+4. *multiple shooting* from the same, for arcs too unstable to fly in one piece.
 
 A free parameter between finite bounds (the retro burn) is held at first; then the whole family along it is followed
 and every extremal on it found (`perilune.shooting.extremals`).
@@ -38,9 +40,10 @@ class Indirect(Ladder):
     scan_points
         Values visited along a free parameter between finite bounds.
     segments
-        Arcs for each phase in multiple shooting (third rung).
+        Arcs for each phase in multiple shooting (fourth rung).
     transcription
-        The direct method of the second rung; its mesh need not be fine. None: 8 segments of 5 nodes, not refined.
+        The direct method of the third rung; its mesh need not be fine. None: 8 segments of 5 nodes, of several phases
+        fewer for each, not refined.
     """
 
     def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
@@ -103,4 +106,4 @@ class Indirect(Ladder):
 
 def _may_be_structured(guess: Solution) -> bool:
     """Whether a guess may touch or ride along a condition on states: the indirect method knows when its own does."""
-    return guess.statistics.rung == STRUCTURE or guess.method != Indirect.name
+    return guess.statistics.rung.endswith(STRUCTURE) or guess.method != Indirect.name

@@ -9,8 +9,8 @@ import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import DenseArc
-from perilune.methods.assemble import controls, fly, free_values, objective_scale
+from perilune.methods.assemble import controls, free_values, objective_scale
+from perilune.methods.flown import Flown, exported, in_one_piece
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import state_scales
@@ -70,23 +70,27 @@ class Judge:
         """All that the flight breaks."""
         key = root.y.tobytes()
         if key not in self._known:
-            self._known[key] = tuple(self._breaches(root.y))
+            self._known[key] = tuple(self._breaches(root))
         return self._known[key]
 
-    def _breaches(self, y: Vector) -> Iterator[Breach]:
-        values = free_values(self.problem, self.conditions, y)
+    def _breaches(self, root: Root) -> Iterator[Breach]:
+        values = free_values(self.problem, self.conditions, root.y)
         for free in self.problem.free:
             # A flight does not end before it begins, whatever the bounds say.
             lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
             yield from self._outside(free, np.array([values[free.name]]), lower, free.upper)
-        flights = fly(self.problem, self.conditions, y, rtol=_ACCURACY, atol=_ACCURACY)
-        for phase, extremal, arc in zip(self.problem.phases, self.conditions.phases, flights, strict=True):
-            yield from self._along(phase, extremal, arc, values)
+        settings = {"rtol": _ACCURACY, "atol": _ACCURACY}
+        found = self._on_the_way(in_one_piece(self.problem, self.conditions, root.y, **settings), values)
+        if found:  # where errors grow, one flight alone may break what its pieces keep
+            found = self._on_the_way(exported(self.problem, self.conditions, root, _SLACK, **settings), values)
+        yield from found
 
-    def _along(
-        self, phase: Phase, extremal: PhaseExtremal, arc: DenseArc, values: dict[str, float]
-    ) -> Iterator[Breach]:
-        t, p = np.linspace(0.0, arc.t[-1], _POINTS), self.problem.parameters(values)
+    def _on_the_way(self, flights: list[Flown], values: dict[str, float]) -> list[Breach]:
+        phases = zip(self.problem.phases, self.conditions.phases, flights, strict=True)
+        return [breach for phase, extremal, arc in phases for breach in self._along(phase, extremal, arc, values)]
+
+    def _along(self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float]) -> Iterator[Breach]:
+        t, p = np.linspace(0.0, arc.duration, _POINTS), self.problem.parameters(values)
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
         for state, along in zip(phase.states, x, strict=True):
             yield from self._outside(state, along, *state.limits(p))

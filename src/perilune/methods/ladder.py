@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
 
 
-STRUCTURE = "structure"  # the rung of an answer that touches or rides along conditions on states
+STRUCTURE = "structure"  # ends the rung of an answer that touches or rides along conditions on states
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,11 +16,13 @@ from perilune.methods.coarse import Coarse, along_path
 from perilune.methods.judge import Breach
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.shooting.continuum import nearly_open
 from perilune.shooting.function import Root
 from perilune.words.outcome import BEST_MISSES, CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.units import told
 
 _BROKEN = "every extremal breaks a condition"
+NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the same J (spare time, a free angle)"
 
 
 def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
@@ -120,6 +122,9 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
     advice = (
         "what physics says (perilune check, perilune.preflight); more starts (Indirect(starts=100)), a nearby guess"
     )
+    if nearest is not None and nearly_open(nearest):
+        got += f"; {NOT_ISOLATED}"
+        advice = "a condition more at the end, a shorter or a free duration; " + advice
     if flight is not None and (beyond := beyond_shooting(flight, conditions)) is not None:
         got, advice = beyond
     return NotConvergedError(

@@ -1,33 +1,38 @@
 """From a rough answer to the extremal of its structure: arcs read off it, the problem restated, Newton, arcs revised.
 
-A condition on states alone is kept by riding along it or touching it, which no single smooth arc does. The structure is
-read off the direct method's answer (`perilune.structures.read`), and each of its arcs becomes a phase. The extremal of
-that shows whether it is the right one, and changes it by rule, a bounded number of times:
+A condition on states alone is kept by riding along it or touching it, which no single smooth arc does; nor does one
+know when a control becomes singular, as H says nothing of it then. The structure is read off the direct method's answer
+(`perilune.structures.read`, `perilune.structures.regimes`), and each of its arcs becomes a phase. The extremal of that
+shows whether it is the right one, and changes it by rule, a bounded number of times:
 
 - a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
 - an arc of no length is a touch, or none where its condition cannot be touched;
+- an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
 - a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
-from perilune.problem.extremal import Nature
+from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
-from perilune.structures.read import Contact, arcs_of, broken, of_states, read
-from perilune.structures.restate import part_name
+from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
+from perilune.structures.regimes import revised_stays, stays_of, wavering
+from perilune.structures.restate import part_name, restate
 from perilune.structures.structure import Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
 
 ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
+_BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
@@ -43,6 +48,8 @@ class Polish:
         Receives a line for each structure.
     guessed
         Whether it begins with the user's guess, and not with what a search found.
+    brief
+        Whether each structure is tried from the rough answer alone, and on no mesh of its own.
     """
 
     settings: Ladder
@@ -50,14 +57,34 @@ class Polish:
     watch: Watch
     tried: list[str]
     guessed: bool = False
+    brief: bool = False
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
-        structure = read(self.problem, rough, _GUESSED) if self.guessed else read(self.problem, rough)
-        seen = set[str]()
+        seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
+        for known in self._known(rough):
+            structures = readings(self.problem, known, least)
+            few = [structure for structure in structures if structure.count <= MOST_ARCS]
+            for structure in few or structures:
+                if (found := self._followed(known, structure, seen)) is not None:
+                    return found
+        return None
+
+    def _known(self, rough: Solution) -> Iterator[Solution]:
+        """The rough answer, and where a control between its bounds may be singular that of a finer mesh."""
+        yield rough
+        if not self.guessed and wavering(rough):
+            from perilune.methods.pseudospectral import Pseudospectral
+
+            with suppress(PeriluneError):
+                yield Pseudospectral(nodes=6, segments=32, refine=0).near(rough)
+
+    def _followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
+        """From the first structure that an answer has to the one that its extremal keeps to."""
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
-            if sum(len(arcs) for arcs in structure.phases) > MOST_ARCS:
-                self.tried.append(f"structure of more than {MOST_ARCS} arcs: not tried")
+            if structure.count > MOST_ARCS:
+                line = f"structure of more than {MOST_ARCS} arcs: not tried"
+                self.tried += [] if line in self.tried else [line]
                 return None
             seen.add(structure.text)
             self.watch(f"structure: {structure.text}")
@@ -67,7 +94,8 @@ class Polish:
                 self.tried.append(f"structure {structure.text}: {error.what}")
                 return None
             rough, structure = joined(self.problem, solved, structure), self._timed(structure, solved)
-            revised = self._revised(structure, solved, rough)
+            # A neighbour has the arcs of its guess.
+            revised = structure if is_neighbour(self.problem) else self._revised(structure, solved, rough)
             if revised is structure:
                 self.tried.append(f"structure {structure.text}: an extremal")
                 return self._composed(rough)
@@ -77,24 +105,23 @@ class Polish:
 
     def _composed(self, found: Solution) -> Solution:
         """Near a guess of this run's own it is the best, as it is the only one."""
-        natures = (
-            {} if self.guessed else {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
-        )
-        extremals = (replace(e, nature=natures.get(e.nature, e.nature)) for e in found.extremals)
+        extremals = (e if self.guessed else replace(e, nature=e.nature.unguided) for e in found.extremals)
         statistics = replace(found.statistics, rung=STRUCTURE, tried=tuple(self.tried))
         return replace(found, extremals=tuple(extremals), statistics=statistics)
 
     def _extremal(self, rough: Solution, structure: Structure) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
-        guess, failure = split(rough, structure), None
+        guess, failure = split(rough, structure, restate(self.problem, structure)), None
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
-        meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=3, tolerance=1e-3)
-        # A guess may be an extremal already.
-        for mesh in (None, *meshes) if self.guessed else meshes:
+        # Where a control chatters no mesh is fine enough.
+        refine = 0 if structure.singular else 3
+        meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=refine, tolerance=1e-3)
+        # Most are near enough as they are.
+        for mesh in (None,) if self.brief else (None, *meshes):
             try:
-                near = guess if mesh is None else mesh.near(guess)
-                return Search(self.settings, guess.problem, self.watch).solve(near)
+                search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
+                return search.solve(guess if mesh is None else mesh.near(guess))
             except PeriluneError as error:
                 failure = error
         assert failure is not None
@@ -111,8 +138,12 @@ class Polish:
             known = list(_contacts(structure, k))
             found = list(self._borne_out(structure, solved, k, known))
             found = self._beside(whole, k, found)
-            same &= found == known
-            phases.append(arcs_of(found, flown.duration))
+            stays = stays_of(structure, k)
+            asked = revised_stays(whole, k, stays, _NO_TIME)
+            if asked is None:
+                return None
+            same &= found == known and asked == stays
+            phases.append(arcs_of(found, flown.duration, asked))
         revised = Structure(tuple(phases))
         return structure if same else None if revised.plain else revised
 
@@ -138,7 +169,8 @@ class Polish:
         found = list(found)
         for name in of_states(self.problem, k):
             for begin, end, at in broken(whole, k, name):
-                near = [c for c in found if c.name == name and begin <= c.end and c.begin <= end]
+                reach = _BESIDE * (end - begin)
+                near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
                 ridden = bool(near) or conditions_of(self.problem, k, (name,))[name].order == 1
                 begin, end = (begin, end) if ridden else (at, at)
                 for contact in near:

@@ -46,6 +46,21 @@ class OblateBody(Body):
     )  # fmt: skip
 
 
+@record("body")
+class UniformGravity:
+    """Flat ground that does not turn, under gravity that is the same everywhere."""
+
+    gravity: float = quantity(
+        "m/s^2", "3.7114 m/s^2", above=0.0, most=300.0, hint="write it with its unit; the Earth has 9.8 m/s^2",
+        about="uniform gravity over flat ground that does not turn, in place of the others",
+    )  # fmt: skip
+
+    @property
+    def titled(self) -> str:
+        """How it is called in a sentence."""
+        return f"flat ground under {self.gravity:g} m/s^2"
+
+
 def oblate(body: Body, j2: float) -> OblateBody:
     """The body with its second zonal harmonic."""
     return OblateBody(**{f.name: getattr(body, f.name) for f in fields(Body)}, j2=j2)

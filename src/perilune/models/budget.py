@@ -41,9 +41,10 @@ SPENT = (
 
 
 def landing(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Values of `LANDING`, and of the time of a free fall before ignition where there is one."""
+    """Values of `LANDING`, and of the times of a free fall before ignition and of the parts of a burn with a gate."""
     fall = (p.coast_time,) if hasattr(p, "coast_time") else ()
-    return last.m, p.vehicle_mass - last.m, p.flight_time, *fall
+    parts = (p.gate_time, p.final_time) if hasattr(p, "gate_time") else ()
+    return last.m, p.vehicle_mass - last.m, sum(parts) if parts else p.flight_time, *fall, *parts
 
 
 def spent(velocity: Sequence[Any], push: Any, direction: Sequence[Any], pull: Sequence[Any], m: Any) -> Sequence[Any]:

@@ -27,6 +27,7 @@ from perilune.models.limits import (
     braking,
     engine_holds_dry_mass,
     longest_burn,
+    mass_held,
     propellant_stops,
     speed_of_ground,
     speed_to_lose,
@@ -162,8 +163,8 @@ def _preflight(p: Any, m: Any, *, to_site: bool, body: Body = MOON) -> tuple[Fin
     """Bounds of `perilune.models.limits`, and how far the propellant reaches."""
     r_site = p.body_radius + p.site_altitude
     position, velocity = CARTESIAN.start(p, m)[:3], CARTESIAN.start(p, m)[3:6]
-    found = [above_site(p.start_altitude, p.site_altitude), thrust_against_weight(p.site_altitude, p)]
-    found += engine_holds_dry_mass(r_site, p, m)
+    found = [above_site(p.start_altitude, p.site_altitude), thrust_against_weight(r_site, p)]
+    found += engine_holds_dry_mass(mass_held(r_site, p, m), p)
     found.append(stopping_distance(position, velocity, AXIS, r_site, p, m))
     if hasattr(p, "vehicle_dry_mass"):
         found.append(propellant_stops(position, velocity, AXIS, r_site, p, m))

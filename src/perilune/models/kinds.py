@@ -5,18 +5,19 @@ Nothing else knows of them: the reader of scenarios, the templates and the refer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from perilune.models.bodies import BODIES, Body, OblateBody
+from perilune.models.bodies import BODIES, Body, OblateBody, UniformGravity
 from perilune.models.descent import Choices, Ignition, Site, Steering, powered_descent
+from perilune.models.final_descent import FinalDescent
 from perilune.models.landing import LandingSite, Orbit, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Retro, Throttle, Vehicle
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
-from perilune.words.declared import record
+from perilune.words.declared import Key, keys_of, record
 
 PROOF = "proof"  # the section that is no part of the problem
 
@@ -40,12 +41,37 @@ class Section:
         Its record where it is left out.
     known
         Records that may be stated by their name alone.
+    instead
+        Class of another record that the section may state.
+    absent
+        When it may be left out, in words.
     """
 
     record: type
     required: bool = True
     otherwise: Any = None
     known: Mapping[str, Any] = field(default_factory=dict)
+    instead: type | None = None
+    absent: str = "may be left out"
+
+    @property
+    def keys(self) -> Mapping[str, Key]:
+        """All keys that it may have, in order."""
+        return {**keys_of(self.record), **self._others}
+
+    @property
+    def _others(self) -> Mapping[str, Key]:
+        return {} if self.instead is None else keys_of(self.instead)
+
+    @property
+    def alone(self) -> tuple[str, ...]:
+        """Keys that stand in place of the others."""
+        return (*(("name",) if self.known else ()), *(key for key in self._others if key not in keys_of(self.record)))
+
+    def stated(self, keys: Iterable[str]) -> type:
+        """Class of the record that has these keys; where no one class has them all, of the first."""
+        found = set(keys)
+        return self.instead if self.instead and found and found <= self._others.keys() else self.record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,16 +126,16 @@ def _descent(
 
 def _precision(
     problem: Undecided,
-    body: OblateBody,
+    body: OblateBody | UniformGravity,
     vehicle: Vehicle,
     throttle: Throttle,
     approach: Approach,
-    site: Site,
+    site: Site | None,
     corridor: Corridor | None,
+    final: FinalDescent | None,
 ) -> Problem:
-    return precision_landing(
-        vehicle, approach, site, corridor, (throttle.lower, throttle.upper), body, j2=body.j2
-    )  # fmt: skip
+    shares, j2 = (throttle.lower, throttle.upper), getattr(body, "j2", 0.0)
+    return precision_landing(vehicle, approach, site, corridor, shares, body, final=final, j2=j2)
 
 
 _ANY = Section(record=Undecided, required=False, otherwise=Undecided())
@@ -154,12 +180,13 @@ PRECISION = Kind(
     about="The last kilometres: down to a named point with the least propellant, within a corridor.",
     sections={
         "problem": Section(record=Undecided),
-        "body": Section(record=OblateBody, known=BODIES),
+        "body": Section(record=OblateBody, known=BODIES, instead=UniformGravity),
         "vehicle": Section(record=Vehicle),
         "throttle": Section(record=Throttle),
         "approach": Section(record=Approach),
-        "site": Section(record=Site),
+        "site": Section(record=Site, required=False, absent="left out over flat ground"),
         "corridor": Section(record=Corridor, required=False),
+        "final": Section(record=FinalDescent, required=False),
     },
     make=_precision,
     example={

@@ -142,7 +142,7 @@ def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
 
     r = p.body_radius + p.landing_altitude
     return (
-        thrust_against_weight(p.landing_altitude, p),
+        thrust_against_weight(r, p),
         at_most(
             "braking distance without gravity", "km",
             braking(perilune_speed(p, m), p, m)[0] / 1e3, math.pi * p.body_radius / 1e3,

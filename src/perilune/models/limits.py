@@ -20,6 +20,12 @@ did before, a_r <= T/(m0 - q t), q = T/c the greatest flow, as more mass is left
 Z is convex, and r' <= Z'. Let Z(t_b) < r_s. Where k >= 0, Z' < 0 before t_b, so no flight is at rest before t_b, and
 at t_b it is below the site. Where k < 0, Z has its least value, below r_s too, at some t_s <= t_b; before t_s no flight
 is at rest, and at t_s it is below the site. Either way there is no flight. Z(t_b) = r(0) - v m0/q + c t_b - k t_b^2/2.
+
+*A speed u that may be left on the ground.* With v - u for v in t_b and in the way, Z(t_b) + u t_b is compared with r_s.
+Until Z' = -u no flight is slow enough, and there Z <= Z(t_b) + u t_b, so that it is below the site.
+
+*Flat ground.* Under uniform gravity g, r is the height over the ground, the fall from it mu (1/r_s - 1/r) is g (r -
+r_s), mu/r^2 is g, and what has r in its denominator otherwise is nothing.
 """
 
 from __future__ import annotations
@@ -34,6 +40,29 @@ from perilune.problem.preflight import Finding
 SLACK = 1.02  # of what the rocket equation allows, for J2, which the speed w leaves out
 
 
+def is_flat(p: Any) -> bool:
+    """Whether the ground is flat and gravity uniform: a radius is then the height over it."""
+    return hasattr(p, "body_gravity")
+
+
+def gravity_at(r: Any, p: Any) -> Any:
+    """Gravity [m/s^2] of a sphere at a radius, or uniform gravity."""
+    return p.body_gravity if is_flat(p) else p.body_gravitational_parameter / (r * r)
+
+
+def _pull_of_j2(r_site: Any, p: Any, m: Any) -> Any:
+    """No more than this [m/s^2] does oblateness pull above the site."""
+    if not hasattr(p, "body_j2"):
+        return 0.0
+    r_ratio = p.body_radius / r_site
+    return 3 * m.fabs(p.body_j2) * gravity_at(r_site, p) * r_ratio * r_ratio
+
+
+def _centrifugal(speed: Any, r: Any, p: Any) -> Any:
+    """What a horizontal speed lifts [m/s^2] where the ground is round."""
+    return 0.0 if is_flat(p) else speed * speed / r
+
+
 def greatest_thrust(p: Any) -> Any:
     """Thrust [N] at the upper bound of the throttle."""
     return p.vehicle_thrust * getattr(p, "throttle_upper", 1.0)
@@ -46,34 +75,33 @@ def exhaust_speed(p: Any) -> Any:
 
 def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
     """Speed [m/s] in inertial axes of a position from the centre and a velocity beside the turning body."""
-    seen = combine((1, velocity), (p.body_rotation_rate, cross(axis, position)))
+    seen = velocity if is_flat(p) else combine((1, velocity), (p.body_rotation_rate, cross(axis, position)))
     return m.sqrt(dot(seen, seen))
 
 
 def speed_with_fall(speed: Any, r_start: Any, r_site: Any, p: Any, m: Any) -> Any:
     """The speed w of the head of this file [m/s], which only thrust changes."""
-    return m.sqrt(speed * speed + 2 * p.body_gravitational_parameter * (1 / r_site - 1 / r_start))
+    drop = r_start - r_site
+    fall = p.body_gravity * drop if is_flat(p) else p.body_gravitational_parameter * (1 / r_site - 1 / r_start)
+    return m.sqrt(speed * speed + 2 * fall)
 
 
 def speed_of_ground(r_site: Any, p: Any, m: Any) -> Any:
     """Greatest inertial speed [m/s] of a place at rest on the ground."""
-    return m.fabs(p.body_rotation_rate) * r_site
+    return 0.0 if is_flat(p) else m.fabs(p.body_rotation_rate) * r_site
 
 
 def mass_held(r_site: Any, p: Any, m: Any) -> Any:
     """Largest mass [kg] that can come to rest on the ground from above, anywhere at this radius."""
-    r_ratio = p.body_radius / r_site
-    oblate = 3 * m.fabs(getattr(p, "body_j2", 0.0)) * r_ratio * r_ratio
-    weight = p.body_gravitational_parameter / r_site**2 * (1 - oblate) - p.body_rotation_rate**2 * r_site
-    return greatest_thrust(p) / m.fmax(weight, 0.0)
+    lifted = _centrifugal(speed_of_ground(r_site, p, m), r_site, p)
+    return greatest_thrust(p) / m.fmax(gravity_at(r_site, p) - _pull_of_j2(r_site, p, m) - lifted, 0.0)
 
 
-def thrust_against_weight(altitude: Any, p: Any) -> Finding:
-    """Whether the vehicle could hover when it ignites, with the weight at an altitude [m]."""
-    gravity = p.body_gravitational_parameter / (p.body_radius + altitude) ** 2
+def thrust_against_weight(r_site: Any, p: Any) -> Finding:
+    """Whether the vehicle could hover when it ignites, with the weight at the site."""
     return Finding(
         name="thrust against weight at ignition",
-        value=greatest_thrust(p) / (p.vehicle_mass * gravity),
+        value=greatest_thrust(p) / (p.vehicle_mass * gravity_at(r_site, p)),
         limit=1.0,
         at_least=True,
         unit="1",
@@ -82,14 +110,14 @@ def thrust_against_weight(altitude: Any, p: Any) -> Finding:
     )
 
 
-def engine_holds_dry_mass(r_site: Any, p: Any, m: Any) -> tuple[Finding, ...]:
-    """Whether the engine can stop what must land; nothing where no dry mass is given."""
+def engine_holds_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
+    """Whether the engine can stop what must land, by the largest mass [kg]; nothing where no dry mass is given."""
     if not hasattr(p, "vehicle_dry_mass"):
         return ()
     return (
         Finding(
             name="landed mass that the thrust can hold",
-            value=mass_held(r_site, p, m),
+            value=held,
             limit=p.vehicle_dry_mass,
             at_least=True,
             unit="kg",
@@ -132,10 +160,10 @@ def air_left_out(body: Body) -> tuple[Finding, ...]:
     )
 
 
-def braking(speed: Any, p: Any, m: Any) -> tuple[Any, Any]:
-    """Distance [m] and time [s] to stop from `speed` by full thrust alone in free space."""
-    exhaust = exhaust_speed(p)
-    tau = p.vehicle_mass * exhaust / greatest_thrust(p)
+def braking(speed: Any, p: Any, m: Any, lever: Any = 1.0) -> tuple[Any, Any]:
+    """Distance [m] and time [s] to stop from `speed` by full thrust alone in free space, each push times a lever."""
+    tau = p.vehicle_mass * exhaust_speed(p) / greatest_thrust(p)
+    exhaust = lever * exhaust_speed(p)
     time = tau * (1 - m.exp(-speed / exhaust))
     return speed * tau - exhaust * time, time
 
@@ -160,12 +188,12 @@ def speed_to_lose(
 
 
 def propellant_stops(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
     """Whether the propellant above the dry mass suffices by the rocket equation; arguments as `stopping_distance`."""
     return Finding(
         name="speed to lose",
-        value=speed_to_lose(position, velocity, axis, r_site, p, m),
+        value=speed_to_lose(position, velocity, axis, r_site, p, m) - left,
         limit=SLACK * velocity_change(p, m),
         at_least=False,
         unit="m/s",
@@ -176,26 +204,28 @@ def propellant_stops(
 
 
 def stopping_distance(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
     """Whether any flight stops its descent above the site: the proof is at the head of this file.
 
     Parameters
     ----------
     position, velocity
-        From the centre [m], and beside the turning body [m/s], in axes that turn with it.
+        From the centre [m], and beside the turning body [m/s], in axes that turn with it; over flat ground from the
+        point under the vehicle.
     axis
         Unit vector of the rotation in them.
     r_site
         Radius of the site [m].
+    left
+        Speed [m/s] straight down that may be left on the ground.
     """
     r = m.sqrt(dot(position, position))
-    down = m.fmax(-dot(position, velocity) / r, 0.0)
+    down = m.fmax(-dot(position, velocity) / r - left, 0.0)
     distance, time = braking(down, p, m)
-    mu, r_ratio = p.body_gravitational_parameter, p.body_radius / r_site
-    oblate = 3 * m.fabs(p.body_j2) * mu / r_site**2 * r_ratio * r_ratio  # J2 pulls with no more than this
-    fastest = inertial_speed(position, velocity, axis, p, m) + down + (mu / r_site**2 + oblate) * time
-    pull = mu / (r * r) - oblate - fastest * fastest / r_site
+    oblate = _pull_of_j2(r_site, p, m)
+    fastest = inertial_speed(position, velocity, axis, p, m) + down + (gravity_at(r_site, p) + oblate) * time
+    pull = gravity_at(r, p) - oblate - _centrifugal(fastest, r_site, p)
     return Finding(
         name="fall before full thrust can stop it",
         value=distance + 0.5 * pull * time * time,

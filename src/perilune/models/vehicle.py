@@ -70,12 +70,17 @@ class Retro:
     )
 
 
+_SHARE: dict[str, Any] = {
+    "least": 0.0, "most": 1.0, "hint": "a share of vehicle.thrust: divide a thrust in newtons by that",
+}  # fmt: skip
+
+
 @record("throttle")
 class Throttle:
     """Range of the throttle, in shares of full thrust."""
 
-    lower: float = quantity("1", "0.3", least=0.0, most=1.0, about="least share of full thrust")
-    upper: float = quantity("1", "0.9", least=0.0, most=1.0, about="greatest share of full thrust")
+    lower: float = quantity("1", "0.3", **_SHARE, about="least share of full thrust")
+    upper: float = quantity("1", "0.9", **_SHARE, about="greatest share of full thrust")
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:

@@ -21,7 +21,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales
 
-Regime = Literal["lower", "interior", "upper", "held", "direction"]
+Regime = Literal["lower", "interior", "upper", "held", "direction", "singular"]
 # A limit: a number in SI, or the name of the parameter that holds it.
 Limit = float | str
 
@@ -221,6 +221,26 @@ class Bounded:
         """Where a value lies on its lower, and on its upper bound, within `near` [SI]."""
         lower, upper = self.limits(p)
         return u <= lower + near, u >= upper - near
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settled(Bounded):
+    """A scalar of which it is known what it does all along its phase (`perilune.structures`).
+
+    On its lower or its upper bound; or ``"singular"``, where H is linear in it and its slope dH/du vanishes all along.
+    """
+
+    regime: Literal["lower", "upper", "singular"]
+
+    @property
+    def bounded(self) -> bool:
+        """Whether it has a range to move in."""
+        return self.regime == "singular" and super().bounded
+
+    def limits(self, p: Any) -> tuple[Any, Any]:
+        """Bounds in SI, or in the units of the record p: twice the one on which it lies."""
+        lower, upper = super().limits(p)
+        return {"lower": (lower, lower), "upper": (upper, upper), "singular": (lower, upper)}[self.regime]
 
 
 Control = Direction | Bounded

@@ -27,6 +27,12 @@ class Nature(Enum):
         """What the best of those found is where there is a better one."""
         return {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(self, self)
 
+    @property
+    def unguided(self) -> Nature:
+        """What an extremal near a guess is where the guess was a method's own, and no other was found."""
+        ranked = {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
+        return ranked.get(self, self)
+
     @classmethod
     def _missing_(cls, value: object) -> Nature | None:
         """Words that older files used."""

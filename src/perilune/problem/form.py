@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.problem.controls import Settled
 from perilune.problem.tape import Expression, NotAFormula, Recorder, Symbol
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -287,7 +288,10 @@ def trace(problem: Any) -> Form:
                 phase.name,
                 phase.duration,
                 [[s.name, s.unit, _named_limits(s)] for s in phase.states],
-                [[c.kind, c.names, c.unit, _named_limits(c)] for c in phase.controls],
+                [
+                    [c.kind, c.names, c.unit, _named_limits(c), *([c.regime] if isinstance(c, Settled) else [])]
+                    for c in phase.controls
+                ],
             ]
             for phase in problem.phases
         ],

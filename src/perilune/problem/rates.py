@@ -123,6 +123,30 @@ def acts(expression: Expression) -> bool:
     return any(op[0] == "u" for op in expression.tape.instructions)
 
 
+def acts_linearly(expression: Expression, control: str) -> bool:
+    """Whether a control is in it, and in each of its values with a slope that does not depend on the control.
+
+    By the operations, so that what only cancels is no linear one.
+    """
+    degree: list[int] = []
+    for operation in expression.tape.instructions:
+        name, *rest = operation
+        of = [degree[i] for i in operands(operation)]
+        if name in ROLES:
+            degree.append(int(name == "u" and rest[0] == control))
+        elif name in ("add", "sub", "neg"):
+            degree.append(max(of))
+        elif name == "mul":
+            degree.append(min(sum(of), 2))
+        elif name == "div":
+            degree.append(2 if of[1] else of[0])
+        elif name == "where":
+            degree.append(2 if of[0] else max(of[1:]))
+        else:
+            degree.append(2 if any(of) else 0)
+    return max((degree[k] for k in expression.tape.outputs), default=0) == 1
+
+
 def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> Expression:
     """The total derivatives of a function's values along the flight.
 

@@ -6,7 +6,7 @@ record: what is exported is exactly what the verifier flies. `hermite_nodes` cho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
@@ -150,6 +150,9 @@ class Deferred(Sequence[Trajectory]):
         if self._made is None:
             self._made = self._make()
         return self._made[index]
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return iter(self[:])  # an IndexError while they are made is a fault, and not the end of a sequence
 
 
 @dataclass(frozen=True, kw_only=True)

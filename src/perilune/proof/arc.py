@@ -164,6 +164,11 @@ class Arc:
         return objective_scale(self.solution)
 
     @cached_property
+    def rate_scale(self) -> float:
+        """Size of H [J/s]: J over the time of the whole flight, whatever units it was computed in."""
+        return self.objective_scale / sum(flown.duration for flown in self.solution.trajectories)
+
+    @cached_property
     def breaks(self) -> Vector:
         """Times inside the phase at which the table of the control begins anew: switches, joints of a mesh [s]."""
         time = self.trajectory.control.time

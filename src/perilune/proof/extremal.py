@@ -30,7 +30,7 @@ from perilune.problem.solution import Solution
 from perilune.problem.variables import Free
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, end_slopes, free_size, objective_scale, objective_slope, slopes_at_end
-from perilune.proof.flight import Flight, costate_deviation
+from perilune.proof.flight import MOST_GROWTH, Flight, costate_deviation
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import COMPLEX, STEP
 from perilune.proof.pieces import just_before
@@ -67,12 +67,12 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
     nu = all_multipliers(arcs)
     for (arc, flight), multipliers in zip(flown, nu, strict=True):
         yield from _costates(arc, flight)
-        yield _transversality(arc, end_multipliers(arc)[1])
+        yield _transversality(arc)
         yield from _signs(arc, multipliers)
         yield _hamiltonian_constant(arc)
     yield from _multipliers(solution, arcs, nu)
     for free in solution.problem.free:
-        yield _stationary(solution, free, parameter_gradient(arcs, nu, free.name))
+        yield _stationary(arcs[0], free, parameter_gradient(arcs, nu, free.name))
     for arc in arcs:
         if arc.phase.controls:
             yield from minimality(arc)
@@ -111,6 +111,26 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     if met.any():
         nu[met] = np.linalg.lstsq(psi[met].T / size[met], wanted, rcond=None)[0] / size[met]
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
+
+
+def _sizes_at_end(arc: Arc) -> Vector:
+    """Sizes of the components of lam(t_f), and of what has to explain them, at least 1; scaled."""
+    lam = arc.costate(np.array([arc.duration]))[:, 0] * arc.state_scale
+    return np.maximum(1.0, np.maximum(np.abs(lam), np.abs(end_gradients(arc)[1])) / arc.objective_scale)
+
+
+def _multiplier_sizes(arc: Arc) -> Vector:
+    """What errors of lam(t_f), each of its size, make of each multiplier, at least 1; scaled, (q,).
+
+    Conditions that are nearly the same have multipliers that are nearly undetermined: up to `MOST_GROWTH` times.
+    """
+    psi, size, met = end_slopes(arc), arc.end_scale, end_sides(arc) != INSIDE
+    sizes = np.ones(len(size))
+    if met.any():
+        at_end = _sizes_at_end(arc)
+        spread = np.abs(np.linalg.pinv(psi[met].T / size[met])) @ at_end
+        sizes[met] = np.clip(spread, 1.0, MOST_GROWTH * at_end.max())
+    return sizes
 
 
 def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
@@ -169,10 +189,10 @@ def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
             )  # fmt: skip
 
 
-def _transversality(arc: Arc, residual: Vector) -> Check:
+def _transversality(arc: Arc) -> Check:
     return Check(
-        name=f"{arc.prefix}transversality", level=2, value=float(np.abs(residual).max()),
-        limit=STATIONARY_LIMIT, unit="1",
+        name=f"{arc.prefix}transversality", level=2, value=float(np.abs(end_multipliers(arc)[1]).max()),
+        limit=STATIONARY_LIMIT * float(_sizes_at_end(arc).max()), unit="1",
         meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain (scaled); the bound of "
         "a state that is reached there is none of them",
     )  # fmt: skip
@@ -181,15 +201,17 @@ def _transversality(arc: Arc, residual: Vector) -> Check:
 def _multipliers(solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector]) -> Iterator[Check]:
     differences = []
     for arc, nu in zip(arcs, found, strict=True):
-        for condition, value, size in zip(arc.phase.end_conditions, nu, arc.end_scale, strict=True):
+        scaled = arc.end_scale / arc.objective_scale
+        sizes = np.maximum(_multiplier_sizes(arc), np.abs(nu) * scaled) / scaled
+        for condition, value, size in zip(arc.phase.end_conditions, nu, sizes, strict=True):
             name = f"{arc.phase.name}.{condition.name}"
             if name in solution.multipliers:
-                differences.append(abs(value - solution.multipliers[name]) * size / arc.objective_scale)
+                differences.append(abs(value - solution.multipliers[name]) / size)
     if differences:
         yield Check(
             name="multipliers", level=2, value=float(np.max(differences)), limit=STATIONARY_LIMIT, unit="1",
-            meaning="largest difference between an end condition's multiplier and the one lam(t_f) implies "
-            "(scaled)",
+            meaning="largest difference between an end condition's multiplier and the one lam(t_f) implies, by what "
+            "errors of lam(t_f) make of it (scaled)",
         )  # fmt: skip
 
 
@@ -201,7 +223,7 @@ def _hamiltonian_constant(arc: Arc) -> Check:
     )
     return Check(
         name=f"{arc.prefix}hamiltonian_constant", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
-        value=float(np.abs(values - values.mean()).max()) * arc.time_scale / arc.objective_scale,
+        value=float(np.abs(values - values.mean()).max()) / arc.rate_scale,
         meaning="largest change of the Hamiltonian along the arc (scaled); it is constant on an extremal",
     )  # fmt: skip
 
@@ -266,15 +288,16 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
     ]
 
 
-def _stationary(solution: Solution, free: Free, gradient: float) -> Check:
-    problem = solution.problem
-    scaled = gradient * free_size(solution, free) / objective_scale(solution)
+def _stationary(arc: Arc, free: Free, gradient: float) -> Check:
+    solution, problem = arc.solution, arc.problem
+    timed = free.name in problem.duration_names
+    scaled = gradient / arc.rate_scale if timed else gradient * free_size(solution, free) / arc.objective_scale
     lower, upper = at_bound(solution, free)
     limit, meaning = (
         STATIONARY_LIMIT,
         f"derivative of the optimal objective with respect to {free.name} (scaled)",
     )
-    if free.name in problem.duration_names:
+    if timed:
         limit = HAMILTONIAN_LIMIT
         meaning += ": how far the Hamiltonian is from its required value, 0 for a free flight time"
     value = abs(scaled)

@@ -43,8 +43,8 @@ class Deviation:
     """What is flown less what a table says, scaled.
 
     `inside` is that at the points of the pieces (n, N, 4), `ends` at their ends (n, N, 2); `largest` of each component
-    the largest of all, with what quadrature leaves `still_open`. `growth` is the most that errors of one size in all
-    components at one time become in it, from the start to anywhere or from anywhere to the end.
+    the largest of all, with what quadrature leaves `still_open`. `growth` is the most that errors of all components at
+    one time, each of its size, become in it, from the start to anywhere or from anywhere to the end.
     """
 
     inside: Matrix
@@ -161,7 +161,9 @@ def costate_deviation(arc: Arc) -> Deviation:
         over[joint] = crossing.adjoint
         jumps[:, joint] = crossing.adjoint @ ends[:, joint, 1] - ends[:, joint + 1, 0]
     joints = Joints(np.zeros(n), jumps, over)
-    return carried(pieces, at, ends, slopes.costate, -slopes.matrix.swapaxes(2, 3), joints, still[n:])
+    # A state is scaled by what it reaches; what its costate reaches is that of J, or more where J is a difference.
+    sizes = np.maximum(1.0, np.abs(ends).max(axis=(1, 2)))
+    return carried(pieces, at, ends, slopes.costate, -slopes.matrix.swapaxes(2, 3), joints, still[n:], sizes)
 
 
 @dataclass(frozen=True)
@@ -184,8 +186,9 @@ class Joints:
 
 
 def carried(
-    pieces: Pieces, at: Matrix, ends: Matrix, slopes: Matrix, matrix: Any, joints: Joints, still: Vector
-) -> Deviation:
+    pieces: Pieces, at: Matrix, ends: Matrix, slopes: Matrix, matrix: Any, joints: Joints, still: Vector,
+    sizes: Vector | None = None,
+) -> Deviation:  # fmt: skip
     """Newton's step of the collocation, from piece to piece.
 
     Parameters
@@ -200,6 +203,8 @@ def carried(
         What happens between the pieces.
     still
         What quadrature leaves open, (n,).
+    sizes
+        Of the components, each at least 1; 1 where they are left out.
     """
     defect = ends[:, :, :1] + pieces.width[:, None] * (slopes @ UP_TO.T) - at
     over = ends[:, :, 0] + pieces.width * (slopes @ WEIGHTS) - ends[:, :, 1]
@@ -221,19 +226,20 @@ def carried(
     inside = own + np.einsum("nikl,nl->nik", through, starts)
     return Deviation(
         inside=inside.transpose(1, 0, 2), ends=np.stack([starts.T, finals.T], axis=2), still_open=still,
-        growth=_growth(past, joints.over),
+        growth=_growth(past, joints.over, sizes),
     )  # fmt: skip
 
 
-def _growth(past: Any, over: dict[int, Matrix]) -> Vector:
+def _growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> Vector:
     """Of `Deviation`, from the matrices by which a deviation passes each piece (N, n, n)."""
+    sizes = np.ones(past.shape[1]) if sizes is None else sizes
     passed = [over[i] @ each if i in over else each for i, each in enumerate(past)]
-    most = np.ones(past.shape[1])
+    most = sizes
     ahead = behind = np.eye(past.shape[1])
     for first, last in zip(passed, reversed(passed), strict=True):
         ahead, behind = first @ ahead, behind @ last
-        most = np.maximum(most, np.maximum(np.abs(ahead).sum(axis=1), np.abs(behind).sum(axis=1)))
-    return np.minimum(most, MOST_GROWTH)  # NaN, of tables that cannot pass, stays
+        most = np.maximum(most, np.maximum(np.abs(ahead) @ sizes, np.abs(behind) @ sizes))
+    return np.minimum(most, MOST_GROWTH * sizes)  # NaN, of tables that cannot pass, stays
 
 
 def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]:

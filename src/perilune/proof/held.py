@@ -96,7 +96,7 @@ def held_along(
     if arc.allowed is None:
         return None, basis, True
     allowed, found = arc.allowed, arc.allowed.multipliers(x, u, lam)
-    pulls = np.abs(found.falls) * arc.time_scale / arc.objective_scale > SLOPE_LIMIT
+    pulls = np.abs(found.falls) / arc.rate_scale > SLOPE_LIMIT
     always = allowed.active(x, u).all(axis=1)
     rows = np.nonzero(pulls.any(axis=1) | allowed.equal)[0].tolist()
     if not rows or not always[rows].all():

@@ -98,7 +98,9 @@ def _parameters(solution: Solution, bound: dict[str, float], resolve: Resolve) -
     for free in problem.free:
         if free.name in problem.duration_names or free.name in bound:
             continue
-        value, size = solution.free[free.name], problem.size_of(free)
+        value, room = solution.free[free.name], free.upper - free.lower
+        # Its canonical unit may be as small as anyone likes; where it is counted from is no size.
+        size = max(problem.size_of(free), min(abs(value), room) if np.isfinite(room) else 0.0)
         widest = min(PARAMETER_SHIFT * size, 0.5 * (value - free.lower), 0.5 * (free.upper - value))
         for share in _SHARES:
             shift = share * widest

@@ -19,6 +19,9 @@ d2J is the Hessian of the Lagrangian of the finite-dimensional problem in switch
 positivity on the critical cone is sufficient together with the strict conditions of `switching`. Where the end
 conditions leave no variation at all, these suffice alone, and kappa is 0.
 
+On a singular arc the integral of its control has the control's place (`singular`). The control jumps at both ends, the
+times of which have no curvature of their own; what is left of its impulse at the end is a free parameter.
+
 Where the flight crosses a jump of the physics, s(x) = 0, the time of that joins p as well, without a curvature of its
 own: s = 0 there is one more condition to be kept, and nu s of `crossings` one more term of the Lagrangian.
 
@@ -46,6 +49,7 @@ from perilune.proof.guards import watched_rates
 from perilune.proof.held import strict_conditions
 from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
+from perilune.proof.singular import Leap, Singular
 from perilune.proof.switching import HAMILTONIAN_LIMIT, crossings, strictness
 from perilune.proof.variations import Kept, Piece, pieces_of
 from perilune.words.types import Matrix, Vector
@@ -54,6 +58,7 @@ CURVATURE_LIMIT = -1e-4
 # Discretisation lowers kappa by 1.6e-4 of itself (oscillator).
 KAPPA_LIMIT = 0.999
 _SAID_TWICE = 1e-7  # of a linearised condition: by so much others that say the same may differ
+_NOTHING = 1e-10  # of the form: less is zero
 
 
 def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None) -> Iterator[Check]:
@@ -73,6 +78,7 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
     for arc in arcs:
         own = [piece for piece in pieces if piece.arc is arc]
         yield _legendre_clebsch(arc, own)
+        yield from _kelley(arc, own)
         if own[0].kept.rides:
             yield _leaving(arc, own)
         yield from strictness(arc)
@@ -103,6 +109,8 @@ def _positive(forms: tuple[Matrix, Matrix, int] | None, fixed: Sequence[int], *,
         form, constraints, m = forms
         form = np.delete(np.delete(form, fixed, axis=0), fixed, axis=1)
         value, variations = kappa(form, np.delete(constraints, fixed, axis=1), m - len(fixed))
+        if np.isnan(value):
+            meaning += "; not available: a free parameter alone, or an impulse as a singular arc ends, costs nothing"
         if not variations:
             meaning += "; the end conditions leave nothing to vary, so that strict switching suffices for a minimum"
     return Check(name=name, level=3, value=value, limit=KAPPA_LIMIT, unit="1", meaning=meaning)
@@ -113,17 +121,31 @@ def _tangled(arc: Arc) -> bool:
     places = [at for at, _ in scalars(arc.phase.controls)]
     jumps = arc.jumps != 0
     alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, places, axis=0).any()
-    return not alone or bool((crossings(arc)[jumps.any(axis=0)] <= HAMILTONIAN_LIMIT).any())
+    switches = jumps.any(axis=0) & ~(singular := Singular.of(arc).junctions)
+    smooth = singular & ~jumps.any(axis=0)  # a junction without a jump is no end of an impulse
+    return not alone or bool(smooth.any() or (crossings(arc)[switches] <= HAMILTONIAN_LIMIT).any())
 
 
 def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:
-    curvature = [np.linalg.eigvalsh(piece.H_uu) for piece in pieces if piece.sizes[2]]
+    curvature = [np.linalg.eigvalsh(piece.bends) for piece in pieces if piece.bends.shape[1]]
     value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=-1.0)
     return Check(
         name=f"{arc.prefix}legendre_clebsch", level=3, value=value, limit=CURVATURE_LIMIT, unit="1",
         meaning="minus the smallest second derivative of the Hamiltonian in the control, over its largest: below 0 "
         "when a control that is not on a bound is a strict minimum all along (-1: there is none)",
     )  # fmt: skip
+
+
+def _kelley(arc: Arc, pieces: Sequence[Piece]) -> Iterator[Check]:
+    """Of singular arcs."""
+    own = [piece.kelley for piece in pieces if len(piece.kelley)]
+    if own:
+        yield Check(
+            name=f"{arc.prefix}kelley", level=3, limit=CURVATURE_LIMIT, unit="1",
+            value=max(-float(along.min() / np.abs(along).max()) for along in own),
+            meaning="minus the smallest curvature of H in the integral of a singular control, over its largest: below "
+            "0 where Kelley's condition holds strictly, -d/du d^2(H_u)/dt^2 > 0",
+        )  # fmt: skip
 
 
 def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
@@ -153,7 +175,9 @@ def _kernel(constraints: Matrix) -> Matrix:
 
 
 def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
-    """Largest destabilising eigenvalue (above), infinite where a free parameter alone already gains; and of how many.
+    """Largest destabilising eigenvalue (above); and of how many.
+
+    It is infinite where a free parameter alone already gains, and NaN where it costs nothing to second order.
 
     Parameters
     ----------
@@ -170,8 +194,9 @@ def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
     alone = int((weights < 1e-10).sum())  # variations of parameters without any of the control
     if alone:
         own, mixed = form[:alone, :alone], form[:alone, alone:]
-        if np.linalg.eigvalsh(own)[0] <= 0:
-            return float("inf"), len(weights)
+        least = float(np.linalg.eigvalsh(own)[0])
+        if least <= _NOTHING * np.abs(form).max():
+            return float("nan") if least >= -_NOTHING * np.abs(form).max() else float("inf"), len(weights)
         form = form[alone:, alone:] - mixed.T @ np.linalg.solve(own, mixed)
     if not form.size or alone == len(weights):
         return 0.0, len(weights)
@@ -216,6 +241,9 @@ def _form(pieces: Sequence[Piece]) -> tuple[Matrix, Matrix, int]:
         weighted = step * piece.W.transpose(2, 0, 1) @ path
         flat = (piece.steps * (n + m + k), columns)  # which may be none
         form += path.reshape(flat).T @ weighted.reshape(flat)
+        if piece.leap is not None:
+            dx, curved = _left(piece.leap, dx, parameters)
+            form += curved
         if piece.crossing:
             rows, curved = _cross(piece, dx, parameters)
             form += curved
@@ -228,6 +256,14 @@ def _form(pieces: Sequence[Piece]) -> tuple[Matrix, Matrix, int]:
             constraints.append(_beyond(np.vstack([rows, left]), held))
             known = np.vstack([held, rows])
     return 0.5 * (form + form.T), np.vstack(constraints), m - len(curvature)
+
+
+def _left(leap: tuple[int, Leap], dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+    """dx behind a singular arc, and what its impulse adds to the form."""
+    place, own = leap
+    h, slopes = parameters[place], own.mixed @ np.vstack([dx, parameters])
+    curved = np.outer(h, slopes) + np.outer(slopes, h) + own.square * np.outer(h, h)
+    return dx + np.outer(own.by, h), curved
 
 
 def _curved(piece: Piece, function: Any, x: Vector, scale: Vector, moves: Matrix) -> tuple[Matrix, Matrix]:

@@ -29,6 +29,7 @@ from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
 from perilune.proof.arc import Arc
 from perilune.proof.numerics import STEP, jacobian
 from perilune.proof.pieces import just_before
+from perilune.proof.singular import Singular, slopes_beside
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.
@@ -74,7 +75,7 @@ def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
             continue
         yield Check(
             name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
-            value=float(np.maximum(-falls, 0.0).max()) * arc.time_scale / arc.objective_scale,
+            value=float(np.maximum(-falls, 0.0).max()) / arc.rate_scale,
             meaning=f"most that the Hamiltonian falls as the control leaves {condition.name} = 0 for the inside: a "
             "multiplier of the wrong sign (scaled)",
         )  # fmt: skip
@@ -122,15 +123,17 @@ def strictness(arc: Arc) -> Iterator[Check]:
         if not held.any():
             continue
         S = np.abs(gradient[_row(arc, control)])
-        jumps = arc.jumps[at] != 0
-        crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.time_scale
-        slopes = np.append(S[held] / apart[held], crossing)
+        jumps = (arc.jumps[at] != 0) & ~Singular.of(arc).junctions
+        crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.time_scale**2
+        crossing = crossing * arc.objective_scale / arc.rate_scale
+        slopes = np.append(slopes_beside(arc, at, S, t, apart, held), crossing * arc.duration)
         yield Check(
             name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
-            value=-float(slopes.min()) * arc.duration / float(S.max()),
+            value=-float(slopes.min()) / float(S.max()),
             meaning=f"minus the least switching function of {control.name} on a bound, over the time to the nearest "
             "switch, and its slope at each switch (in units of its largest value over the flight time): below 0 "
-            "when it vanishes at switches only and crosses zero there",
+            "when it vanishes at switches only and crosses zero there; beside a singular arc, over the square of that "
+            "time",
         )  # fmt: skip
 
 
@@ -188,7 +191,7 @@ def _minimum(arc: Arc) -> Check:
         worst = max(worst, gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
-        value=worst * arc.time_scale / arc.objective_scale,
+        value=worst / arc.rate_scale,
         meaning=f"most that any of {samples} controls inside each of {count} pieces lowers the Hamiltonian (scaled)",
     )  # fmt: skip
 
@@ -261,7 +264,7 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matri
     if arc.allowed:
         found = arc.allowed.multipliers(x, u, lam)
         gradient = gradient - found.pull
-    return gradient * arc.time_scale / arc.objective_scale, found
+    return gradient / arc.rate_scale, found
 
 
 def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:

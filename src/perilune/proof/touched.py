@@ -22,6 +22,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from perilune.problem.controls import scalars
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
 from perilune.problem.tape import Expression
@@ -29,6 +30,7 @@ from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
 from perilune.proof.met import LEAST, edges_of
+from perilune.proof.switching import on_bounds
 from perilune.structures.carry import split
 from perilune.structures.read import POINTS, Contact, arcs_of
 from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds
@@ -40,6 +42,7 @@ _ON = 1e-7  # of what a condition goes through: it is met
 _JUMP = 1e-9  # of a costate's size: less is no jump
 _MET = 1e-9  # of its size: a condition that is met, or its rate
 _SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
+_LOOKS = 200  # times of an arc
 _STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
 
@@ -70,7 +73,8 @@ def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
         if rides and begin is None:
             begin = ends[i]
         elif not rides and begin is not None:
-            yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
+            if not _by_bounds(arc, name, begin, ends[i]):
+                yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
             begin = None
     for i, time in enumerate(edges.tolist()):
         if order > 1 and not (riding[i] or riding[i + 1]) and met[np.argmin(np.abs(t - time))] and _jumps(arc, time):
@@ -98,6 +102,21 @@ def _order(arc: Arc, name: str) -> int | None:
         return conditions_of(arc.problem, arc.index, (name,))[name].order
     except PeriluneError:
         return None
+
+
+def _by_bounds(arc: Arc, name: str, begin: float, end: float) -> bool:
+    """Whether a condition is met and holds nothing back: the controls that move it are on bounds, lam does not jump.
+
+    An empty tank stays empty while the engine is off. Then it has no multiplier, and the checks are made without one.
+    """
+    condition = conditions_of(arc.problem, arc.index, (name,))[name]
+    moving = {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
+    u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
+    on = {
+        control.name: bool(np.logical_or(*on_bounds(arc, at, control, u)).all())
+        for at, control in scalars(arc.phase.controls)
+    }
+    return all(on.get(control, False) for control in moving) and not any(_jumps(arc, t) for t in (begin, end))
 
 
 def _jumps(arc: Arc, time: float) -> bool:

@@ -18,6 +18,7 @@ from perilune.problem.controls import Bounded, normalised, placed, tangents
 from perilune.proof.arc import Arc
 from perilune.proof.held import held_along
 from perilune.proof.numerics import hessian, jacobian
+from perilune.proof.singular import Singular, goh
 from perilune.proof.switching import control_rates, crossings, on_bounds, with_limits
 from perilune.words.types import Matrix
 
@@ -58,23 +59,34 @@ class Kept:
 
 
 def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept]) -> list[Piece]:
-    """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters."""
+    """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters.
+
+    And of singular arcs what is left of their impulses, behind `names`.
+    """
     switches = {
         (arc.index, float(time)): float(slope)
         for arc in arcs
-        for at in [np.nonzero(arc.jumps.any(axis=0))[0]]
+        for at in [np.nonzero(arc.jumps.any(axis=0) & ~Singular.of(arc).junctions)[0]]
         for time, slope in zip(arc.breaks[at], crossings(arc)[at], strict=True)
     }
     met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
     times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
-    p = SimpleNamespace(**vars(arcs[0].p), **{name: time for (_, time), name in times.items()})
-    found = []
+    known, found = [Singular.of(arc) for arc in arcs], list[Piece]()
+    impulses = {
+        (i, k): f"impulse {k + 1} of {arcs[i].phase.name}"
+        for i, singular in enumerate(known)
+        for k in range(len(singular.places))
+        if singular.ends(k)
+    }
+    values = {name: time for (_, time), name in times.items()} | dict.fromkeys(impulses.values(), 0.0)
+    p = SimpleNamespace(**vars(arcs[0].p), **values)
     for arc in arcs:
         edges = [0.0, *(times.get((arc.index, t), t) for t in arc.edges[1:-1].tolist()), arc.phase.duration]
         for k in range(len(edges) - 1):
-            varied = (*names, *times.values())
+            varied = (*names, *impulses.values(), *times.values())
             own = kept.get(arc.index, Kept())
             found.append(Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2], own))
+            found[-1].transform(known[arc.index].places[k], impulses.get((arc.index, k)))
     return found
 
 
@@ -84,7 +96,9 @@ class Piece:
     Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
     the length times L; d counts states, the parameters `names` and the tangent directions of the control that may
     vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
-    numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do.
+    numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do. On a singular piece
+    (`perilune.proof.singular`) the integral of the singular control has its place, `kelley` is its curvature, and
+    `leap` how it is left, with the place of its impulse among `names`, where the singular arc ends with the piece.
     """
 
     def __init__(
@@ -121,11 +135,32 @@ class Piece:
         self.F = jacobian(self._rates, z, self.scale)
         self.W = hessian(self._lagrangian, z, self.scale)
         self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
+        self.bends, self.kelley, self.leap = self.H_uu, np.zeros(0), None
+        self.settled = True
+
+    def transform(self, at: int | None, impulse: str | None) -> None:
+        """Put the integral of the singular scalar, a component of the control, in its place."""
+        if at is None:
+            return
+        n, m, _ = self.sizes
+        columns = np.nonzero(self.basis[at].any(axis=1))[0]
+        left, right = self.span
+        found = goh(self.F, self.W, n + m + int(columns[0]), (n, m), right - left) if len(columns) == 1 else None
+        # A kink of the rates within the arc would break B; a condition that is held beside it changes with it.
+        if found is None or self.held or (self.crossing is not None and impulse is None):
+            self.settled = False
+            return
+        self.F, self.W, leap = found
+        self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
+        column = int(columns[0])
+        self.bends = np.delete(np.delete(self.H_uu, column, axis=1), column, axis=2)
+        self.kelley = self.H_uu[:, column, column]
+        self.leap = None if impulse is None else (self.names.index(impulse), leap)
 
     @property
     def regular(self) -> bool:
         """Whether L is strictly convex all along in what of the control may vary."""
-        return not self.partly_held and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
+        return not self.partly_held and self.settled and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
 
     @property
     def loosened(self) -> Piece:

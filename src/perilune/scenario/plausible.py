@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NoReturn
 
-from perilune.models.bodies import BODIES, Body
+from perilune.models.bodies import BODIES, Body, UniformGravity
 from perilune.models.descent import Ignition
 from perilune.models.landing import LandingSite, Orbit
 from perilune.models.precision import Approach
@@ -22,13 +22,15 @@ GRAVITATIONAL_CONSTANT = 6.6743e-11  # m^3/(kg s^2), CODATA 2018; only for the p
 # Comets have about 500 kg/m^3 and Mercury and the Earth 5500; a slip between km and m changes the density
 # 1e9-fold.
 DENSITIES = (50.0, 50_000.0)
+FURTHEST_FLAT = 1e6  # m; over a hundredth of that the ground of the Earth falls by 8 m
 DEEPEST_SITE = 0.1  # of the radius; the deepest basin known, on Vesta, has about 0.08
 
 
 def refuse_slips(records: Mapping[str, Any]) -> None:
     """PeriluneError for the first slip that shows in the records of a file."""
     body = records["body"]
-    _check_body(body)
+    if isinstance(body, Body):
+        _check_body(body)
     if isinstance(orbit := records.get("orbit"), Orbit):
         _check_orbit(orbit, body)
     if isinstance(start := records.get("start"), Ignition):
@@ -102,8 +104,16 @@ def _check_orbit(orbit: Orbit, body: Body) -> None:
     _check_away("orbit.parking_altitude", orbit.parking_altitude, body)
 
 
-def _check_away(key: str, way: float, body: Body) -> None:
-    if abs(way) > 50 * body.radius:
+def _check_away(key: str, way: float, body: Body | UniformGravity) -> None:
+    if isinstance(body, UniformGravity):
+        if abs(way) > FURTHEST_FLAT:
+            _refuse(
+                f"{key} is so far away that no ground is flat",
+                got=f"{way / 1e3:g} km",
+                expected=f"at most {FURTHEST_FLAT / 1e3:g} km",
+                advice="look for km in place of m, or state a round body",
+            )
+    elif abs(way) > 50 * body.radius:
         _refuse(
             f"{key} is so far away that the body no longer rules the flight",
             got=f"{way / 1e3:g} km",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from perilune.models.bodies import Body
 from perilune.models.kinds import HYBRID, KINDS, PROOF, Kind, Section
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
@@ -27,8 +28,8 @@ def problem_of(document: Mapping[str, Any]) -> Problem:
     for name, table in document.items():
         _check_names(kind, name, table)
     records = {name: _record(kind, name, section, document.get(name)) for name, section in kind.sections.items()}
-    if "body" in records:
-        records["body"] = recognised(records["body"])
+    if isinstance(body := records.get("body"), Body):
+        records["body"] = recognised(body)
     refuse_slips(records)
     return kind.make(**records)
 
@@ -50,7 +51,7 @@ def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
     return {
         f"{name}.{key}": found.declared
         for name, section in _kind_of(document).sections.items()
-        for key, found in keys_of(section.record).items()
+        for key, found in section.keys.items()
         if isinstance(found.declared, Quantity)
     }
 
@@ -58,7 +59,7 @@ def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
 def names_of(section_name: str, section: Section) -> dict[str, Key]:
     """Keys that a section may have, in order."""
     kind = {"kind": Key(field="kind", declared=KIND, default=HYBRID.name)} if section_name == "problem" else {}
-    return {**kind, **keys_of(section.record)}
+    return {**kind, **section.keys}
 
 
 def _kind_of(document: Mapping[str, Any]) -> Kind:
@@ -105,12 +106,30 @@ def _record(kind: Kind, name: str, section: Section, table: Any) -> Any:
     values = {key: _value(f"{name}.{key}", found, table[key]) for key, found in names_of(name, section).items()
               if key in table}  # fmt: skip
     values.pop("kind", None)
+    record = section.stated(values)
+    if record is section.instead:
+        return made_of(record, values)
+    if section.instead is not None:
+        _refuse_both(name, section, values)
     if section.known:
         values = _known(name, section, values)
-    for key, found in keys_of(section.record).items():
+    for key, found in keys_of(record).items():
         if key not in values and found.required:
             raise PeriluneError(f"{name}.{key} is missing", expected=_line(key, found), advice=compare)
-    return made_of(section.record, values)
+    return made_of(record, values)
+
+
+def _refuse_both(name: str, section: Section, values: Mapping[str, Any]) -> None:
+    """A section may state one record or another, and not a part of each."""
+    one = next((key for key in values if key not in keys_of(section.record)), None)
+    if one is not None:
+        others = [key for key in values if key in keys_of(section.record)]
+        raise PeriluneError(
+            f"{name}.{one} stands in place of other quantities, which are stated too",
+            got=", ".join(f"{name}.{key}" for key in (one, *others)),
+            expected="one or the other",
+            advice=f"leave out {name}.{one}, or all but it",
+        )
 
 
 def _known(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any]:
@@ -119,9 +138,10 @@ def _known(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any
     if "name" not in values:
         missing = next((key for key in own if key not in values), None)
         if missing is not None:
+            alone = [key for key in section.keys if key not in keys_of(section.record)]
             raise PeriluneError(
                 f"{name}.{missing} is missing",
-                expected="a name, or " + ", ".join(own),
+                expected=" or ".join(["a name, or " + ", ".join(own), *(f"{key} alone" for key in alone)]),
                 advice=f'{_line(missing, own[missing])}, or name = "{next(iter(section.known))}" alone',
             )
         return {**values, "name": name}

@@ -37,7 +37,7 @@ def _section(kind: Kind, name: str, section: Section) -> Iterator[str]:
     stated = {key.partition(".")[2] for key in kind.example if key.startswith(f"{name}.")}
     away = not section.required and not stated
     head = f"{'# ' if away else ''}[{name}]"
-    yield head if section.required or section.otherwise is not None else _beside(head, "may be left out")
+    yield head if section.required or section.otherwise is not None else _beside(head, section.absent)
     for key, found in names_of(name, section).items():
         by_name = bool(section.known) and key != "name" and found.required
         needed = (found.required and not by_name) or (key == "kind" and section.required)
@@ -69,21 +69,21 @@ def reference() -> str:
     for kind in KINDS.values():
         lines += ["", f"## {kind.name}", "", kind.about]
         for name, section in kind.in_file.items():
-            left_out = "" if section.required else ", may be left out"
+            left_out = "" if section.required else f", {section.absent}"
             lines += ["", f"### [{name}]{left_out}", ""]
             lines += ["| key | unit | range | default | for example | what it is |", "|---|---|---|---|---|---|"]
-            lines += [_row(key, found, bool(section.known)) for key, found in names_of(name, section).items()]
+            lines += [_row(key, found, key in section.alone) for key, found in names_of(name, section).items()]
     return "\n".join(lines) + "\n"
 
 
-def _row(key: str, found: Key, known: bool) -> str:
+def _row(key: str, found: Key, alone: bool) -> str:
     declared = found.declared
     if isinstance(declared, Quantity):
         unit, span = "–" if declared.unit == "1" else declared.spoken_unit, declared.range
     else:
         unit, span = "text", " or ".join(f"`{c}`" for c in declared.choices)
     if found.required:
-        default = "in place of the others" if known and key == "name" else "must be stated"
+        default = "in place of the others" if alone else "must be stated"
     elif found.default is None:
         default = "left open"
     else:

@@ -8,7 +8,7 @@ whether the bound itself is an extremal (Karush, Kuhn, Tucker).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from perilune.shooting.active import Limits, settle
 from perilune.shooting.continuation import Member, follow
+from perilune.shooting.continuum import open_directions
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
@@ -225,6 +226,23 @@ def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> lis
             if root.converged and low <= family.value(root) <= high and new and family.keeps(root):
                 found.append(root)
     return found
+
+
+def distinct(roots: Iterable[Root]) -> list[Root]:
+    """Different extremals, best first."""
+    kept: list[Root] = []
+    for root in sorted(roots, key=lambda root: root.cost):
+        if not any(same_extremal(root, other) for other in kept):
+            kept.append(root)
+    return kept
+
+
+def same_extremal(one: Root, other: Root) -> bool:
+    """Whether two roots are one extremal: the same, or members of one continuum, along which J is the same."""
+    if same(one.y, other.y, 1e-6):
+        return True
+    alike = abs(one.cost - other.cost) <= 1e-8 * (1.0 + abs(other.cost))
+    return alike and open_directions(one) > 0 and open_directions(other) > 0
 
 
 def new_among(found: list[Found], known: list[Found]) -> list[Found]:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import Request, compile_map
@@ -55,15 +56,20 @@ class Flight:
 
     def __call__(self) -> Matrix:
         """Rows of an evaluation, NaN where an arc was lost; the next call may overwrite them."""
+        rows = self.flown()
+        if not self.plan.compiled:
+            n = self.plan.columns.n
+            h, J, extra = rows[:, :n], rows[:, n : n + n * n].reshape(-1, n, n), rows[:, n + n * n :]
+            rows = newton.rows(self.Y, h, J, self.inverse, extra)
+        return rows
+
+    def flown(self) -> Matrix:
+        """What the closing gives of all legs, NaN where an arc was lost."""
         for opened, arcs in self.legs:
             opened()
             arcs()
         self.closing()
         rows = self.closing.outputs[0]
-        if not self.plan.compiled:
-            n = self.plan.columns.n
-            h, J, extra = rows[:, :n], rows[:, n : n + n * n].reshape(-1, n, n), rows[:, n + n * n :]
-            rows = newton.rows(self.Y, h, J, self.inverse, extra)
         for _, arcs in self.legs:
             if len(arcs.lost):
                 rows[arcs.lost] = np.nan
@@ -119,3 +125,16 @@ class Fleet:
 def fleet(conditions: Conditions, segments: int) -> Fleet:
     """The fleet of a boundary value problem, made once."""
     return Fleet(plan(conditions, segments))
+
+
+def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
+    """Jacobians (lanes, n, n) themselves, of whose inverse a singular one leaves nothing."""
+    code, count = _bare(conditions, segments), len(Y)
+    n = code.plan.columns.n
+    flight = Flight(code, Y, choice, p, np.full(count, newton.FINEST), np.zeros((count, n * n)))
+    return flight.flown()[:, n : n + n * n].reshape(count, n, n).copy()
+
+
+@lru_cache(maxsize=16)
+def _bare(conditions: Conditions, segments: int) -> Code:
+    return Code(plan(conditions, segments, most=-1))

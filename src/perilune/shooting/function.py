@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.shooting.flyer import fleet
+from perilune.shooting.flyer import fleet, jacobians
 from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, newton
 from perilune.shooting.plan import Plan
 from perilune.shooting.propagate import flight
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
+
+_LAST_DIGITS = 1e-12  # of |y|: what moves it less is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,12 +76,21 @@ class Roots:
         """Largest residual of each lane."""
         return self.rows[:, 0]
 
+    @property
+    def costs(self) -> Vector:
+        """J of each lane, canonical."""
+        return self.rows[:, self.plan.columns.extras.stop - 1]
+
     def replaced(self, lanes: NDArray[np.int64], by: Roots) -> Roots:
         """The same with other ends of some lanes."""
-        fields = {name: getattr(self, name).copy() for name in ("y", "rows", "choice", "converged", "evaluations")}
+        fields = {name: getattr(self, name).copy() for name in _BY_LANE}
         for name, array in fields.items():
             array[lanes] = getattr(by, name)
         return replace(self, **fields, history=self.history + by.history)
+
+    def of(self, lanes: NDArray[np.int64]) -> Roots:
+        """Some of the lanes alone."""
+        return replace(self, **{name: getattr(self, name)[lanes] for name in _BY_LANE})
 
     def failed(self, which: NDArray[np.bool_]) -> Roots:
         """The same with some lanes not converged."""
@@ -108,6 +119,9 @@ class Roots:
             converged=bool(self.converged[lane]),
             history=self.history,
         )
+
+
+_BY_LANE = ("y", "rows", "choice", "converged", "evaluations")
 
 
 class Shooting:
@@ -181,6 +195,11 @@ class Shooting:
 
         return self._fly(Y, p, choice, evaluate)
 
+    def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
+        """Of all lanes, by the unknowns that are not silent, (lanes, n, n); NaN where an arc could not be flown."""
+        p, choice = (array if array.ndim == 2 else array[None] for array in (p, choice))
+        return jacobians(self.conditions, self.segments, Y.take(self.plan.active, axis=1), p, choice)
+
     def joints(self, y: Vector, p: Vector) -> Vector | None:
         """Y for this number of segments from y alone: the states at the joints are those of a flight in one piece."""
         before, nodes = np.zeros(0), [y]
@@ -218,6 +237,27 @@ class Shooting:
         row = int(self.plan.rows.searchsorted(self.conditions.stationarity_at.start + index))
         at = int(self.plan.active.searchsorted(self.conditions.free_at.start + index))
         return 1.0 / float(root.inverse[at, row])
+
+    def rounding(self, root: Root) -> bool:
+        """Whether Newton's next step moves nothing but last digits, however large they make the residual."""
+        step = root.inverse @ root.residual[self.plan.rows]
+        return bool(np.linalg.norm(step) <= _LAST_DIGITS * (1.0 + np.linalg.norm(root.y)))
+
+    def met(self, root: Root) -> Root:
+        """The same with J as if nothing were left at the ends: J + nu.psi is stationary, and J to second order."""
+        nu = root.y[self.conditions.free_at.stop : len(self.conditions.unknowns)]
+        return replace(root, cost=root.cost + float(nu @ root.residual[: len(nu)]))
+
+    def in_one(self, root: Root, pieces: Root) -> Root:
+        """What single shooting makes of a root in pieces.
+
+        Where errors grow so much that its one flight misses by rounding alone, it is a root as its pieces are, and has
+        their residual and J.
+        """
+        if root.converged or not self.rounding(root):
+            return root
+        y, residual = pieces.y[: len(root.y)], pieces.residual[: len(root.residual)]
+        return replace(root, y=y, residual=residual, cost=pieces.cost, converged=True)
 
     def _fly(self, Y: Matrix, p: Matrix, choice: Matrix, run: Callable[[Evaluate, Matrix, Columns], Ends]) -> Roots:
         plan, count = self.plan, len(Y)

@@ -33,9 +33,9 @@ FINEST = 1e-12  # accuracy of the function at which an iterate may count as a ro
 ROUGHEST = 1e-6  # accuracy of the first evaluations
 #: The largest residual that is the function's own error: arcs are flown with a local error of `FINEST`.
 ROUND_OFF = 1e-12
-_SETTLED = 1e-7  # a last undamped step below this, relative to |y|: its square is round-off
-_LAST_DIGITS = 1e-12  # a step below this, relative to |y|, moves it by its round-off
-_AMPLIFIED = 100.0  # how far beyond the tolerance a residual may be amplified round-off
+SETTLED = 1e-7  # a last undamped step below this, relative to |y|: its square is round-off
+LAST_DIGITS = 1e-12  # a step below this, relative to |y|, moves it by its round-off
+AMPLIFIED = 100.0  # how far beyond the tolerance a residual may be amplified round-off
 _FEW = 0.1  # damping below which enough steps of amplified round-off were tried
 _NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
 _FORCING = 1e-3  # accuracy of the next evaluation, in units of the residual squared
@@ -286,14 +286,14 @@ def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, 
     left, simplified, ahead, _ = new
     size = 1.0 + size
     # A residual that a change of y in its last digits explains is amplified round-off: the least of a few is taken.
-    last_digits = length < _LAST_DIGITS * size
-    explained = last_digits & (residual <= _AMPLIFIED * tolerance)
+    last_digits = length < LAST_DIGITS * size
+    explained = last_digits & (residual <= AMPLIFIED * tolerance)
     good = again | (simplified <= (1.0 - 0.5 * alpha) * length) | last_digits & (left < residual)
     good |= last_digits & (explained ^ True)
     # Within the error of a rough evaluation nothing can be compared.
     good |= (flown > FINEST) & (left <= _NOISE * flown) | (finer > FINEST) & (left <= _NOISE * finer)
     good &= ahead < _ASTRAY
-    settled = length <= _SETTLED * size
+    settled = length <= SETTLED * size
     root = good & settled & (alpha == 1.0) & (finer <= FINEST) & (left <= tolerance)
     # At round-off no step is an improvement: that is a root, if the residual says so.
     stuck = (flown <= FINEST) & (

@@ -89,9 +89,9 @@ class Plan:
     held: int
 
 
-def plan(conditions: Conditions, segments: int) -> Plan:
-    """Derive the plan."""
-    return _Tracing(conditions, segments).plan()
+def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan:
+    """Derive the plan; its step is compiled for up to `most` coupled unknowns, by default `COMPILED`."""
+    return _Tracing(conditions, segments, COMPILED if most is None else most).plan()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,8 +111,8 @@ class _End:
 class _Tracing:
     """Traces the legs in order of flight."""
 
-    def __init__(self, conditions: Conditions, segments: int) -> None:
-        self.conditions, self.segments = conditions, segments
+    def __init__(self, conditions: Conditions, segments: int, most: int) -> None:
+        self.conditions, self.segments, self.most = conditions, segments, most
         self.flown = [
             equations(phase, needed, silent)
             for phase, needed, silent in zip(conditions.phases, conditions.needed, conditions.silent, strict=True)
@@ -233,7 +233,7 @@ class _Tracing:
         extra = ca.vertcat(plain[c.stationarity_at], plain[[row for row, _ in c.ranges]], cost)
         columns = Columns(n=n, extra=extra.numel())
         order = _peeled(J)
-        compiled = n - len(order) <= COMPILED
+        compiled = n - len(order) <= self.most
         arguments = [Y, ca.vertcat(masks, values), self.p]
         flights = [s for end in ends for s in end.symbols]
         if not compiled:

@@ -70,7 +70,7 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
     return replace(
         solution,
         problem=restated,
-        free={name: free[name] for name in restated.free_names},
+        free={f.name: free.get(f.name, f.typical) for f in restated.free},
         trajectories=tuple(pieces),
         multipliers=multipliers,
         outcome=_unproved(solution.outcome),
@@ -194,6 +194,7 @@ def _joined(name: str, parts: Sequence[Trajectory]) -> Trajectory:
 
 
 def _chained(curves: Sequence[Curve]) -> Curve:
+    curves = [curve for curve in curves if curve.time[-1] > 0] or curves[:1]  # an arc of no length leaves nothing
     begins = np.concatenate([[0.0], np.cumsum([curve.time[-1] for curve in curves])])
     time = [np.append(begin + c.time[:-1], end) for begin, end, c in zip(begins[:-1], begins[1:], curves, strict=True)]
     return Curve(

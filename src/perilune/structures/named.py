@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, scalars
+from perilune.problem.controls import scalars
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.phase import Phase
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
 from perilune.problem.variables import Variable
+from perilune.structures.regimes import Stay, stays_of
 from perilune.structures.structure import Structure, margins
 from perilune.words.types import Vector
 
 AT = 1e-4  # of its range: so near to a bound a control is at it, as a mesh leaves it between its points
+_SINGULAR = 2
+_PLACES = {1: "at its upper bound", 0: "between its bounds", -1: "at its lower bound", _SINGULAR: "singular"}
 ON = 1e-6  # the same of a condition that a control can hold at once, of all that its value goes through
 
 
@@ -36,14 +39,15 @@ def with_names(solution: Solution, structure: Structure | None = None) -> Soluti
 
 
 def _of_phase(solution: Solution, k: int, structure: Structure | None) -> list[NamedArc]:
-    found = [*_controls(solution, k), *_held_at_once(solution, k)]
+    singular = [] if structure is None else [s for s in stays_of(structure, k) if s.regime == "singular"]
+    found = [*_controls(solution, k, singular), *_held_at_once(solution, k)]
     if structure is not None:
         found += _conditions(solution, k, structure)
     return sorted(found, key=lambda arc: (arc.begin, arc.end))
 
 
-def _controls(solution: Solution, k: int) -> Iterator[NamedArc]:
-    """Where each scalar with a bound is at it, and where between."""
+def _controls(solution: Solution, k: int, singular: Sequence[Stay]) -> Iterator[NamedArc]:
+    """Where each scalar with a bound is at it, where between, and where it is singular."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     edges = np.unique(flown.control.time)
     values = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))[1]
@@ -54,13 +58,11 @@ def _controls(solution: Solution, k: int) -> Iterator[NamedArc]:
         size = upper - lower if np.isfinite(upper - lower) else float(np.ptp(values[at])) or 1.0
         low, high = control.on_bounds(values[at], AT * size, solution.parameters)
         places = np.where(high, 1, np.where(low, -1, 0))
+        for stay in (s for s in singular if s.control == control.name):
+            places[(edges[1:] > stay.begin) & (edges[:-1] < stay.end)] = _SINGULAR
         if places.any():
-            yield from _runs(phase, edges, places, {n: _where(control, n) for n in (-1, 0, 1)})
-
-
-def _where(control: Bounded, place: int) -> str:
-    name = control.name.replace("_", " ")
-    return f"{name} at its {'upper' if place > 0 else 'lower'} bound" if place else f"{name} between its bounds"
+            name = control.name.replace("_", " ")
+            yield from _runs(phase, edges, places, {place: f"{name} {words}" for place, words in _PLACES.items()})
 
 
 def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:

@@ -8,7 +8,7 @@ the state says so: it is ridden, if only for a moment.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
+from perilune.structures.regimes import LEVELS, Stay, read_stays, regimes_at
 from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -40,7 +41,9 @@ class Contact:
     ridden: bool
 
 
-def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
+def read(
+    problem: Problem, solution: Solution, least: float = NEAR[0], level: tuple[int, float] | None = None
+) -> Structure | None:
     """The arcs of a solution, by its curves.
 
     Parameters
@@ -51,18 +54,40 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
         Of any method, however coarse.
     least
         As near as counts whatever the mesh, as a share of what a condition goes through.
+    level
+        Of `regimes.LEVELS`, at which singular arcs are looked for; None looks for none.
 
     Returns
     -------
     Structure
-        With times; None where no condition on states alone is at its limit on the way.
+        With times; None where no condition on states alone is at its limit on the way, and no control singular.
     """
     phases = []
     for k, flown in enumerate(solution.trajectories):
+        stays = [] if level is None else read_stays(solution, k, level)
         found = [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
-        phases.append(arcs_of(found, flown.duration))
+        phases.append(arcs_of([c for c in found if not _at_bounds(c, stays)], flown.duration, stays))
     structure = Structure(tuple(phases))
     return None if structure.plain else structure
+
+
+def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
+    """Whether a condition is ridden while all scalars are on their bounds, which keep to it by themselves."""
+    names = {s.control for s in stays}
+    here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
+    return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
+
+
+def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
+    """Every structure that a solution may have: those with singular arcs first, of few arcs before those of many."""
+    different = dict[str, Structure]()
+    for size in (0, 1):
+        found = [read(problem, solution, least, level) for level in LEVELS if level[0] == size]
+        singular = [s for s in found if s is not None and s.singular]
+        for structure in sorted(singular, key=lambda s: s.count):
+            different.setdefault(structure.text, structure)
+    without = read(problem, solution, least)
+    return [*different.values(), *([without] if without is not None else [])]
 
 
 def of_states(problem: Problem, k: int) -> list[str]:
@@ -127,13 +152,13 @@ def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> flo
     return end - begin
 
 
-def arcs_of(found: list[Contact], duration: float) -> tuple[Arc, ...]:
+def arcs_of(found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()) -> tuple[Arc, ...]:
     """The arcs of a phase between the times at which something begins, ends or is touched."""
-    cuts = sorted({t for c in found for t in (c.begin, c.end) if 0.0 < t < duration})
+    cuts = sorted({t for c in (*found, *stays) for t in (c.begin, c.end) if 0.0 < t < duration})
     arcs = []
     for begin, end in zip([0.0, *cuts], [*cuts, duration], strict=True):
         middle = 0.5 * (begin + end)
         along = tuple(c.name for c in found if c.ridden and c.begin < middle < c.end)
         touches = tuple(c.name for c in found if not c.ridden and c.end == end)
-        arcs.append(Arc(along=along, touches=touches, until=end))
+        arcs.append(Arc(along=along, touches=touches, regimes=regimes_at(stays, middle), until=end))
     return tuple(arcs)

@@ -19,12 +19,14 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
+from perilune.problem.controls import Bounded, Control
 from perilune.problem.form import PHASE_FUNCTIONS, roles_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.rates import component, gathered, run
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Free, Variable
+from perilune.structures.regimes import settled
 from perilune.structures.structure import (
     Arc,
     Condition,
@@ -179,6 +181,7 @@ class _Restated:
                 **{name: own.get((k, name)) for name in PHASE_FUNCTIONS},
                 "name": part_name(phase.name, j, count),
                 "duration": durations[j],
+                "controls": _settled(phase, arc),
                 "states": without_bounds(phase, [c.bound for c in conditions.values() if c.bound is not None]),
                 "typical_end": rough[j],
                 **_stated("end", "end_conditions", ends),
@@ -267,6 +270,14 @@ def _stated(function: str, names: str, rows: Sequence[tuple[Variable, Expression
     """A function of a phase and the names of its values; None where there are none."""
     roles = PHASE_FUNCTIONS[function][0]
     return {function: gathered([e for _, e in rows], roles) if rows else None, names: tuple(v for v, _ in rows)}
+
+
+def _settled(phase: Phase, arc: Arc) -> tuple[Control, ...]:
+    """The controls of an arc: those that stay in a regime along it say so."""
+    regimes = dict(arc.regimes)
+    return tuple(
+        settled(c, regimes[c.name]) if isinstance(c, Bounded) and c.name in regimes else c for c in phase.controls
+    )
 
 
 def _identity(phase: Phase) -> Expression:

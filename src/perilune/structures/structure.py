@@ -24,6 +24,7 @@ from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import quotient
 
 SIDES = ("lower", "upper")
+Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper" or "singular"
 
 
 @dataclass(frozen=True)
@@ -36,13 +37,24 @@ class Arc:
         Names of the conditions that it rides along, as `conditions_of` has them.
     touches
         Names of those that are touched at its end.
+    regimes
+        Scalar controls that are on a bound, or singular, all along it; of the others the control law decides.
     until
         When it ends, in seconds from the beginning of its phase, as far as that is known; NaN otherwise.
     """
 
     along: tuple[str, ...] = ()
     touches: tuple[str, ...] = ()
+    regimes: Regimes = ()
     until: float = math.nan
+
+    @property
+    def text(self) -> str:
+        """The arc in short."""
+        held = [f"{name} singular" if regime == "singular" else f"{name} at its {regime} bound"
+                for name, regime in self.regimes]  # fmt: skip
+        held = ["along " + ", ".join(self.along)] * bool(self.along) + held
+        return " and ".join((*(held or ["free"]), *(f"touches {name}" for name in self.touches)))
 
 
 @dataclass(frozen=True)
@@ -65,9 +77,19 @@ class Structure:
         return Structure(tuple(phases))
 
     @property
+    def count(self) -> int:
+        """How many arcs there are."""
+        return sum(len(arcs) for arcs in self.phases)
+
+    @property
+    def singular(self) -> bool:
+        """Whether a control is singular along an arc."""
+        return any(regime == "singular" for arcs in self.phases for arc in arcs for _, regime in arc.regimes)
+
+    @property
     def plain(self) -> bool:
         """Whether nothing is ridden or touched, and no phase is cut."""
-        return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches) for arcs in self.phases)
+        return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches or arcs[0].regimes) for arcs in self.phases)
 
     def named(self, k: int) -> tuple[str, ...]:
         """Every condition that is ridden or touched in phase k, once each."""
@@ -85,9 +107,7 @@ class Structure:
         """The structure in short: ``descent: free, touches glide; along glide``."""
         parts = []
         for arcs in self.phases:
-            words = [" and ".join(("along " + ", ".join(arc.along) if arc.along else "free",
-                                   *(f"touches {name}" for name in arc.touches))) for arc in arcs]  # fmt: skip
-            parts.append(", ".join(words))
+            parts.append(", ".join(arc.text for arc in arcs))
         return "; ".join(parts)
 
 

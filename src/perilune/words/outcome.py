@@ -107,7 +107,8 @@ class NotConvergedError(PeriluneError):
     """Every rung of the ladder failed.
 
     `partial` carries what was computed before: the best iterate's residuals in physical units and the rungs tried.
-    `flight` is a Solution that keeps every condition where one was found, though no extremal: there is a way to fly it.
+    `flight` is the best flight that was found, a Solution though no extremal, or None: `partial["missed"]` says what it
+    misses, if anything, and its `statistics.residual` how rough its mesh is.
     """
 
     exit_code = 4

@@ -65,7 +65,8 @@ class DenseArc:
         else:
             sign = 1.0 if self.t[-1] >= self.t[0] else -1.0
             i = np.clip(np.searchsorted(sign * self.t, sign * times, side="right") - 1, 0, len(self._lengths) - 1)
-            s = ((times - self.t[i]) / self._lengths[i])[:, None]
+            lengths = self._lengths[i]  # of an arc of no length, 0
+            s = np.divide(times - self.t[i], lengths, out=np.zeros(len(times)), where=lengths != 0)[:, None]
             values = np.zeros((len(times), self.z.shape[1]))
             for k in range(7, 0, -1):
                 values = (values + self._pieces[k][i]) * (s if k % 2 else 1.0 - s)
@@ -105,5 +106,6 @@ def dense_arc(end: Arcs, nodes: Matrix, rates: Rates) -> DenseArc:
         mode=mode,
         end=end,
         _pieces=np.concatenate([np.array(low), high]),
-        _lengths=h[:, 0],
+        # An event at the very end leaves a step without length, which is asked for its start alone.
+        _lengths=np.where(h[:, 0] == 0.0, 1.0, h[:, 0]),
     )

@@ -1,0 +1,198 @@
+"""The first program of a direct run that is solved, from one of several starts; or why none is.
+
+Most problems are solved from the first start in a few iterations. For the others it is asked first whether there is
+anything to find: from each start the flight that misses the path and the ends by the least. One that misses nothing is
+the better start. Where all of them miss something, there is nothing to solve.
+
+A flight that winds round a body several times is no straight line, and more than a few nodes can follow. Where the
+first start leads nowhere, or to an answer that is none between the nodes, the flight under the same controls is looked
+at: if it winds, it is the next start, on a mesh that has segments for each swing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+from perilune.direct.collocation import Mesh
+from perilune.methods.transcription import Run
+from perilune.problem.solution import Solution
+from perilune.words.types import Vector
+
+if TYPE_CHECKING:
+    from perilune.direct.layout import PhaseValues
+    from perilune.direct.nlp import Answer, Program
+
+# Most iterations of the first attempt and of a search for the least miss; what ends well takes 10 to 60 and 10 to 130.
+BRIEF, PATIENT = 60, 150
+# Starts that all end at a least miss that is not zero, before the problem is said to have no flight.
+CONVINCED = 2
+# Of its typical duration: what a phase has left that has shrunk to nothing.
+VANISHED = 1e-3
+# A condition violated by less, in canonical units, is met.
+MISSED = 1e-7
+# Relative error of a mesh beyond which its answer is no flight.
+ROUGHEST = 0.05
+
+
+class Start(NamedTuple):
+    """A program, first values of its unknowns in canonical units, and what they are called."""
+
+    program: Program
+    free: Vector
+    values: tuple[PhaseValues, ...]
+    name: str
+
+
+class FirstMesh:
+    """The first answer of one run.
+
+    Parameters
+    ----------
+    run
+        Whose.
+    guess
+        To start from; straight lines and flights without.
+    near
+        Only from there.
+    """
+
+    def __init__(self, run: Run, guess: Solution | None, *, near: bool = False) -> None:
+        self.run, self.problem, self.guess, self.near = run, run.problem, guess, near
+        self.all_missed = False
+
+    def answer(self) -> tuple[Program, Answer]:
+        """A program and its solution."""
+        every = self.starts()
+        begin = next(every)
+        first = self.attempt(begin, BRIEF)
+        if first.converged and (self.guess is not None or not self.rough(begin.program, first)):
+            return begin.program, first
+        if self.near:
+            self.fail(begin.program, first)
+        wound = self.wound()
+        if first.converged:
+            better = None if wound is None else self.from_least_miss(wound)[1]
+            return (begin.program, first) if wound is None or better is None else (wound.program, better)
+        return self.any_answer([*([wound] if wound else []), begin, *every], (begin.program, first))
+
+    def any_answer(self, starts: list[Start], first: tuple[Program, Answer]) -> tuple[Program, Answer]:
+        """The answer from one of the starts, of which the first attempt has failed."""
+        tries = [first]
+        misses: list[tuple[Program, Answer]] = []
+        vanished: list[tuple[Program, Answer]] = []
+        for start in starts:
+            nearest, found = self.from_least_miss(start)
+            if found is not None:
+                tries.append((start.program, found))
+                if found.converged:
+                    return tries[-1]
+            elif nearest.converged and nearest.violation > MISSED:
+                (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
+        # One start alone may owe its miss to the mesh.
+        self.all_missed = CONVINCED <= len(starts) == len(misses) + len(vanished) and self.guess is None
+        if len(misses) >= CONVINCED and len(tries) == 1:
+            self.refuse(*min(misses, key=_violation), len(misses))
+        if not misses:
+            for start in starts:
+                tries.append((start.program, self.attempt(start)))
+                if tries[-1][1].converged:
+                    return tries[-1]
+        self.fail(*min(misses or vanished or tries, key=_violation))
+
+    def attempt(self, start: Start, most: int | None = None) -> Answer:
+        """The program from its start."""
+        return self.run.attempt(*start, most=most)
+
+    def from_least_miss(self, start: Start) -> tuple[Answer, Answer | None]:
+        """The flight near a start that misses least, and what is reached from there if it misses nothing."""
+        program, free, values, name = start
+        nearest = self.run.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
+        if nearest.violation > MISSED:
+            return nearest, None
+        return nearest, self.run.attempt(program, nearest.free, nearest.phases, "from there")
+
+    def starts(self) -> Iterator[Start]:
+        """From the guess, or straight lines."""
+        from perilune.direct.first_guess import first_guesses
+        from perilune.direct.segments import sampled
+
+        s = self.run.settings
+        program = self.run.program(tuple(Mesh.uniform(s.segments, s.nodes) for _ in self.problem.phases))
+        for free, by, name in first_guesses(self.problem, self.guess):
+            yield Start(program, free, sampled(program, by), name)
+
+    def wound(self) -> Start | None:
+        """The flight under the controls of the first straight line, where it winds."""
+        from perilune.direct.first_guess import first_guesses
+        from perilune.direct.flown_guess import NODES, flown_guess, winding
+        from perilune.direct.segments import sampled
+
+        if self.guess is not None:
+            return None
+        s = self.run.settings
+        free, lines, _ = next(first_guesses(self.problem, None))
+        flown = flown_guess(self.problem, free, lines)
+        swings = None if flown is None else winding(flown)
+        if flown is None or swings is None:
+            return None
+        # Who asks for no refinement has chosen the mesh.
+        meshes = [Mesh.uniform(count, NODES) if s.refine else Mesh.uniform(s.segments, s.nodes) for count in swings]
+        program = self.run.program(tuple(meshes))
+        return Start(program, free, sampled(program, flown), "flown under its controls")
+
+    def rough(self, program: Program, answer: Answer) -> bool:
+        """Whether what is between the nodes is another flight."""
+        return self.run.looked_at(program, answer).worst > ROUGHEST
+
+    def vanished(self, answer: Answer) -> bool:
+        """Whether a phase has shrunk to nothing: the miss of no flight says nothing of those that have a length."""
+        values = answer.free_si(self.problem)
+        durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
+        return any(values[f.name] < VANISHED * f.typical for f in durations)
+
+    def refuse(self, program: Program, best: Answer, count: int) -> None:
+        """InfeasibleError with what the best of so many misses, if that is more than the error of the mesh."""
+        from perilune.direct.contradictions import missed_conditions
+        from perilune.words.outcome import BEST_MISSES, InfeasibleError
+
+        errors = zip(self.problem.phases, self.run.looked_at(program, best).relative, strict=True)
+        error = max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
+        self.run.say(f"the least miss is {best.violation:.2g}, the error of the mesh {error:.1g}")
+        if best.violation > error:
+            missed = missed_conditions(program, best, MISSED)
+            told = [f"{name} is missed by {much}" for name, much in missed]
+            raise InfeasibleError(
+                f"the best of {count} found misses {missed[0][0]} by {missed[0][1]}",
+                got="; ".join(told[:4]),
+                expected="every condition met",
+                advice="relax the condition named first",
+                reason=BEST_MISSES,
+                partial=self.partial(best, told),
+            )
+
+    def partial(self, answer: Answer, missed: list[str]) -> dict[str, Any]:
+        """What a failure keeps; `all_missed` says that every start led to a least miss, if only that of no flight."""
+        told = {"missed": missed, "all_missed": self.all_missed, "tried": tuple(self.run.tried)}
+        return told | {"free": answer.free_si(self.problem)}
+
+    def fail(self, program: Program, answer: Answer) -> NoReturn:
+        """Not converged, with the conditions that the best trajectory misses."""
+        from perilune.direct.contradictions import missed_conditions
+        from perilune.words.outcome import NotConvergedError
+
+        missed = [f"{name} is missed by {much}" for name, much in missed_conditions(program, answer, MISSED)]
+        raise NotConvergedError(
+            "no trajectory was found that meets every condition" if missed else "the optimum was not reached",
+            got="; ".join(missed[:4]) or f"feasible after {answer.iterations} iterations, but not yet optimal",
+            expected="every condition met",
+            advice="relax the condition named first, or give a guess (a solution of a nearby problem)"
+            if missed
+            else "raise iterations, give a guess, or loosen nlp_tolerance",
+            partial=self.partial(answer, missed),
+            flight=self.run.missing(program, answer),
+        )
+
+
+def _violation(found: tuple[Program, Answer]) -> float:
+    return found[1].violation

@@ -1,0 +1,147 @@
+"""The flight of a root as it is exported: in one piece, or in several where errors grow too much.
+
+A root of single shooting meets the end conditions to rounding of its own flight. Flown once more, with another
+tolerance, it ends beside them by that rounding times the growth of errors in states and costates together: 1e-15 times
+1e7 on an entry with much lift. Where that shows, the root is found again by multiple shooting, and each piece is flown
+from its own start; what is left is a gap of rounding between two pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import Conditions
+from perilune.kernels import DenseArc
+from perilune.problem.problem import Problem
+from perilune.shooting.function import Root, Shooting
+from perilune.shooting.newton import FINEST
+from perilune.shooting.propagate import flight
+from perilune.words.types import Matrix, Vector
+
+_FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
+_MISSED = 2e-11  # canonical, of what a flight leaves at its end: five times below the limit of the proof
+_MENDED = 0.1  # of that, which the flight in pieces may leave
+_SEGMENTS = 6
+_JOINED = 300  # unknowns at joints, which cost their number cubed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """One phase, flown in one piece or in several.
+
+    Attributes
+    ----------
+    arcs
+        Each from a time 0 of its own.
+    begins
+        When each begins.
+    duration
+        Length of the phase.
+    """
+
+    arcs: tuple[DenseArc, ...]
+    begins: Vector
+    duration: float
+
+    @property
+    def z(self) -> Matrix:
+        """States at all nodes, (nodes, nz)."""
+        return np.concatenate([arc.z for arc in self.arcs])
+
+    @property
+    def switches(self) -> list[float]:
+        """Times of the events, in order."""
+        parts = zip(self.begins, self.arcs, strict=True)
+        return [float(begin + t) for begin, arc in parts for t in arc.end.event_time[0] if np.isfinite(t)]
+
+    def modes(self, t: Vector) -> NDArray[np.int64]:
+        """Mode of the step in which each time lies; at a switch, the one after it."""
+        pieces, found = self._piece(t), np.zeros(len(t), dtype=np.int64)
+        for i in np.unique(pieces):
+            arc, here = self.arcs[i], pieces == i
+            step = np.searchsorted(arc.t, t[here] - self.begins[i], side="right") - 1
+            found[here] = arc.mode[np.clip(step, 0, len(arc.mode) - 1)]
+        return found
+
+    def __call__(self, t: Vector) -> Matrix:
+        """Return z at times, (n, nz)."""
+        if len(self.arcs) == 1:
+            return self.arcs[0](t)
+        pieces = self._piece(t)
+        values = np.empty((len(t), self.arcs[0].z.shape[1]))
+        for i in np.unique(pieces):
+            here = pieces == i
+            values[here] = self.arcs[i](t[here] - self.begins[i])
+        return values
+
+    def _piece(self, t: Vector) -> NDArray[np.int64]:
+        return np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.arcs) - 1)
+
+
+def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[Flown]:
+    """The flight from the unknowns y, whatever it meets; settings as for `flight`."""
+    p, before, flown = extremal_parameters(problem), np.zeros(0), []
+    for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
+        z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p))
+        arc = flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings})
+        flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=float(duration[0])))
+        before = arc.z[-1]
+    return flown
+
+
+def exported(
+    problem: Problem, conditions: Conditions, root: Root, allowed: float = _MISSED, **settings: float
+) -> list[Flown]:
+    """The flight of a root, in pieces where one alone leaves more at its ends than is allowed, canonical."""
+    whole = in_one_piece(problem, conditions, root.y, **settings)
+    missed = _missed(problem, conditions, root, whole)
+    if missed <= allowed or not may_be_cut(conditions, _SEGMENTS):
+        return whole
+    pieces = _in_pieces(problem, conditions, root, whole)
+    # What large numbers round, as those of places far from their origin, no pieces mend.
+    mended = pieces is not None and _missed(problem, conditions, root, pieces) <= _MENDED * missed
+    return pieces if pieces is not None and mended else whole
+
+
+def may_be_cut(conditions: Conditions, segments: int) -> bool:
+    """Whether multiple shooting with so many segments for each phase is worth its unknowns."""
+    return (segments - 1) * sum(2 * extremal.half for extremal in conditions.phases) <= _JOINED
+
+
+def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:
+    """The largest residual at the ends of a flight; those of ranges and of free parameters are not counted."""
+    ends = np.concatenate([arc.z[-1] for arc in flown])
+    residual = np.array(conditions.residual(root.y, ends, extremal_parameters(problem))[0]).ravel()
+    residual[conditions.stationarity_at] = 0.0
+    residual[[row for row, _ in (*conditions.ranges, *conditions.silent_rows)]] = 0.0
+    return float(np.abs(residual).max(initial=0.0))
+
+
+def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequence[Flown]) -> list[Flown] | None:
+    """The same root by multiple shooting, each piece from its own start."""
+    shooting, p = Shooting(conditions, segments=_SEGMENTS), extremal_parameters(problem)
+    shares = np.arange(1, _SEGMENTS) / _SEGMENTS
+    joints = [arc(shares * arc.duration).ravel() for arc in whole]
+    found = shooting.root(np.concatenate([root.y, *joints]), p, root.choice, accuracy=FINEST)
+    if not found.converged:
+        return None
+    y = found.y[: len(root.y)].copy()
+    y[conditions.free_at] = root.y[conditions.free_at]  # as they are reported; Newton moves them by rounding
+    flown, before, at = list[Flown](), np.zeros(0), len(root.y)
+    for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
+        z, duration = (np.array(out).ravel() for out in start(y, before, p))
+        length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[k * _SEGMENTS].flown.kept
+        arcs = [flight(extremal, z, p, length, **_FINE)]
+        for _ in shares:
+            z = arcs[-1].z[-1].copy()
+            z[kept] = found.y[at : at + len(z)][kept]
+            arcs.append(flight(extremal, z, p, length, **_FINE))
+            at += len(z)
+        flown.append(Flown(arcs=tuple(arcs), begins=length * np.arange(_SEGMENTS), duration=float(duration[0])))
+        before = arcs[-1].z[-1]
+    return flown

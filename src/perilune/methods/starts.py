@@ -1,0 +1,73 @@
+"""Where Newton's method starts from: random costates, or what a solution knows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perilune.methods.assemble import unknowns_from
+from perilune.methods.ladder import Ladder
+from perilune.methods.trials import AT_BOUND, Trials
+from perilune.problem.neighbours import is_neighbour
+from perilune.problem.solution import Solution
+from perilune.problem.symbolic import canonical_free
+from perilune.words.types import Matrix, Vector
+
+PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
+STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
+_SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
+
+
+def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
+    """Unknowns with random costates of length one and free parameters around their typical values."""
+    rng, c, problem = np.random.default_rng(seed), trials.conditions, trials.problem
+    Y = np.zeros((count, len(c.unknowns)))
+    directions = rng.normal(size=(count, c.free_at.start))
+    Y[:, : c.free_at.start] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    typical = canonical_free(problem, {f.name: f.typical for f in problem.free})
+    Y[:, c.free_at] = typical * np.exp(rng.uniform(-0.4, 0.4, size=(count, len(typical))))
+    return Y
+
+
+def hold_ranges(trials: Trials, choices: Matrix) -> None:
+    """Hold in one start none of the ranges, in the next the first at a bound, and so on."""
+    first, held = trials.shooting.plan.free, trials.shooting.plan.held
+    bounds = [
+        (i, side[i])
+        for side in (trials.limits.lower, trials.limits.upper)
+        for i in range(first, held)
+        if np.isfinite(side[i])
+    ]
+    for number, (i, bound) in enumerate(bounds, 1):
+        choices[number :: len(bounds) + 1, i] = 1.0
+        choices[number :: len(bounds) + 1, held + i] = bound
+
+
+def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
+    """Unknowns of a guess: its own where it is of this method and form, else read off its curves.
+
+    So do neighbours for a proof begin, which looks at the curves and believes no numbers beside them.
+    """
+    problem = trials.problem
+    own = guess.unknowns if guess.method == settings.name and not is_neighbour(problem) else None
+    same = own is not None and (guess.problem.scales, guess.problem.structure) == (problem.scales, problem.structure)
+    if own is not None and same and len(own) == len(trials.conditions.unknowns):
+        return np.array(own)
+    return unknowns_from(problem, trials.conditions, guess)
+
+
+def held_in(trials: Trials, guess: Solution, y: Vector) -> Vector:
+    """What a guess holds: free parameters on a bound, and ranges whose multiplier says so."""
+    limits, free = trials.limits, y[trials.conditions.free_at]
+    held = {
+        i: limit
+        for i, value in enumerate(free.tolist())
+        for limit in (limits.lower[i], limits.upper[i])
+        if abs(value - limit) <= AT_BOUND or limits.lower[i] == limits.upper[i]
+    }
+    ranges = {}
+    for i, (_, unknown) in enumerate(trials.conditions.ranges):
+        nu = y[unknown]
+        limit = (limits.lower if nu < 0 else limits.upper)[len(free) + i]
+        if abs(nu) > _SIGNED and np.isfinite(limit):
+            ranges[i] = float(limit)
+    return trials.shooting.holding(held, ranges)

@@ -1,0 +1,153 @@
+"""Settings of the direct method, and what each of its runs does: programs solved, and looked at as flights."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from perilune.direct.collocation import Mesh, Scheme, rule
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Deferred, Solution, Statistics
+from perilune.words.asked import demand_whole
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Iteration, Watch, silent
+
+if TYPE_CHECKING:
+    from perilune.direct.layout import PhaseValues
+    from perilune.direct.nlp import Answer, Program
+    from perilune.direct.segments import Segment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transcription:
+    """What a direct run is made with; `perilune.methods.pseudospectral.Pseudospectral` says what each means."""
+
+    scheme: Scheme = "gauss"
+    nodes: int = 20
+    segments: int = 1
+    tolerance: float = 1e-6
+    refine: int = 8
+    iterations: int = 300
+    nlp_tolerance: float = 1e-10
+    polish: bool = True
+
+    def __post_init__(self) -> None:
+        demand_whole(self, nodes=1, segments=1, refine=0, iterations=1)
+        rule(self.scheme, self.nodes)
+        for name in ("tolerance", "nlp_tolerance"):
+            if not 0 < getattr(self, name) < 1:
+                raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))
+
+
+class Look(NamedTuple):
+    """Segments of an answer, and the mesh errors of each: in SI, and relative; phase by phase."""
+
+    segments: list[list[Segment]]
+    errors: list[Matrix]
+    relative: list[Matrix]
+
+    @property
+    def worst(self) -> float:
+        """The largest relative error."""
+        return max(float(relative.max()) for relative in self.relative)
+
+
+@dataclass(kw_only=True)
+class Run:
+    """One run: the history grows, everything else is fixed."""
+
+    settings: Transcription
+    problem: Problem
+    watch: Watch = silent
+    began: float = field(default_factory=time.perf_counter)
+    tried: list[str] = field(default_factory=list)
+    history: list[Iteration] = field(default_factory=list)
+    iterations: int = 0
+    _look: tuple[Answer, Look] | None = None
+
+    def say(self, line: str) -> None:
+        """One line for the watcher and for the history."""
+        self.tried.append(line)
+        self.watch(line)
+
+    def program(self, meshes: tuple[Mesh, ...]) -> Program:
+        """The NLP on the given meshes."""
+        from perilune.direct.nlp import Program
+
+        return Program(problem=self.problem, scheme=self.settings.scheme, meshes=meshes)
+
+    def attempt(
+        self,
+        program: Program,
+        free: Vector,
+        values: tuple[PhaseValues, ...],
+        name: str,
+        nearest: bool = False,
+        most: int | None = None,
+    ) -> Answer:
+        """Solve one NLP; with `nearest`, hold all but path and ends and miss these by the least."""
+        s = self.settings
+        iterations = s.iterations if most is None else min(most, s.iterations)
+        answer = program.solve(free, values, iterations=iterations, tolerance=s.nlp_tolerance, nearest=nearest)
+        self.iterations += answer.iterations
+        outcome = "solved" if answer.converged else "not solved"
+        self.say(f"{name}: {outcome} in {answer.iterations} iterations")
+        return answer
+
+    def looked_at(self, program: Program, answer: Answer) -> Look:
+        """An answer as a flight; it is looked at once."""
+        if self._look is None or self._look[0] is not answer:
+            self._look = answer, self._looked_at(program, answer)
+        return self._look[1]
+
+    def _looked_at(self, program: Program, answer: Answer) -> Look:
+        from perilune.direct.errors import mesh_errors, relative_errors
+        from perilune.direct.segments import flown_segments
+
+        segments, p = flown_segments(program, answer), self.problem.parameters(answer.free_si(self.problem))
+        errors = mesh_errors(self.problem, segments, p, self.settings.tolerance)
+        return Look(segments, errors, relative_errors(self.problem, segments, errors))
+
+    def solution(self, program: Program, answer: Answer, look: Look) -> Solution:
+        """The answer in SI."""
+        from perilune.direct.segments import trajectory
+
+        problem, worst = self.problem, look.worst
+        # Interpolation adds a hundredth of the mesh error, so that what is exported is as good as what was solved.
+        fine = 1e-2 * min(worst, self.settings.tolerance)
+        objective_scale = problem.objective_size
+        multipliers = {
+            f"{phase.name}.{condition.name}": float(nu * objective_scale) / problem.size_of(condition)
+            for k, phase in enumerate(problem.phases)
+            for condition, nu in zip(phase.end_conditions, answer.rows[k, "end"], strict=True)
+        }
+        return Solution(
+            problem=problem,
+            method="pseudospectral",
+            outcome=Outcome.SOLVED,
+            objective=float(answer.objective * objective_scale),
+            free=answer.free_si(problem),
+            trajectories=Deferred(
+                len(problem.phases),
+                lambda: tuple(trajectory(problem, k, flown, fine) for k, flown in enumerate(look.segments)),
+            ),
+            multipliers=multipliers,
+            statistics=Statistics(
+                rung=f"{self.settings.scheme} collocation, {sum(m.nodes for m in program.meshes)} nodes",
+                tried=tuple(self.tried),
+                iterations=self.iterations,
+                residual=worst,
+                wall_time=time.perf_counter() - self.began,
+                history=tuple(self.history),
+            ),
+        )
+
+    def missing(self, program: Program, answer: Answer) -> Solution:
+        """A trajectory that misses conditions, whose multipliers are costates of nothing."""
+        with np.errstate(all="ignore"):  # it may lead where the physics is not defined
+            found = self.solution(program, answer, self.looked_at(program, answer))
+            return replace(found, trajectories=tuple(replace(flown, costate=None) for flown in found.trajectories))

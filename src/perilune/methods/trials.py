@@ -1,0 +1,112 @@
+"""Newton on one problem, whoever asks for it: within its bounds, what came nearest kept, all flights counted."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.held import Held
+from perilune.conditions.pontryagin import Conditions, derive
+from perilune.methods.assemble import joints_from
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.problem.symbolic import free_scales
+from perilune.shooting.active import Limits, limits_of, settle
+from perilune.shooting.continuum import completed
+from perilune.shooting.function import Root, Roots, Shooting
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Iteration, Watch
+
+AT_BOUND = 1e-8  # canonical distance at which a value counts as lying on a bound
+
+
+class Trials:
+    """Runs of Newton's method on one problem.
+
+    Attributes
+    ----------
+    conditions, p, shooting, limits
+        Of the problem with a control that keeps conditions `keep` of the path.
+    scanned
+        Index of the first free parameter between finite bounds that is no duration; None where there is none.
+    history
+        Iterations of all runs of single lanes.
+    best_failure
+        What came nearest of all that failed.
+    """
+
+    def __init__(self, problem: Problem, watch: Watch, keep: Held = ()) -> None:
+        self.problem, self.watch = problem, watch
+        self.conditions: Conditions = derive(problem, keep)
+        self.p: Vector = extremal_parameters(problem)
+        self.shooting = Shooting(self.conditions)
+        self.limits = limits_of(problem, self.conditions)
+        self.scanned = _scanned_parameter(problem)
+        self.history: list[Iteration] = []
+        self.best_failure: Root | None = None
+
+    @cached_property
+    def others(self) -> Limits:
+        """Limits of all but the parameter that is scanned."""
+        return self.limits.without(self.scanned)
+
+    def settled(
+        self,
+        Y: Matrix,
+        choice: Matrix,
+        p: Matrix | None = None,
+        *,
+        limits: Limits,
+        shooting: Shooting | None = None,
+        **settings: float,
+    ) -> Roots:
+        """Roots within their limits; flights are counted, and the nearest failure at the problem's own numbers kept."""
+        function = shooting or self.shooting
+        numbers = self.p if p is None else p
+        roots = completed(function, settle(function, Y, numbers, choice, limits, self.watch, **settings), numbers)
+        self.history += roots.history
+        if function is not self.shooting:
+            self.shooting.arcs += function.arcs
+            self.shooting.iterations += function.iterations
+        if p is None and not roots.converged.all():
+            failed = np.where(roots.converged | ~np.isfinite(roots.residuals), np.inf, roots.residuals)
+            nearest, worst = int(np.argmin(failed)), self.best_failure
+            if np.isfinite(failed[nearest]) and (worst is None or failed[nearest] < np.abs(worst.residual).max()):
+                self.best_failure = roots[nearest]
+        return roots
+
+    def by_pieces(self, rough: Solution, y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
+        """Newton from a rough solution with so many segments for each phase, then in one piece."""
+        shooting = Shooting(self.conditions, segments=segments)
+        Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
+        root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
+        if root.converged and segments > 1:  # one piece again, for what follows
+            root = self.shooting.in_one(self.settled(root.y[None, : len(y)], root.choice, limits=limits)[0], root)
+        return root
+
+    def correct(self, y: Vector, like: Root, p: Vector) -> Root:
+        """Newton at other given parameters p, with what is held as in `like` to begin with."""
+        return self.settled(y[None], like.choice, p, limits=self.others)[0]
+
+    def bounds(self, index: int) -> tuple[float, float]:
+        """Of a free parameter, canonical."""
+        return float(self.limits.lower[index]), float(self.limits.upper[index])
+
+    def outside(self, root: Root) -> str | None:
+        """The first free parameter that is out of its bounds, or None."""
+        scales = free_scales(self.problem.free, self.problem)
+        values = root.y[self.conditions.free_at] * scales
+        for f, value, scale in zip(self.problem.free, values, scales, strict=True):
+            if not f.lower - AT_BOUND * scale <= value <= f.upper + AT_BOUND * scale:
+                return f.name
+        return None
+
+
+def _scanned_parameter(problem: Problem) -> int | None:
+    for i, f in enumerate(problem.free):
+        if math.isfinite(f.upper - f.lower) and f.name not in problem.duration_names:
+            return i
+    return None

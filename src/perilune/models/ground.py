@@ -1,0 +1,47 @@
+"""The ground around a landing site: that of a round body that turns, or flat under uniform gravity.
+
+Frame: east, north, up at the site, turning with the body; position from the site, velocity relative to it. The
+rotation axis of a round body is (0, cos latitude, sin latitude) there, and the mechanics are those of
+`perilune.models.rotating`. Over flat ground gravity is (0, 0, -g), and no direction in the plane is marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models.descent_frames import thrust
+from perilune.models.limits import is_flat
+from perilune.models.rotating import Triple, combine, free_acceleration, local_axes, seen_inertially
+
+
+def centre_to(x: Any, p: Any) -> Triple:
+    """Position [m] from the centre of a round body."""
+    return x.east, x.north, x.up + p.body_radius + p.site_altitude
+
+
+def axis(p: Any, m: Any) -> Triple:
+    """Unit vector of the rotation of a round body."""
+    return 0.0, m.cos(p.site_latitude), m.sin(p.site_latitude)
+
+
+def without_thrust(x: Any, velocity: Sequence[Any], p: Any, m: Any) -> Triple:
+    """Acceleration [m/s^2] that the ground sees of what falls freely."""
+    if is_flat(p):
+        return 0.0, 0.0, -p.body_gravity
+    return free_acceleration(centre_to(x, p), velocity, axis(p, m), p, m)
+
+
+def over_ground(x: Any, p: Any, m: Any) -> tuple[Triple, Triple, Any]:
+    """A place as `perilune.models.limits` asks for it: position, axis of the rotation, radius of the site."""
+    if is_flat(p):
+        return (0.0, 0.0, x.up), (0.0, 0.0, 0.0), 0.0
+    return centre_to(x, p), axis(p, m), p.body_radius + p.site_altitude
+
+
+def inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    """`perilune.problem.phase.Phase.inertial` over a round body."""
+    up, north, east = local_axes(p.site_longitude, p.site_latitude, m)
+    vectors = (centre_to(x, p), (x.v_east, x.v_north, x.v_up), (u.toward_east, u.toward_north, u.toward_up))
+    position, velocity, direction = (combine((a, east), (b, north), (c, up)) for a, b, c in vectors)
+    return seen_inertially(position, velocity, combine((thrust(u, p) / x.m, direction)), t, p, m)

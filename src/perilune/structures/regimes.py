@@ -1,0 +1,250 @@
+"""Where a scalar control is on a bound and where it is singular: read off an answer with costates, and looked at again.
+
+Of a scalar that enters the dynamics linearly H tells by how much one bound is worse than the other,
+
+    gain = H(upper) - H(lower) = Phi (upper - lower),       Phi = dH/du:
+
+and the control is at its upper bound where that is negative, at its lower where it is positive. At a switch the gain
+crosses zero: it is below 4 times a level for 4 times as long as below it. Along a singular arc it stays there, however
+the control of a mesh chatters, and beyond both ends it leaves zero like t^2, which tells where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from perilune.problem.controls import Bounded, Settled, scalars
+from perilune.problem.rates import acts_linearly
+from perilune.problem.solution import Solution
+from perilune.structures.structure import Regimes, Structure
+from perilune.words.types import Vector
+
+# Of the size of the gain: so small it is zero, on better and on worse meshes. Its size is what it reaches while the
+# control is on a bound, on the bound where that is less and on the other: where a state rides along a bound of its own
+# a mesh tells costates of any size, and along a short arc hardly more than its noise.
+LEVELS = tuple((size, level) for size in (0, 1) for level in (2e-3, 5e-3, 1e-2, 2e-2, 4e-2, 8e-2))
+WIDER, STAYS = 4.0, 0.5  # a wider level; singular where the gain stays for such a share of the time below the wider one
+SHORTEST, BURST = 0.01, 2e-3  # of a phase: singular arcs that are read are longer, and arcs on bounds
+INSIDE = 0.02  # of its range: on the average a singular control is farther from its bounds
+BETWEEN = 0.1  # of its range and of a phase
+CLEAR = 0.05  # of its range: so near to its lower bound a control is there, whatever the gain
+POINTS = 2000
+WRONG = 1e-6  # of the largest gain, and of the range of a control: more is no rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stay:
+    """A scalar control that stays in a regime from `begin` to `end` [s] of a phase."""
+
+    control: str
+    regime: str
+    begin: float
+    end: float
+
+
+def linear_scalars(solution: Solution, k: int) -> list[tuple[int, Bounded]]:
+    """Scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path."""
+    problem, phase = solution.problem, solution.problem.phases[k]
+    functions = [problem.form.expressions.get((k, name)) for name in ("path", "held")]
+    return [
+        (at, control)
+        for at, control in scalars(phase.controls)
+        if control.bounded
+        and acts_linearly(problem.form.expressions[k, "dynamics"], control.name)
+        and not any(f is not None and ("u", control.name) in f.tape.instructions for f in functions)
+    ]
+
+
+def wavering(solution: Solution) -> bool:
+    """Whether a scalar that enters linearly stays between its bounds for longer than a switch on a mesh."""
+    for k in range(len(solution.trajectories)):
+        for at, control in linear_scalars(solution, k):
+            flown = solution.trajectories[k].control
+            share = control.share(flown(np.linspace(0.0, flown.time[-1], POINTS))[:, at], solution.parameters)
+            if float(((share > BETWEEN) & (share < 1 - BETWEEN)).mean()) > BETWEEN:
+                return True
+    return False
+
+
+def read_stays(solution: Solution, k: int, level: tuple[int, float]) -> list[Stay]:
+    """The regimes of each scalar of phase k that is singular for a while, at a level; nothing of one that is not."""
+    if solution.trajectories[k].costate is None:
+        return []
+    found = list[Stay]()
+    for at, control in linear_scalars(solution, k):
+        t, gain, share = gain_along(solution, k, at, control)
+        zero = level[1] * _sizes(gain, share)[level[0]]
+        if singular := list(_singular(t, gain, share, zero)):
+            # A mesh passes from bound to bound within a segment: there the gain says which it is.
+            upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
+            found += _filled(control.name, t, upper, singular)
+    return found
+
+
+def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[Vector, Vector, Vector]:
+    """Times of phase k, H at the upper less H at the lower bound there [J/s], and the place in the range, 0 to 1."""
+    phase, flown = solution.problem.phases[k], solution.trajectories[k]
+    assert flown.costate is not None, "asked for where there is one"
+    t = np.linspace(0.0, flown.duration, POINTS)
+    x, u = solution.flown(k, t)
+    lam, p = flown.costate(t).T, solution.parameters
+    sides = []
+    for limit in control.limits(p):
+        moved = np.array(u)
+        moved[at] = limit
+        rates = phase.rates(list(x), list(moved), p)
+        sides.append(sum(a * np.asarray(b) for a, b in zip(lam, rates, strict=True)))
+    return t, sides[1] - sides[0], control.share(u[at], p)
+
+
+def _sizes(gain: Vector, share: Vector) -> tuple[float, float]:
+    """The largest gain while the control is on a bound: on the one where it is less, and on the other."""
+    sizes = [float(np.abs(gain[on]).max()) for on in (share < INSIDE, share > 1 - INSIDE) if on.mean() > SHORTEST]
+    sizes = sizes or [float(np.abs(gain).max())]
+    return min(sizes), max(sizes)
+
+
+def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[tuple[float, float]]:
+    """From when to when the gain stays at zero."""
+    size, total = np.abs(gain), float(t[-1])
+    wide = runs(size <= WIDER * level)
+    for first, last in runs(size <= level):
+        low, high = next((a, b) for a, b in wide if a <= first <= b)
+        stays = (t[last] - t[first]) > STAYS * (t[high] - t[low])
+        if not stays or not INSIDE < share[first : last + 1].mean() < 1 - INSIDE:
+            continue
+        # Like t^2 beyond both ends: twice as far from them at four times the level.
+        begin = 0.0 if first == 0 else float(2 * t[first] - t[low])
+        end = total if last == len(t) - 1 else float(2 * t[last] - t[high])
+        if end - begin > SHORTEST * total:
+            yield begin, end
+
+
+def _filled(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
+    """These arcs, and those at bounds between them."""
+    found, total, before = list[Stay](), float(t[-1]), 0.0
+    for begin, end in [*singular, (total, total)]:
+        if begin - before > SHORTEST * total:
+            found += _at_bounds(name, t, upper, before, begin)
+        elif found:
+            found[-1] = replace(found[-1], end=begin)
+        else:
+            begin = 0.0
+        if end > begin:
+            found.append(Stay(control=name, regime="singular", begin=begin, end=end))
+        before = end
+    return [*found[:-1], replace(found[-1], end=total)]
+
+
+def _at_bounds(name: str, t: Vector, upper: Vector, begin: float, end: float) -> list[Stay]:
+    """Bang-bang from one time to another."""
+    inside = (t >= begin) & (t <= end)
+    here, upper = t[inside], upper[inside]
+    found = list[Stay]()
+    for first, last in runs(np.ones(len(here), dtype=bool), upper):
+        if found and here[last] - here[first] <= BURST * t[-1]:
+            continue
+        regime = "upper" if upper[first] else "lower"
+        if found and found[-1].regime == regime:
+            continue
+        at = begin if not found else float(here[first])
+        if found:
+            found[-1] = replace(found[-1], end=at)
+        found.append(Stay(control=name, regime=regime, begin=at, end=end))
+    return found
+
+
+def runs(true: Vector, kind: Vector | None = None) -> list[tuple[int, int]]:
+    """First and last index of each run of true values, each of one kind."""
+    kind = np.zeros(len(true)) if kind is None else kind
+    edges = np.nonzero((np.diff(true.astype(int)) != 0) | (np.diff(kind.astype(int)) != 0))[0] + 1
+    bounds = zip([0, *edges.tolist()], [*(edges - 1).tolist(), len(true) - 1], strict=True)
+    return [(a, b) for a, b in bounds if true[a]]
+
+
+def stays_of(structure: Structure, k: int) -> list[Stay]:
+    """The regimes of phase k in a structure with times; neighbours of one regime are one."""
+    found, begin = list[Stay](), 0.0
+    for arc in structure.phases[k]:
+        for name, regime in arc.regimes:
+            last = next((i for i, s in enumerate(found) if s.control == name and s.end == begin), None)
+            if last is not None and found[last].regime == regime:
+                found[last] = replace(found[last], end=arc.until)
+            else:
+                found.append(Stay(control=name, regime=regime, begin=begin, end=arc.until))
+        begin = arc.until
+    return sorted(found, key=lambda s: (s.begin, s.control))
+
+
+def regimes_at(stays: Sequence[Stay], t: float) -> Regimes:
+    """What each scalar does at a time."""
+    return tuple((s.control, s.regime) for s in stays if s.begin < t < s.end)
+
+
+def settled(control: Bounded, regime: str) -> Settled:
+    """A scalar in a regime."""
+    own = {name: getattr(control, name) for name in ("name", "unit", "lower", "upper")}
+    return Settled(**own, regime=regime)  # pyright: ignore[reportArgumentType]
+
+
+def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: float) -> list[Stay] | None:
+    """The regimes that an extremal of these asks for: themselves where it keeps to them; None where it is none.
+
+    Parameters
+    ----------
+    whole
+        The extremal in the user's phases.
+    k, known
+        The phase, and its regimes with the times of the extremal.
+    shortest
+        Of the phase: an arc that is shorter is none.
+    """
+    found, least = list[Stay](), shortest * whole.trajectories[k].duration
+    for at, control in linear_scalars(whole, k):
+        own = [s for s in known if s.control == control.name]
+        if not own:
+            continue
+        t, gain, share = gain_along(whole, k, at, control)
+        most, kept = float(np.abs(gain).max()), list[Stay]()
+        for stay in own:
+            if stay.end - stay.begin <= least:
+                continue
+            inside = np.nonzero((t > stay.begin) & (t < stay.end))[0]
+            if stay.regime == "singular" and np.abs(gain[inside]).max(initial=0.0) > WRONG * most:
+                return None
+            kept += _kept(stay, t[inside], gain[inside] / most, share[inside])
+        found += _closed(kept, known[-1].end)
+    return sorted(found, key=lambda s: (s.begin, s.control))
+
+
+def _kept(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
+    """A stay cut where it should be another: on a bound that is the worse one, or beyond the bounds."""
+    if stay.regime == "singular":
+        asked = np.where(share > 1 + WRONG, 1, np.where(share < -WRONG, -1, 0))
+        names = {1: "upper", -1: "lower", 0: "singular"}
+    else:
+        wrong = gain * (1 if stay.regime == "upper" else -1) > WRONG
+        asked = wrong.astype(int)
+        names = {0: stay.regime, 1: "lower" if stay.regime == "upper" else "upper"}
+    if not asked.any():
+        yield stay
+        return
+    pieces = runs(np.ones(len(t), dtype=bool), asked)
+    for first, last in pieces:
+        begin = stay.begin if first == 0 else float(t[first])
+        end = stay.end if last == len(t) - 1 else float(t[last + 1])
+        yield Stay(control=stay.control, regime=names[int(asked[first])], begin=begin, end=end)
+
+
+def _closed(stays: Sequence[Stay], total: float) -> list[Stay]:
+    """Without gaps, from the beginning of the phase to its end; neighbours of one regime are one."""
+    found = list[Stay]()
+    for stay in stays:
+        if found and found[-1].regime == stay.regime:
+            found[-1] = replace(found[-1], end=stay.end)
+        else:
+            found.append(replace(stay, begin=found[-1].end if found else 0.0))
+    return [*found[:-1], replace(found[-1], end=total)] if found else []

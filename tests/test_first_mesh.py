@@ -1,0 +1,86 @@
+"""What a direct run begins with: a straight line, or the flight under its controls where that winds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import perilune as pl
+from perilune.direct.first_guess import first_guesses
+from perilune.direct.flown_guess import NODES, flown_guess, winding
+from perilune.direct.segments import Sampler
+from perilune.problem.controls import admissible
+from perilune.problem.problem import Problem
+from perilune.words.maths import NUMERIC
+from problems import LIBRARY
+from problems.ascents import TWO_STAGES, staged_launch
+from problems.constrained import mars_glide_slope
+from problems.landings import meditch
+from problems.transfers import dionysus
+
+
+def flown(problem: Problem) -> list[Sampler]:
+    free, lines, _ = next(first_guesses(problem, None))
+    found = flown_guess(problem, free, lines)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def transfer() -> pl.Solution:
+    return pl.solve(dionysus(), pl.Pseudospectral(), level=2)
+
+
+def test_five_revolutions_by_default(transfer: pl.Solution) -> None:
+    """No setting, no guess; another mesh, from its own start, leads to the same extremal of twelve switches."""
+    assert transfer.outcome is pl.Outcome.PROVED and transfer.verification.level == 2
+    rival = pl.solve(dionysus(), pl.Pseudospectral(segments=6, nodes=8), level=0)
+    assert transfer.objective == pytest.approx(rival.objective, rel=1e-8)
+    switches = np.diff(transfer.trajectories[0].time) == 0
+    assert int(switches.sum()) == 12
+    assert sum("flown under its controls" in line for line in transfer.statistics.tried) == 1
+
+
+def test_a_flight_that_winds_keeps_the_dynamics_and_gives_the_mesh() -> None:
+    problem = dionysus()
+    (guess,) = flown(problem)
+    (segments,) = winding([guess]) or (0,)
+    assert segments == 10 and segments * NODES == 80
+    p, phase, duration = problem.parameters({}), problem.phases[0], problem.given["flight_time"].value
+
+    def flow(at: float, x: np.ndarray) -> np.ndarray:
+        return duration * np.array(
+            phase.rates(list(x), list(admissible(phase.controls, guess(np.array([at]))[1].T, p)[:, 0]), p)
+        )
+
+    t = np.linspace(0.0, 1.0, 40)
+    exact = solve_ivp(flow, (0.0, 1.0), guess(np.zeros(1))[0][0], "RK45", t_eval=t, rtol=1e-8, max_step=0.01).y
+    assert guess(t)[0].T == pytest.approx(exact, rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", [a.name for a in LIBRARY])
+def test_what_does_not_wind_is_left_alone(name: str) -> None:
+    problem = next(a for a in LIBRARY if a.name == name).make()
+    assert winding(flown(problem)) is None
+
+
+def test_phases_are_flown_one_after_the_other() -> None:
+    problem = staged_launch(TWO_STAGES, 60e3, 1700.0)
+    first, second = flown(problem)
+    p = problem.parameters({f.name: f.typical for f in problem.free})
+    ended = problem.phases[0].state_record(*first(np.array([1.0]))[0][0])
+    assert second(np.array([0.0]))[0][0] == pytest.approx(problem.links[0](ended, p, NUMERIC), rel=1e-9)
+
+
+def test_what_cannot_be_flown_to_the_end_is_no_guess() -> None:
+    """A mass that runs out on the way."""
+    problem = meditch().with_given(m=0.2)
+    free, lines, _ = next(first_guesses(problem, None))
+    assert flown_guess(problem, free, [lambda at: (lines[0](at)[0], np.full((len(at), 1), 1.2))]) is None
+
+
+def test_an_ordinary_problem_is_solved_from_the_straight_line_alone() -> None:
+    tried = pl.Pseudospectral().run(mars_glide_slope()).statistics.tried
+    assert tried[0].startswith("straight line, durations x 1: solved")
+    assert not any("flown" in line for line in tried)

@@ -1,0 +1,78 @@
+"""Flights of an answer where errors grow: exported in pieces, each from its own start."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.pontryagin import derive
+from perilune.methods.flown import exported, in_one_piece
+from perilune.problem.variables import Given, Variable
+from perilune.shooting.function import Shooting
+
+
+def saddle(rate: float) -> pl.Problem:
+    """From 1 to 1 in a second with the least int (u^2 + rate^2 x^2)/2: near 0 on the way, errors grow by e^rate."""
+    phase = pl.Phase(
+        name="way",
+        states=(Variable(name="x", unit="m"), Variable(name="J", unit="m^2/s")),
+        controls=(pl.Bounded(name="u", unit="m/s", lower=-100.0, upper=100.0),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u + (p.rate * x.x) ** 2)),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.side,),
+        end_conditions=(Variable(name="there", unit="m"),),
+        typical_end=lambda p, m: (p.side, p.side**2 / p.T),
+    )
+    return pl.Problem(
+        name="saddle",
+        phases=(phase,),
+        start=lambda p, m: (p.side, 0.0),
+        given={
+            "side": Given(value=1.0, unit="m"),
+            "rate": Given(value=rate, unit="1/s"),
+            "T": Given(value=1.0, unit="s"),
+        },
+        objective=lambda x, p, m: x.J,
+        objective_unit="m^2/s",
+    )
+
+
+def least(rate: float) -> float:
+    """Its closed form."""
+    return rate * (math.cosh(rate) - 1) / math.sinh(rate)
+
+
+@pytest.mark.parametrize("rate", [2.0, 12.0, 20.0, 28.0])
+def test_what_multiplies_errors_is_proved(rate: float) -> None:
+    solution = pl.solve(saddle(rate))
+    assert solution.objective == pytest.approx(least(rate), rel=1e-11)
+    assert solution.verification.level == 3
+
+
+def test_one_piece_misses_where_pieces_do_not() -> None:
+    """A costate that is rounded in its last digit ends e^20 times as far off; each of six pieces e^3.3."""
+    problem = saddle(20.0)
+    found = pl.solve(problem, level=0)
+    conditions = derive(problem)
+    assert found.unknowns is not None
+    p, shooting = extremal_parameters(problem), Shooting(conditions)
+    root = shooting.at(found.unknowns[None], p, shooting.holding({}))[0]
+    ends = [
+        flown.z[-1, 0] - 1
+        for flown in (in_one_piece(problem, conditions, root.y)[0], exported(problem, conditions, root)[0])
+    ]
+    assert abs(ends[0]) > 1e-10 > 1e-12 > abs(ends[1])
+
+
+def test_pieces_are_one_curve() -> None:
+    """No break is added, and times, gaps and switches are those of the whole flight."""
+    problem = saddle(20.0)
+    solution = pl.solve(problem, level=0)
+    flown = solution.trajectories[0]
+    assert np.all(np.diff(flown.time) > 0)
+    assert flown.time[-1] == 1.0
+    assert flown.state(0.5)[0] == pytest.approx(1 / math.cosh(10.0), rel=1e-9)
