@@ -13,14 +13,21 @@ from perilune.problem.solution import Curve, Solution
 from perilune.proof.crossed import agreement
 from perilune.proof.touched import cut
 from perilune.structures.carry import split
-from problems.constrained import brachistochrone, bryson_denham
+from problems.by_hand import by_hand, parted
+from problems.constrained import (
+    OFFSET,
+    brachistochrone,
+    brachistochrone_truth,
+    bryson_denham,
+    speed_limit,
+    speed_limit_truth,
+)
 from problems.ridden import (
     CLAMPED,
     beam,
     bryson_denham_ridden,
-    by_hand,
+    ditch,
     floor,
-    parted,
     string,
     string_in_two_phases,
     string_pieces,
@@ -100,6 +107,48 @@ def test_how_long_it_rides_has_to_be_a_minimum(bent: float, passes: bool) -> Non
 )
 def test_an_arc_may_begin_or_end_with_its_phase(solution: Solution) -> None:
     assert not failed(solution, 3)
+
+
+@pytest.mark.parametrize("limit", [30.0, 50.0])
+def test_a_lander_with_a_speed_limit_is_locally_optimal(limit: float) -> None:
+    """H is linear in its thrust, which keeps the speed along the arc; by the rocket equation."""
+    met, left, mass = speed_limit_truth(limit)
+    solution = pl.solve(speed_limit(limit))
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    assert solution.objective == pytest.approx(-mass, rel=1e-9)
+    along = next(arc for arc in solution.structure if arc.words == "along room")
+    assert (along.begin, along.end) == (pytest.approx(met, rel=1e-6), pytest.approx(left, rel=1e-6))
+
+
+def test_a_condition_may_hold_the_duration_that_is_free() -> None:
+    """The line falls by 1 cm for each second that the slide takes: the least time is that of the line as it is then."""
+    fixed = brachistochrone()
+    phase = replace(fixed.phases[0], path=lambda x, u, p, m: (p.slope * x.x + p.offset + p.falls * (p.T - p.T0) - x.y,))
+    falls = {"falls": pl.Given(value=0.01, unit="m/s"), "T0": pl.Given(value=1.8, unit="s")}
+    problem = pl.Problem(
+        name="falling", phases=(phase,), start=fixed.start, given={**fixed.given, **falls}, free=fixed.free,
+        objective=lambda x, p, m: p.T, objective_unit="s",
+    )  # fmt: skip
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    least = brachistochrone_truth(OFFSET + 0.01 * (solution.objective - 1.8))[2]
+    assert solution.objective == pytest.approx(least, abs=1e-9)
+
+
+@pytest.mark.parametrize(("pull", "passes"), [(0.0, True), (0.5, True), (1.5, False)])
+def test_to_leave_an_arc_when_it_does_has_to_be_a_minimum(pull: float, passes: bool) -> None:
+    """J over the time of leaving bends by 1 - pull; all of level 2 holds at the maximum, and mu is 1."""
+    assert failed(ditch(0.8, 0.5, pull=pull), 3) == (set() if passes else {"conjugate_point"})
+
+
+@pytest.mark.parametrize(("load", "failing"), [
+    ((0.5, 1.0), set()),
+    ((-0.2, 1.0), {"ditch-2_along"}),
+    ((0.0, 1.0), {"ditch-2_along_sufficient"}),  # x may rise half way at no first-order cost
+])  # fmt: skip
+def test_what_is_linear_pays_all_along_the_arc(load: tuple[float, float], failing: set[str]) -> None:
+    wrong = failed(ditch(0.8, 0.5, load=load), 3)
+    assert failing <= wrong and bool(wrong) is bool(failing)
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.optimize import root_scalar
 
 import perilune as pl
 from perilune.problem.variables import Given, Variable
@@ -80,7 +82,7 @@ def brachistochrone() -> pl.Problem:
     )
 
 
-def brachistochrone_truth() -> tuple[float, float, float]:
+def brachistochrone_truth(offset: float = OFFSET) -> tuple[float, float, float]:
     """When the line is met, when it is left, and the least time [s]: a cycloid, the line, a cycloid, each tangent.
 
     On a cycloid x = R (phi - sin phi), y = R (1 - cos phi) the slope is cot(phi/2) and the time sqrt(R/g) phi; the last
@@ -88,8 +90,8 @@ def brachistochrone_truth() -> tuple[float, float, float]:
     """
     phi = 2 * math.atan(1 / SLOPE)
     high, wide = 1 - math.cos(phi), phi - math.sin(phi)
-    first = OFFSET / (high - SLOPE * wide)
-    last = (SLOPE + OFFSET) / (high + SLOPE * (math.pi - wide))
+    first = offset / (high - SLOPE * wide)
+    last = (SLOPE + offset) / (high + SLOPE * (math.pi - wide))
     met, gained = first * high, last * high  # heights fallen, where speeds are sqrt(2 y)
     along = (math.sqrt(2 * gained) - math.sqrt(2 * met)) * math.hypot(1, SLOPE) / SLOPE
     entered = math.sqrt(first) * phi
@@ -131,6 +133,58 @@ def mars_glide_slope() -> pl.Problem:
         result_variables=_variables(propellant="kg", time="s"),
         scales=pl.Scales(length=2000.0, time=40.0, mass=1905.0),
     )  # fmt: skip
+
+
+def speed_limit(limit: float) -> pl.Problem:
+    """A vertical lunar descent from 2 km and 20 m/s, never faster than a limit: a fall, steady, full thrust."""
+    phase = pl.Phase(
+        name="descent",
+        states=_variables(h="m", v="m/s", m="kg"),
+        controls=(pl.Bounded(name="T", unit="N", lower="least", upper="most"),),
+        dynamics=lambda x, u, p, m: (x.v, u.T / x.m - p.g, -u.T / p.c),
+        duration="flight_time",
+        end=lambda x, p, m: (x.h, x.v),
+        end_conditions=_variables(down="m", still="m/s"),
+        path=lambda x, u, p, m: (p.limit + x.v,),
+        path_conditions=_variables(room="m/s"),
+        typical_end=lambda p, m: (0.0, 0.0, 0.8 * p.m0),
+    )
+    return pl.Problem(
+        name="speed_limit",
+        phases=(phase,),
+        start=lambda p, m: (p.h0, p.v0, p.m0),
+        given=_given(h0=(2000.0, "m"), v0=(-20.0, "m/s"), m0=(1000.0, "kg"), g=(1.62, "m/s^2"), c=(3000.0, "m/s"),
+                     least=(0.0, "N"), most=(4000.0, "N"), limit=(limit, "m/s")),
+        free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=1000.0, typical=80.0),),
+        objective=lambda x, p, m: -x.m,
+        objective_unit="kg",
+        scales=pl.Scales(length=2000.0, time=35.0, mass=1000.0),
+    )  # fmt: skip
+
+
+def speed_limit_truth(limit: float) -> tuple[float, float, float]:
+    """When the limit is met, when it is left [s], and the mass that lands [kg]: by the rocket equation."""
+    p = {name: given.value for name, given in speed_limit(limit).given.items()}
+    g, c, burn = p["g"], p["c"], p["most"] / p["c"]
+    fallen = (limit + p["v0"]) / g
+    high = p["h0"] + p["v0"] * fallen - 0.5 * g * fallen**2
+
+    def braking(mass: float) -> tuple[float, float]:
+        """How long it takes from the limit to rest [s], and over what height [m]."""
+        t = _root(lambda t: c * math.log(mass / (mass - burn * t)) - g * t - limit, 1.0, 0.5 * mass / burn)
+        left = mass - burn * t
+        return t, limit * t + 0.5 * g * t * t - c * (t - left / burn * math.log(mass / left))
+
+    def missed(steady: float) -> float:
+        return high - limit * steady - braking(p["m0"] * math.exp(-g * steady / c))[1]
+
+    steady = _root(missed, 0.0, high / limit)
+    mass = p["m0"] * math.exp(-g * steady / c)
+    return fallen, fallen + steady, mass - burn * braking(mass)[0]
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    return float(root_scalar(function, bracket=(low, high), xtol=1e-14, rtol=1e-14).root)
 
 
 MU, RADIUS, TURNS = 3.986005e14, 6.371e6, 7.2921159e-5

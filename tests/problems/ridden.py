@@ -12,81 +12,19 @@ their length is pi (string), 4.7300407 (beam), so that kappa is (k L/pi)^2 and (
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 import perilune as pl
-from perilune.problem.solution import Curve, Solution
+from perilune.problem.solution import Solution
 from perilune.problem.variables import Given, Variable
+from problems.by_hand import Formula, Piece, by_hand, parted, polynomial
 from problems.constrained import bryson_denham
 
 CLAMPED = 4.730040744862704  # the first root of cos z cosh z = 1
-NODES = 900  # of an arc
-Formula = Callable[[Any], Any]
-
-
-@dataclass(frozen=True)
-class Piece:
-    """One arc: how long it lasts, and rows of functions of the time since it began, with their derivatives."""
-
-    length: float
-    state: Sequence[tuple[Formula, Formula]]
-    control: Sequence[tuple[Formula, Formula]]
-    costate: Sequence[tuple[Formula, Formula]]
-
-
-def polynomial(*coefficients: float) -> tuple[Formula, Formula]:
-    """A polynomial in time, lowest order first, and its derivative."""
-    whole = Polynomial(coefficients)
-    return whole, whole.deriv()
-
-
-def by_hand(problem: pl.Problem, *pieces: Sequence[Piece], free: dict[str, float] | None = None) -> Solution:
-    """The pieces of each phase as tables of an answer."""
-    flown = tuple(_flown(phase.name, own) for phase, own in zip(problem.phases, pieces, strict=True))
-    solution = Solution(problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free=free or {},
-                        trajectories=flown)  # fmt: skip
-    end = problem.phases[-1].state_record(*flown[-1].state.values[-1].tolist())
-    return replace(solution, objective=float(problem.objective(end, solution.parameters, math)))
-
-
-def _flown(name: str, pieces: Sequence[Piece]) -> pl.Trajectory:
-    rows: dict[tuple[str, int], list[Any]] = {}
-    begins = np.concatenate([[0.0], np.cumsum([piece.length for piece in pieces])])
-    times = [np.linspace(0.0, piece.length, NODES) for piece in pieces]
-    for piece, t in zip(pieces, times, strict=True):
-        for table in ("state", "control", "costate"):
-            for kind in (0, 1):
-                values = [np.broadcast_to(f[kind](t), t.shape) for f in getattr(piece, table)]
-                rows.setdefault((table, kind), []).append(np.stack(values, axis=1))
-    time = np.concatenate([begin + t for begin, t in zip(begins[:-1], times, strict=True)])
-    curves = {
-        table: Curve(time=time, values=np.vstack(rows[table, 0]), rates=np.vstack(rows[table, 1]))
-        for table in ("state", "control", "costate")
-    }
-    return pl.Trajectory(phase=name, **curves)
-
-
-def parted(pieces: Sequence[Piece], times: Sequence[float]) -> list[Piece]:
-    """The same flight in pieces that end at these times too."""
-    found, begin = [], 0.0
-    for piece in pieces:
-        inside = [t - begin for t in sorted(times) if 1e-9 < t - begin < piece.length - 1e-9]
-        for left, right in pairwise([0.0, *inside, piece.length]):
-            tables = ([_later(f, left) for f in getattr(piece, of)] for of in ("state", "control", "costate"))
-            found.append(Piece(right - left, *tables))
-        begin += piece.length
-    return found
-
-
-def _later(pair: tuple[Formula, Formula], begin: float) -> tuple[Formula, Formula]:
-    value, rate = pair
-    return lambda t: value(begin + t), lambda t: rate(begin + t)
 
 
 def _variables(**units: str) -> tuple[Variable, ...]:
@@ -313,7 +251,8 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6, level: float 
         [polynomial(third - load * w, load), polynomial(third * w - 0.5 * load * w * w, load * w - third, -0.5 * load),
          polynomial(1.0)],
     )  # fmt: skip
-    return by_hand(problem, [swing(-1.0, 0.0), ridden, swing(1.0, up - 0.5 * load * a * w)])
+    pieces = [swing(-1.0, 0.0), ridden, swing(1.0, up - 0.5 * load * a * w)]
+    return by_hand(problem, pieces, nodes=900)  # its fourth derivative is not small
 
 
 def bryson_denham_ridden(ceiling: float, met: float) -> Solution:
@@ -372,3 +311,57 @@ def floor(depth: float) -> Solution:
         pieces.append(Piece(1.0, [polynomial(0.0), polynomial(begin, 1.0), polynomial(0.0)], [polynomial(0.0)],
                             [(whole, whole.deriv()), polynomial(0.0), polynomial(1.0)]))  # fmt: skip
     return by_hand(problem, pieces)
+
+
+def ditch(deep: float, wide: float, *, load: tuple[float, float] = (1.0, 0.0), pull: float = 0.0) -> Solution:
+    """Down at a speed of 1 to x = l, along it for 2 s, and up for `wide` seconds: x' = u from -1 to 1, S = x - l >= 0.
+
+    J = int (q + dip s^2) x dt - (r x + pull x^2/2) at the free end, s counted from the middle of the ride, (q, dip) the
+    load and r such that to leave the arc when it does is stationary. H is linear in u, and its multiplier along the arc
+    is q + dip s^2; J over the time of leaving bends by q + dip - pull at least, where dip is 0 exactly.
+    """
+    q, dip = load
+    begin, ends = -1.0 - deep, (-1.0, 1.0, 1.0 + wide)
+    weight = Polynomial([q, 0.0, dip])  # over s
+    gone, low = weight.integ(), 0.2
+    phase = pl.Phase(
+        name="ditch",
+        states=_variables(x="m", s="s", c="m*s"),
+        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (u.u, p.T / p.T, (p.q + p.dip * x.s * x.s) * x.x),
+        duration="T",
+        path=lambda x, u, p, m: (x.x - p.l,),
+        path_conditions=_variables(above="m"),
+    )
+    top = low + wide
+    r = float(gone(ends[2]) - gone(1.0)) - pull * top  # lam(T) = -r - pull x(T), and lam(1) = 0
+    problem = pl.Problem(
+        name="ditch", phases=(phase,), start=lambda p, m: (p.x0, p.begin, 0 * p.x0 * p.begin),
+        given=_given(T=(ends[2] - begin, "s"), q=(q, "1"), dip=(dip, "1/s^2"), l=(low, "m"), x0=(low + deep, "m"),
+                     begin=(begin, "s"), r=(r, "s"), pull=(pull, "s/m")),
+        objective=lambda x, p, m: x.c - p.r * x.x - 0.5 * p.pull * x.x * x.x, objective_unit="m*s",
+    )  # fmt: skip
+    pieces, spent, at = [], 0.0, begin
+    for end, x, u in zip(ends, ([low - 1.0, -1.0], [low], [low - 1.0, 1.0]), (-1.0, 0.0, 1.0), strict=True):
+        s, zero = Polynomial([at, 1.0]), -1.0 if u < 0 else 1.0  # where the costate of x vanishes
+        cost = (weight * Polynomial(x)).integ()
+        lam, rate = gone(zero) - gone(s), -weight(s)
+        of_s = -(Polynomial([0.0, 2 * dip]) * Polynomial(x)).integ()
+        pieces.append((at, end, x, u, cost, lam, rate, of_s))
+        at = end
+    # The costate of s at the end is 0, and goes on through both joints.
+    tables, left = [], 0.0
+    for at, end, x, u, cost, lam, rate, of_s in reversed(pieces):
+        s = Polynomial([at, 1.0])
+        own = of_s(s) - of_s(end) + left
+        left = float(own(0.0))
+        tables.insert(0, (at, end, s, x, u, cost, lam, rate, own))
+    flown = []
+    for at, end, s, x, u, cost, lam, rate, own in tables:
+        place, used = Polynomial(x)(s), cost(s) - cost(at) + spent
+        spent = float(used(end - at))
+        flown.append(Piece(
+            end - at, [(place, place.deriv()), polynomial(at, 1.0), (used, used.deriv())], [polynomial(u)],
+            [(lam, rate), (own, own.deriv()), polynomial(1.0)],
+        ))  # fmt: skip
+    return by_hand(problem, flown)

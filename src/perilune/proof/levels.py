@@ -101,7 +101,7 @@ def _checks(
     if level >= 2:
         parts, kept = solution, dict[int, Kept]()
         if any(meets(arc) for arc, _ in flown):
-            from perilune.proof.ridden import Rides
+            from perilune.proof.rides import Rides
             from perilune.proof.touched import cut, signs
 
             parts, structure = cut(solution)

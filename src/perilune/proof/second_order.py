@@ -43,7 +43,6 @@ import numpy as np
 from perilune.problem.controls import scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.allowed import ON_BOUND
 from perilune.proof.arc import Arc
 from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
@@ -70,7 +69,7 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
     solution
         An extremal with costates.
     kept
-        Of `ridden.Rides.kept`, where it rides along conditions on states.
+        Of `rides.Rides.kept`, where it rides along conditions on states.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     inner = varied(solution, arcs)
@@ -151,8 +150,14 @@ def _kelley(arc: Arc, pieces: Sequence[Piece]) -> Iterator[Check]:
 
 def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
     """The same in all that may vary of the control where the flight rides along a condition on states."""
+    if pieces[0].kept.pays is not None:
+        return Check(
+            name=f"{arc.prefix}along_sufficient", level=3, value=-pieces[0].kept.pays, limit=CURVATURE_LIMIT, unit="1",
+            meaning="minus the least multiplier of what is ridden over its largest, where H is linear in the control: "
+            "below 0 where flights that leave it for a moment pay to first order",
+        )  # fmt: skip
     value, loose = float("nan"), [piece.loosened for piece in pieces]
-    if all(piece.regular for piece in loose) and _steady(arc):
+    if all(piece.regular for piece in loose) and pieces[0].kept.steady:
         curvature = [np.linalg.eigvalsh(piece.H_uu) for piece in loose if piece.sizes[2]]
         value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=float("nan"))
     return Check(
@@ -161,20 +166,6 @@ def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
         "may leave it, over the largest: below 0 where flights that leave it for a moment are worse to second order; "
         "not available where it is linear in a control, or one reaches a bound or jumps as the arc begins or ends",
     )  # fmt: skip
-
-
-def _steady(arc: Arc) -> bool:
-    """Whether no control jumps where an arc begins or ends."""
-    solution, ends = arc.solution, [np.zeros(1), np.array([arc.duration])]
-    for step, own in zip((-1, 1), ends, strict=True):
-        if 0 <= arc.index + step < len(solution.trajectories):
-            other = Arc(solution=solution, index=arc.index + step)
-            there = np.array([other.duration]) if step < 0 else np.zeros(1)
-            if [c.names for c in other.phase.controls] != [c.names for c in arc.phase.controls]:
-                return False
-            if (np.abs(arc.control(own) - other.control(there)) > ON_BOUND * arc.control_scale[:, None]).any():
-                return False
-    return True
 
 
 def _kernel(constraints: Matrix) -> Matrix:

@@ -50,11 +50,14 @@ def singular_between(arc: Arc, left: float, right: float) -> int | None:
             continue
         if np.logical_or(*control.on_bounds(u[at], ON_BOUND * arc.control_scale[at], arc.p)).any():
             continue
-        values = []
+        values, held = [], []
         for share in (0.0, 0.5, 1.0):
             moved = np.array(u)
             moved[at] = lower + share * (upper - lower)
             values.append(lam * arc.rates(x, moved).real)
+            held.append(arc.held(x, moved))
+        if (np.abs(held[2] - held[0]) > _LINEAR * arc.held_scale[:, None]).any():  # what the phase holds decides it
+            continue
         bend = np.abs((values[0] - 2 * values[1] + values[2]).sum(axis=0))
         if (bend <= _LINEAR * sum(np.abs(value).sum(axis=0) for value in values)).all():
             found.append(at)

@@ -9,7 +9,7 @@ of every arc that rides along S = 0, and proved as an answer of the problem rest
 (`perilune.structures.restate`), whose conditions at the cuts are S = 0 and its derivatives. Where to cut is found here,
 by the tables themselves. A neighbour of the flight that does not touch S pays to first order where nu < 0 strictly.
 
-Arcs that are ridden have a file of their own (`ridden`).
+Arcs that are ridden have files of their own (`ridden`, `rides`).
 
 Source: Bryson and Ho (1975), sections 3.11-3.13; Hartl, Sethi, Vickson (1995), sections 4 and 5.
 """

@@ -42,6 +42,10 @@ class Kept:
         Names of the end conditions that need not be kept.
     tied
         Whether its duration stays in proportion to that of the phase before.
+    steady
+        Whether no control jumps where something begins or ends to be ridden at its ends.
+    pays
+        The least multiplier of what is ridden over its largest, where that is what counts: H is linear in the control.
     """
 
     rides: tuple[str, ...] = ()
@@ -50,6 +54,8 @@ class Kept:
     end: tuple[Any, ...] = ()
     left: tuple[str, ...] = ()
     tied: bool = False
+    steady: bool = True
+    pays: float | None = None
 
 
 def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept]) -> list[Piece]:

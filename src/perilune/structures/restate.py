@@ -93,6 +93,11 @@ def summed(problem: Problem, structure: Structure) -> dict[str, int]:
     return {name: k for name, k in found.items() if name not in whole}
 
 
+def sums_of(problem: Problem, structure: Structure) -> dict[str, tuple[str, ...]]:
+    """Free durations that are sums, with the names of the new ones that they sum."""
+    return {name: part_durations(problem, structure, k) for name, k in summed(problem, structure).items()}
+
+
 @dataclass
 class _Restated:
     """What is known while a problem is restated."""
@@ -103,13 +108,12 @@ class _Restated:
     @cached_property
     def sums(self) -> dict[str, tuple[str, ...]]:
         """Free durations of the user that are sums, by name."""
-        found = summed(self.user, self.structure)
-        return {name: part_durations(self.user, self.structure, k) for name, k in found.items()}
+        return sums_of(self.user, self.structure)
 
     @cached_property
     def expressions(self) -> dict[Any, Expression]:
         """The user's functions with the sums in them."""
-        return {key: _with_sums(e, self.sums) for key, e in self.user.form.expressions.items()}
+        return {key: with_sums(e, self.sums) for key, e in self.user.form.expressions.items()}
 
     def problem(self) -> Problem:
         user, own = self.user, self.expressions
@@ -203,7 +207,7 @@ class _Restated:
             if v.name not in arc.along
         ]
         others = [c for c in conditions.values() if c.bound is not None and c.name not in arc.along]
-        return paths + [(c.variable, _with_sums(c.values[0], self.sums)) for c in others]
+        return paths + [(c.variable, with_sums(c.values[0], self.sums)) for c in others]
 
     def _met(
         self, arc: Arc, following: Arc | None, conditions: Mapping[str, Condition]
@@ -225,7 +229,7 @@ class _Restated:
 
     def _vanishing(self, condition: Condition, prefix: str, count: int) -> Iterator[tuple[Variable, Expression]]:
         for i in range(count):
-            yield condition.rated(i, prefix, self._second), _with_sums(condition.values[i], self.sums)
+            yield condition.rated(i, prefix, self._second), with_sums(condition.values[i], self.sums)
 
     def _whole(self, phase: Phase, durations: Sequence[str]) -> Iterator[tuple[Variable, Expression]]:
         """The sum of the durations of a phase's parts, that has to be what the user says of it."""
@@ -288,7 +292,7 @@ def _sum(recorder: Recorder, names: Sequence[str]) -> Any:
     return total
 
 
-def _with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expression:
+def with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expression:
     """An expression with sums of new durations in place of the user's."""
     inside = [name for name in sums if ("p", name) in expression.tape.instructions]
     if not inside:
