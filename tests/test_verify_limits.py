@@ -140,6 +140,25 @@ def test_a_duration_beside_its_optimum_is_seen(beside: float) -> None:
     assert "stationary_time" in {c.name for c in wrong.failed}
 
 
+def test_one_costate_does_not_hide_behind_a_larger_one() -> None:
+    """That of the heat is 1, as J is the heat, beside one of 13: off by 1e-8 all along it keeps its equation."""
+    solution = solved(apollo)
+    curve = solution.trajectories[0].costate
+    assert curve is not None and np.abs(curve.values[-1]).max() > 10
+    wrong = with_curve(solution, costate=replace(curve, values=curve.values + np.array([0.0, 0.0, 0.0, 1e-8])))
+    assert failed(wrong) == {"transversality"}
+
+
+@pytest.mark.parametrize("off", [1e-8, -1e-8])
+def test_the_flight_of_another_start_is_seen(off: float) -> None:
+    """An entry from an angle that is 1e-8 rad off ends 800 times as far off."""
+    problem = apollo()
+    other = problem.with_given(angle=problem.given["angle"].value + off)
+    wrong = pl.verify(replace(Indirect().run(other, guess=solved(apollo)), problem=problem), level=2)
+    assert wrong.level == 0
+    assert {"angle", "state_gamma"} <= {c.name for c in wrong.failed}
+
+
 @pytest.mark.parametrize(("height", "speed"), [(100.0, 1.0), (1000.0, 1.0)])
 def test_an_ascent_that_nearly_hovers_is_proved(height: float, speed: float) -> None:
     """Its engine gives 2 % more than gravity takes, and many times the speed that is left."""

@@ -77,7 +77,7 @@ def test_a_phase_inherits_the_growth_of_those_before() -> None:
     )
     (_, early), (_, late) = flights(pl.solve(problem, level=0))
     assert early.growth == pytest.approx([np.exp(1.5), 1.0], rel=1e-6)
-    assert late.growth == pytest.approx([np.exp(3.0), np.exp(1.5)], rel=1e-6)
+    assert late.growth == pytest.approx([np.exp(3.0), 1.0], rel=1e-6)
 
 
 @pytest.mark.parametrize("jumps", [False, True])
@@ -92,7 +92,7 @@ def test_growth_is_the_most_of_all_stretches_from_the_start_or_to_the_end(peak: 
     stretches = [links[:k] for k in range(1, 6)] + [links[k:] for k in range(5)]
     products = [np.linalg.multi_dot([np.eye(3), *stretch[::-1]]) for stretch in stretches]
     most = np.max([np.abs(product).sum(axis=1) for product in products], axis=0)
-    assert _growth(past, over) == pytest.approx(np.clip(most, 1.0, MOST_GROWTH), rel=1e-12)
+    assert _growth(past, over)[0] == pytest.approx(np.clip(most, 1.0, MOST_GROWTH), rel=1e-12)
     assert (most > 1).all() and (most < MOST_GROWTH).all()
 
 

@@ -190,11 +190,17 @@ def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
 
 
 def _transversality(arc: Arc) -> Check:
+    psi, size, met = end_slopes(arc), arc.end_scale, end_sides(arc) != INSIDE
+    left = np.eye(psi.shape[1])
+    if met.any():  # what no multipliers can explain
+        scaled = psi[met].T / size[met]
+        left = left - scaled @ np.linalg.pinv(scaled)
+    sizes = np.maximum(1.0, np.abs(left) @ _sizes_at_end(arc))
     return Check(
-        name=f"{arc.prefix}transversality", level=2, value=float(np.abs(end_multipliers(arc)[1]).max()),
-        limit=STATIONARY_LIMIT * float(_sizes_at_end(arc).max()), unit="1",
-        meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain (scaled); the bound of "
-        "a state that is reached there is none of them",
+        name=f"{arc.prefix}transversality", level=2, limit=STATIONARY_LIMIT, unit="1",
+        value=float((np.abs(end_multipliers(arc)[1]) / sizes).max()),
+        meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain, by what errors of "
+        "lam(t_f) make of it (scaled); the bound of a state that is reached there is none of them",
     )  # fmt: skip
 
 

@@ -78,7 +78,7 @@ def _times(arc: Arc) -> Iterator[Check]:
 
 def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
     residuals = [arc.phase.evaluate("end", end.tolist(), (), arc.p) for end in flight.ends]
-    sizes = np.clip(np.abs(end_slopes(arc)) @ flight.growth, arc.end_scale, MOST_GROWTH * arc.end_scale)
+    sizes = np.clip(np.abs(end_slopes(arc)) @ flight.grown, arc.end_scale, MOST_GROWTH * arc.end_scale)
     of_conditions = zip(arc.phase.end_conditions, sizes, zip(*residuals, strict=True), strict=True)
     for condition, size, values in of_conditions:
         what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
@@ -183,7 +183,7 @@ def _free_parameters(solution: Solution) -> Iterator[Check]:
 
 def _objective(solution: Solution, arc: Arc, flight: Flight) -> Check:
     flown = [float(solution.problem.objective(arc.phase.state_record(*x), arc.p, NUMERIC)) for x in flight.ends]
-    grown = float(np.abs(objective_slope(arc)) @ flight.growth)
+    grown = float(np.abs(objective_slope(arc)) @ flight.grown)
     return Check(
         name="objective", level=1, value=float(np.max(np.abs(np.array(flown) - solution.objective))),
         unit=solution.problem.objective_unit,

@@ -26,8 +26,9 @@ import numpy as np
 from perilune.problem.controls import directions
 from perilune.problem.phase import Phase
 from perilune.problem.solution import Curve, Solution
-from perilune.proof.arc import Arc
+from perilune.proof.arc import Arc, slopes_at_end
 from perilune.proof.guards import watched_rates
+from perilune.proof.numerics import COMPLEX
 from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, just_before
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
@@ -44,13 +45,15 @@ class Deviation:
 
     `inside` is that at the points of the pieces (n, N, 4), `ends` at their ends (n, N, 2); `largest` of each component
     the largest of all, with what quadrature leaves `still_open`. `growth` is the most that errors of all components at
-    one time, each of its size, become in it, from the start to anywhere or from anywhere to the end.
+    one time, each of its size, become in it, from the start to anywhere or from anywhere to the end; `at_end` the most
+    that they become there.
     """
 
     inside: Matrix
     ends: Matrix
     still_open: Vector
     growth: Vector
+    at_end: Vector
 
     @property
     def largest(self) -> Vector:
@@ -76,6 +79,8 @@ class Flight:
     growth
         By how much the flight multiplies errors of its states, (n,), each at least 1: the conditioning of the problem,
         which the limits follow.
+    grown
+        The same at the end of the phase.
     """
 
     ends: tuple[Vector, Vector]
@@ -83,6 +88,7 @@ class Flight:
     at_ends: Matrix
     difference: Vector
     growth: Vector
+    grown: Vector
 
 
 def initial_state(solution: Solution, index: int, before: Vector | None) -> Vector:
@@ -99,17 +105,24 @@ def flights(solution: Solution) -> list[tuple[Arc, Flight]]:
     """Every phase flown again, each from the end of the flight before."""
     flown: list[tuple[Arc, Flight]] = []
     ends: tuple[Vector | None, Vector | None] = None, None
-    before = 1.0
     for k in range(len(solution.problem.phases)):
         arc = Arc(solution=solution, index=k)
         by_steps, by_pieces = (initial_state(solution, k, end) for end in ends)
+        before = passed_on(*flown[-1], arc) if flown else np.ones(len(arc.state_scale))
         flight = fly(arc, by_steps, by_pieces, before)
         flown.append((arc, flight))
-        ends, before = flight.ends, float(flight.growth.max())
+        ends = flight.ends
     return flown
 
 
-def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: float = 1.0) -> Flight:
+def passed_on(arc: Arc, flight: Flight, after: Arc) -> Vector:
+    """What errors of the phases so far are as the next one begins, at least 1, scaled by its sizes."""
+    link, record = arc.problem.links[arc.index], arc.phase.state_record
+    slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX)) / after.state_scale[:, None]
+    return np.clip(np.abs(slopes) @ flight.grown, 1.0, MOST_GROWTH)
+
+
+def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: Vector | None = None) -> Flight:
     """Fly a phase by the exported control.
 
     Parameters
@@ -119,11 +132,11 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: float = 1.0) -> F
     by_steps, by_pieces
         Initial states in SI, shape (n,), of the one flight and of the other.
     before
-        By how much the phases before multiply errors.
+        What errors of the phases before are as it begins, (n,).
     """
     scale = arc.state_scale
     end, apart = steps(arc, by_steps)
-    deviation = state_deviation(arc, by_pieces)
+    deviation = state_deviation(arc, by_pieces, before)
     pieces, curve = arc.looked_at[0], arc.trajectory.state
     inside, at_ends = (
         pieces.read(curve, *shares) + scale[:, None, None] * d
@@ -132,12 +145,12 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: float = 1.0) -> F
     return Flight(
         ends=(end, at_ends[:, -1, 1]), inside=inside, at_ends=at_ends,
         difference=np.maximum(apart, deviation.largest),
-        growth=np.minimum(before * deviation.growth, MOST_GROWTH),
+        growth=np.minimum(deviation.growth, MOST_GROWTH), grown=np.minimum(deviation.at_end, MOST_GROWTH),
     )  # fmt: skip
 
 
-def state_deviation(arc: Arc, start: Vector) -> Deviation:
-    """States flown from a start [SI], less their table."""
+def state_deviation(arc: Arc, start: Vector, sizes: Vector | None = None) -> Deviation:
+    """States flown from a start [SI], less their table; `sizes` are those of errors at the start."""
     pieces, slopes, still = arc.looked_at
     n, unit = len(arc.state_scale), arc.state_scale[:, None, None]
     at, ends = (pieces.read(arc.trajectory.state, *shares) / unit for shares in ((), (ENDS,)))
@@ -145,7 +158,7 @@ def state_deviation(arc: Arc, start: Vector) -> Deviation:
     jumps = ends[:, :-1, 1] - ends[:, 1:, 0]
     for crossing in arc.crossings:
         over[np.searchsorted(pieces.left, crossing.time) - 1] = crossing.saltation
-    return carried(pieces, at, ends, slopes.state, slopes.matrix, Joints(first, jumps, over), still[:n])
+    return carried(pieces, at, ends, slopes.state, slopes.matrix, Joints(first, jumps, over), still[:n], sizes)
 
 
 def costate_deviation(arc: Arc) -> Deviation:
@@ -224,22 +237,25 @@ def carried(
         if i + 1 < count:
             d = (joints.over[i] @ d if i in joints.over else d) + joints.jumps[:, i]
     inside = own + np.einsum("nikl,nl->nik", through, starts)
+    growth, at_end = _growth(past, joints.over, sizes)
     return Deviation(
         inside=inside.transpose(1, 0, 2), ends=np.stack([starts.T, finals.T], axis=2), still_open=still,
-        growth=_growth(past, joints.over, sizes),
+        growth=growth, at_end=at_end,
     )  # fmt: skip
 
 
-def _growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> Vector:
-    """Of `Deviation`, from the matrices by which a deviation passes each piece (N, n, n)."""
+def _growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> tuple[Vector, Vector]:
+    """Of `Deviation`, and at its end, from the matrices by which a deviation passes each piece (N, n, n)."""
     sizes = np.ones(past.shape[1]) if sizes is None else sizes
     passed = [over[i] @ each if i in over else each for i, each in enumerate(past)]
-    most = sizes
+    most = at_end = sizes
     ahead = behind = np.eye(past.shape[1])
     for first, last in zip(passed, reversed(passed), strict=True):
         ahead, behind = first @ ahead, behind @ last
-        most = np.maximum(most, np.maximum(np.abs(ahead) @ sizes, np.abs(behind) @ sizes))
-    return np.minimum(most, MOST_GROWTH * sizes)  # NaN, of tables that cannot pass, stays
+        at_end = np.maximum(at_end, np.abs(behind) @ sizes)
+        most = np.maximum(most, np.maximum(np.abs(ahead) @ sizes, at_end))
+    # NaN, of tables that cannot pass, stays.
+    return np.minimum(most, MOST_GROWTH * sizes), np.minimum(at_end, MOST_GROWTH * sizes)
 
 
 def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]:
