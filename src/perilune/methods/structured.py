@@ -120,7 +120,8 @@ class Polish:
         """
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
-        guess, failure, found = split(rough, structure, restate(self.problem, structure)), None, False
+        restated = restate(self.problem, structure, repeated=False)
+        guess, failure, found = split(rough, structure, restated), None, False
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
         # Where a control chatters no mesh is fine enough.
         refine = 0 if structure.singular else 3
@@ -135,7 +136,7 @@ class Polish:
                 continue
             yield solved
             found = True
-            if mesh is not None:
+            if mesh is not None or self.guessed:
                 return
         if failure is not None and not found:
             raise failure
