@@ -347,8 +347,8 @@ def parked_ridden(ceiling: float, met: float) -> Solution:
     def rows(*values: Polynomial) -> list[tuple[Formula, Formula]]:
         return [(value, value.deriv()) for value in values]
 
-    rise = Piece(met, rows(up, up.deriv(), cost), rows(u)[0], rows(6 * b * one, -u, one))
-    rest = Piece(1 - met, rows(ceiling * one, 0 * one, float(cost(met)) * one), rows(0 * one)[0],
+    rise = Piece(met, rows(up, up.deriv(), cost), rows(u), rows(6 * b * one, -u, one))
+    rest = Piece(1 - met, rows(ceiling * one, 0 * one, float(cost(met)) * one), rows(0 * one),
                  rows(0 * one, 0 * one, one))  # fmt: skip
     return by_hand(parked(ceiling), [rise, rest])
 

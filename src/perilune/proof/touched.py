@@ -55,7 +55,7 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
         arc = Arc(solution=solution, index=k)
         known = margins(solution.problem, arc.index) if flown.costate is not None else {}
         found = [c for name, (_, S, _) in known.items() if not acts(S) for c in _contacts(arc, name, S)]
-        phases.append(arcs_of(found, flown.duration))
+        phases.append(arcs_of(found, arc.duration))
     structure = Structure(tuple(phases))
     if structure.plain:
         return solution, structure
