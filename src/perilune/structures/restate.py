@@ -173,7 +173,8 @@ class _Restated:
         for j, arc in enumerate(arcs):
             ends = list(self._met(arc, arcs[j + 1] if j + 1 < count else None, conditions))
             if j + 1 == count:
-                said = frozenset() if self.repeated else repeated_ends(self.user, k, arc, conditions)
+                entered = j > 0 and not self.repeated  # else nothing but its start says that S = 0 on it
+                said = repeated_ends(self.user, k, arc, conditions) if entered else frozenset()
                 ends += [(v, component(own[k, "end"], i)) for i, v in enumerate(phase.end_conditions) if i not in said]
                 ends += list(self._whole(phase, durations))
             held = [(conditions[n].rated(conditions[n].order, "", self._second), conditions[n].values[-1])
