@@ -403,3 +403,16 @@ def test_the_bound_of_the_glide_slope_is_sharp(body: Any) -> None:
     assert truth <= bound < 1.15 * truth
     with pytest.raises(InfeasibleError, match="full thrust straight away from the glide slope cuts it"):
         solve(closing_in(1.2 * truth, body, site))
+
+
+def test_a_family_of_landings_touches_its_slope() -> None:
+    """Each member of a sweep has what a solve without a guess has; more gravity costs more."""
+    problem = load_file(MARS).problem
+    family = pl.sweep(problem, {"body.gravity": [3.5, 3.6, 3.65, 3.7]}, level=1)
+    found = [point.solution for point in family.points]
+    assert all(solution is not None and solution.outcome is Outcome.PROVED for solution in found)
+    assert all("glide slope touched" in solution.structure[1].words for solution in found if solution)
+    spent = [solution.results["propellant"].value for solution in found if solution]
+    assert spent == sorted(spent)
+    alone = solve(problem.with_given(body_gravity=3.65), level=0)
+    assert spent[2] == pytest.approx(alone.results["propellant"].value, rel=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import perilune as pl
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.bodies import MERCURY
+from perilune.models.bodies import CERES, MERCURY
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.solution import Curve, Solution
 from perilune.report.summary import solution_summary
@@ -21,6 +22,7 @@ from problems.constrained import (
     bryson_denham,
     bryson_denham_truth,
     mars_glide_slope,
+    parked,
 )
 
 
@@ -53,6 +55,31 @@ def test_a_boundary_arc_is_found_and_proved() -> None:
     (arc,) = solution.structure
     assert arc.words == "along room"
     assert (arc.begin, arc.end) == (pytest.approx(1 / 3, abs=1e-9), pytest.approx(2 / 3, abs=1e-9))
+
+
+@pytest.mark.parametrize("ceiling", [1 / 9, 0.3])
+def test_an_arc_to_the_end_is_found_and_proved(ceiling: float) -> None:
+    """J = 2/(9 l): the end conditions say again what holds all along the arc, and have no multipliers of their own."""
+    solution = pl.solve(parked(ceiling))
+    assert solution.objective == pytest.approx(2 / (9 * ceiling), rel=1e-12)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    assert [arc.begin for arc in solution.structure] == [pytest.approx(3 * ceiling, abs=1e-9)]
+
+
+def test_a_lander_may_ride_along_the_ground_to_its_end(tmp_path: Path) -> None:
+    """A weak engine over Ceres, without a retro burn; saved and proved again. The direct method lands as much."""
+    problem = hybrid_landing(
+        Vehicle(mass=12e3, thrust=2.82e3, specific_impulse=371.0), None,
+        Orbit(parking_altitude=138e3, perilune_altitude=14.4e3), CERES, 3.5e3,
+    )  # fmt: skip
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    assert [arc.words for arc in solution.structure] == ["along height above site"]
+    assert solution.structure[0].end == pytest.approx(solution.trajectories[0].duration)
+    direct = Pseudospectral(segments=8, nodes=5, refine=0).run(problem)
+    assert solution.objective == pytest.approx(direct.objective, rel=1e-6)
+    pl.save(solution, tmp_path)
+    assert pl.prove(pl.load(tmp_path)).outcome is pl.Outcome.PROVED
 
 
 def test_the_better_extremal_is_the_constrained_one() -> None:

@@ -28,6 +28,7 @@ from problems.ridden import (
     bryson_denham_ridden,
     ditch,
     floor,
+    parked_ridden,
     string,
     string_in_two_phases,
     string_pieces,
@@ -210,6 +211,7 @@ def test_an_arc_that_fills_its_phase_between_given_ends_has_no_neighbours() -> N
         (string(1.0, 0.0, 1.0, 1.0, bait=1.0, start_is_free=True), "string-1_along_ends"),  # its start likewise
         (bryson_denham_ridden(1 / 9, 0.3), "swing-2_along_ends"),  # ridden for longer than is best
         (bryson_denham_ridden(1 / 5, 0.45), "swing-2_along_ends"),  # ridden where a touch is best
+        (parked_ridden(1 / 9, 0.3), "swing-2_along_ends"),  # met too early, and ridden to the end
         (floor(0.3), "along"),  # a multiplier that is negative on the way
     ],
 )
@@ -220,6 +222,7 @@ def test_what_rides_and_would_better_leave_is_no_extremal(solution: Solution, ch
 
 def test_the_best_of_the_rides_by_hand_is_the_one() -> None:
     assert not failed(bryson_denham_ridden(1 / 9, 1 / 3), 3)
+    assert not failed(parked_ridden(1 / 9, 1 / 3), 3)
 
 
 def test_a_bait_at_a_given_start_changes_nothing() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,20 @@ def bryson_denham(ceiling: float, as_bound: bool = False) -> pl.Problem:
 def bryson_denham_truth(ceiling: float) -> float:
     """J of `bryson_denham` [m^2/s^3]."""
     return 4 / (9 * ceiling) if ceiling <= 1 / 6 else 2 + 6 * (1 - 4 * ceiling) ** 2
+
+
+def parked(ceiling: float) -> pl.Problem:
+    """The same to rest *on* the ceiling: it rides along x = l from 3 l to the end and J = 2/(9 l), for l < 1/3.
+
+    Both end conditions hold all along the arc, one of them as a multiple of the rate of its condition.
+    """
+    whole = bryson_denham(ceiling)
+    swing = replace(
+        whole.phases[0],
+        end=lambda x, p, m: (p.ceiling - x.x, 2 * x.v),
+        end_conditions=_variables(there="m", still="m/s"),
+    )
+    return replace(whole, name="parked", phases=(swing,))
 
 
 SLOPE, OFFSET = 0.5, 0.1

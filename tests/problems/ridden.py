@@ -22,7 +22,7 @@ import perilune as pl
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Given, Variable
 from problems.by_hand import Formula, Piece, by_hand, parted, polynomial
-from problems.constrained import bryson_denham
+from problems.constrained import bryson_denham, parked
 
 CLAMPED = 4.730040744862704  # the first root of cos z cosh z = 1
 
@@ -275,6 +275,21 @@ def bryson_denham_ridden(ceiling: float, met: float) -> Solution:
                  rows(-6 * b * one, Polynomial([-last - 6 * b * w, 6 * b]), one))  # fmt: skip
     fall = Piece(met, rows(up(at), -up.deriv()(at), 2 * spent - cost(at)), rows(u(at)), rows(-6 * b * one, -u(at), one))
     return by_hand(bryson_denham(ceiling), [rise, ride, fall])
+
+
+def parked_ridden(ceiling: float, met: float) -> Solution:
+    """Rising to x = l until `met` and resting there to the end; met = 3 l is the best. At others u jumps there."""
+    a, b = np.linalg.solve([[met**2, met**3], [2 * met, 3 * met**2]], [ceiling - met, -1.0]).tolist()
+    up, u, one = Polynomial([0.0, 1.0, a, b]), Polynomial([2 * a, 6 * b]), Polynomial([1.0])
+    cost = (u * u).integ() / 2
+
+    def rows(*values: Polynomial) -> list[tuple[Formula, Formula]]:
+        return [(value, value.deriv()) for value in values]
+
+    rise = Piece(met, rows(up, up.deriv(), cost), rows(u), rows(6 * b * one, -u, one))
+    rest = Piece(1 - met, rows(ceiling * one, 0 * one, float(cost(met)) * one), rows(0 * one),
+                 rows(0 * one, 0 * one, one))  # fmt: skip
+    return by_hand(parked(ceiling), [rise, rest])
 
 
 def floor(depth: float) -> Solution:

@@ -128,6 +128,8 @@ def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vecto
     from scipy.integrate import solve_ivp
 
     segment = piece.segment
+    if not segment.end > segment.begin:  # of an answer that runs backwards, or has no length: it cannot be flown
+        return np.full(piece.x.shape[1], math.nan)
 
     def flow(t: float, x: Vector) -> Vector:
         u = admissible(phase.controls, segment.control(segment.tau(np.array([t]))).T, p)[:, 0]

@@ -33,7 +33,7 @@ class Continuation:
         """The member of a problem, by continuation where there is a base, else by the whole ladder; unverified."""
         search = Search(self.settings, problem, self.watch)
         base = None if self.base is None else self._continued(problem, self.base, search)
-        solution = search.solve(base=base)
+        solution = self.settings.answer(search, base=base)
         self.base, self.before = search.base, problem.given[self.name].value
         return solution
 

@@ -24,6 +24,7 @@ from perilune.problem.guess import fitting_guess
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.shooting.continuation import Member
 from perilune.words.outcome import InfeasibleError, NotConvergedError
 from perilune.words.watch import Watch, silent
 
@@ -77,8 +78,25 @@ class Indirect(Ladder):
             found = self._structured(search, guess, guessed=True)
             if found is not None:
                 return found
+        return self.answer(search, guess)
+
+    def answer(self, search: Search, guess: Solution | None = None, base: Member | None = None) -> Solution:
+        """What a search finds, or the extremal of a structure of arcs where that is no answer or is outdone.
+
+        Parameters
+        ----------
+        search
+            Of a problem, with these settings.
+        guess, base
+            As for `Search.solve`.
+
+        Raises
+        ------
+        NotConvergedError, InfeasibleError
+            As `run`.
+        """
         try:
-            solution = search.solve(guess)
+            solution = search.solve(guess, base)
         except (NotConvergedError, InfeasibleError) as error:
             # What no single arc keeps, a structure of arcs may.
             rough = search.coarse.solution if guess is None else None

@@ -88,19 +88,20 @@ class Polish:
                 return None
             seen.add(structure.text)
             self.watch(f"structure: {structure.text}")
+            whole, revised = rough, None
             try:
-                solved = self._extremal(rough, structure)
+                for solved in self._extremals(rough, structure):
+                    whole, timed = joined(self.problem, solved, structure), self._timed(structure, solved)
+                    # A neighbour has the arcs of its guess.
+                    revised = timed if is_neighbour(self.problem) else self._revised(timed, solved, whole)
+                    if revised is timed:
+                        self.tried.append(f"structure {structure.text}: an extremal")
+                        return self._composed(whole)
             except PeriluneError as error:
                 self.tried.append(f"structure {structure.text}: {error.what}")
                 return None
-            rough, structure = joined(self.problem, solved, structure), self._timed(structure, solved)
-            # A neighbour has the arcs of its guess.
-            revised = structure if is_neighbour(self.problem) else self._revised(structure, solved, rough)
-            if revised is structure:
-                self.tried.append(f"structure {structure.text}: an extremal")
-                return self._composed(rough)
             self.tried.append(f"structure {structure.text}: an extremal of another one")
-            structure = revised
+            rough, structure = whole, revised
         return None
 
     def _composed(self, found: Solution) -> Solution:
@@ -109,23 +110,36 @@ class Polish:
         statistics = replace(found.statistics, rung=STRUCTURE, tried=tuple(self.tried))
         return replace(found, extremals=tuple(extremals), statistics=statistics)
 
-    def _extremal(self, rough: Solution, structure: Structure) -> Solution:
+    def _extremals(self, rough: Solution, structure: Structure) -> Iterator[Solution]:
+        """Of a structure: what Newton's method finds from a rough answer at once, and what it finds by a mesh.
+
+        Raises
+        ------
+        PeriluneError
+            If it finds neither.
+        """
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
-        guess, failure = split(rough, structure, restate(self.problem, structure)), None
+        restated = restate(self.problem, structure, repeated=False)
+        guess, failure, found = split(rough, structure, restated), None, False
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
         # Where a control chatters no mesh is fine enough.
         refine = 0 if structure.singular else 3
         meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=refine, tolerance=1e-3)
-        # Most are near enough as they are.
+        # Most answers are near enough as they are; from others it leaps to an extremal of another structure.
         for mesh in (None,) if self.brief else (None, *meshes):
             try:
                 search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
-                return search.solve(guess if mesh is None else mesh.near(guess))
+                solved = search.solve(guess if mesh is None else mesh.near(guess))
             except PeriluneError as error:
                 failure = error
-        assert failure is not None
-        raise failure
+                continue
+            yield solved
+            found = True
+            if mesh is not None or self.guessed:
+                return
+        if failure is not None and not found:
+            raise failure
 
     def _timed(self, structure: Structure, solved: Solution) -> Structure:
         parts = iter(solved.trajectories)

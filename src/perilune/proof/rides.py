@@ -62,8 +62,8 @@ class Rides:
 
     Attributes
     ----------
-    parts
-        The flight restated.
+    whole, parts
+        The flight, and the same restated.
     along
         What is ridden along each of its parts.
     touches
@@ -72,6 +72,7 @@ class Rides:
         Numbers of the parts with which the user's phases begin.
     """
 
+    whole: Solution
     parts: Solution
     along: tuple[tuple[Ridden, ...], ...]
     touches: tuple[tuple[Condition, ...], ...]
@@ -93,7 +94,7 @@ class Rides:
                 part = Arc(solution=parts, index=len(along))
                 along.append(tuple(Ridden(part=part, condition=conditions[name]) for name in arc.along))
                 touches.append(tuple(conditions[name] for name in arc.touches))
-        return cls(parts=parts, along=tuple(along), touches=tuple(touches), begins=frozenset(begins))
+        return cls(whole=solution, parts=parts, along=tuple(along), touches=tuple(touches), begins=frozenset(begins))
 
     @cached_property
     def arcs(self) -> list[Arc]:
@@ -171,8 +172,10 @@ class Rides:
             return []
         if joint:
             before = self.arcs[joint - 1]
-            stated = [not c.ranged for c in before.phase.end_conditions]
-            return list(end_slopes(before)[stated])
+            # The user's own, as some may be left out of the restated ones.
+            own = Arc(solution=self.whole, index=sum(begin < joint for begin in self.begins) - 1)
+            stated = [not c.ranged for c in own.phase.end_conditions]
+            return list(end_slopes(own)[stated] / own.state_scale * before.state_scale)
         return list(_unmoved(self.arcs[0], varied(self.parts, self.arcs)))
 
     def checks(self) -> Iterator[Check]:

@@ -33,12 +33,14 @@ from perilune.proof.met import LEAST, edges_of
 from perilune.proof.switching import on_bounds
 from perilune.structures.carry import split
 from perilune.structures.read import POINTS, Contact, arcs_of
+from perilune.structures.restate import restate
 from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
+_SAID = 1e-6  # of the costates where a phase ends, scaled: what end conditions leave of them is nothing
 _JUMP = 1e-9  # of a costate's size: less is no jump
 _MET = 1e-9  # of its size: a condition that is met, or its rate
 _SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
@@ -53,9 +55,17 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
         arc = Arc(solution=solution, index=k)
         known = margins(solution.problem, arc.index) if flown.costate is not None else {}
         found = [c for name, (_, S, _) in known.items() if not acts(S) for c in _contacts(arc, name, S)]
-        phases.append(arcs_of(found, flown.duration))
+        phases.append(arcs_of(found, arc.duration))
     structure = Structure(tuple(phases))
-    return solution if structure.plain else split(solution, structure), structure
+    if structure.plain:
+        return solution, structure
+    if any(arcs[-1].along for arcs in structure.phases):
+        # The costates may be those of end conditions that the arc says again, or of a statement without: both are one.
+        fewer = split(solution, structure, restate(solution.problem, structure, repeated=False))
+        arcs = (Arc(solution=fewer, index=k) for k in range(len(fewer.trajectories)))
+        if all(np.abs(end_multipliers(arc)[1]).max() <= _SAID for arc in arcs):
+            return fewer, structure
+    return split(solution, structure), structure
 
 
 def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:

@@ -112,7 +112,12 @@ def _shortest(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: L
 
 
 def _open(inverse: Matrix, beyond: float) -> int:
-    """How many singular values of J^-1 stand so far beyond all others: directions in which the residual is flat."""
+    """How many singular values of J^-1 stand so far beyond all others: directions in which the residual is flat.
+
+    None are told where J has no inverse that is a number.
+    """
+    if not np.isfinite(inverse).all():
+        return 0
     s = np.linalg.svd(inverse, compute_uv=False)
     gaps = np.nonzero(s[:-1] > beyond * s[1:])[0]
     return int(gaps[0]) + 1 if len(gaps) else 0

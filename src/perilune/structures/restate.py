@@ -27,6 +27,7 @@ from perilune.problem.rates import component, gathered, run
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Free, Variable
 from perilune.structures.regimes import settled
+from perilune.structures.repeated_ends import repeated_ends
 from perilune.structures.structure import (
     Arc,
     Condition,
@@ -42,7 +43,7 @@ from perilune.words.outcome import PeriluneError
 _ENDLESS = 1e6  # canonical units of time: what a free duration without an upper bound may last
 
 
-def restate(problem: Problem, structure: Structure) -> Problem:
+def restate(problem: Problem, structure: Structure, *, repeated: bool = True) -> Problem:
     """The problem with a phase for each arc of a structure.
 
     Parameters
@@ -51,6 +52,8 @@ def restate(problem: Problem, structure: Structure) -> Problem:
         As the user states it.
     structure
         Its arcs. Their times are first values of the new durations; nothing else depends on them.
+    repeated
+        Whether end conditions are stated that an arc to the end says already (`perilune.structures.repeated_ends`).
 
     Returns
     -------
@@ -65,7 +68,7 @@ def restate(problem: Problem, structure: Structure) -> Problem:
         that can only be ridden, as the control acts on its first derivative.
     """
     check_structure(problem, structure)
-    return _Restated(problem, structure).problem()
+    return _Restated(problem, structure, repeated).problem()
 
 
 def part_name(name: str, j: int, count: int) -> str:
@@ -104,6 +107,7 @@ class _Restated:
 
     user: Problem
     structure: Structure
+    repeated: bool
 
     @cached_property
     def sums(self) -> dict[str, tuple[str, ...]]:
@@ -145,7 +149,7 @@ class _Restated:
             if c.bound is not None
         }
 
-    def _conditions(self, k: int) -> Mapping[str, Condition]:
+    def _conditions(self, k: int) -> dict[str, Condition]:
         return conditions_of(self.user, k, self.structure.named(k))
 
     def _free(self) -> Iterator[Free]:
@@ -173,7 +177,9 @@ class _Restated:
         for j, arc in enumerate(arcs):
             ends = list(self._met(arc, arcs[j + 1] if j + 1 < count else None, conditions))
             if j + 1 == count:
-                ends += [(v, component(own[k, "end"], i)) for i, v in enumerate(phase.end_conditions)]
+                entered = j > 0 and not self.repeated  # else nothing but its start says that S = 0 on it
+                said = repeated_ends(self.user, k, arc, conditions) if entered else frozenset()
+                ends += [(v, component(own[k, "end"], i)) for i, v in enumerate(phase.end_conditions) if i not in said]
                 ends += list(self._whole(phase, durations))
             held = [(conditions[n].rated(conditions[n].order, "", self._second), conditions[n].values[-1])
                     for n in arc.along]  # fmt: skip

@@ -1,0 +1,55 @@
+"""End conditions that say again what an arc along a condition says already.
+
+Who rides along the ground to the site ends at its height, and has no vertical speed there: S = 0 and S' = 0 hold all
+along the arc. Stated twice, a condition has no multiplier of its own, and no Newton's method finds one; a proof may
+state it as often as it likes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.problem import Problem
+from perilune.problem.rates import component
+from perilune.problem.tape import Expression
+from perilune.structures.structure import Arc, Condition, plain_bounds
+from perilune.words.maths import NUMERIC
+
+_TRIED, _ALIKE = 8, 1e-9  # states, and how far a multiple of another may be off, of its own size
+
+
+def repeated_ends(problem: Problem, k: int, arc: Arc, conditions: dict[str, Condition]) -> frozenset[int]:
+    """Numbers of the end conditions of phase k that are multiples of a ridden S, or of a rate below S^(q).
+
+    Found at states drawn at random about the canonical units; parameters have their values, free ones typical ones.
+    """
+    phase, form = problem.phases[k], problem.form.expressions
+    ridden = [value for name in arc.along for value in conditions[name].values[:-1]]
+    if not ridden or not phase.end_conditions:
+        return frozenset()
+    rng, typical = np.random.default_rng(0), {f.name: f.typical for f in problem.free}
+    p = problem.parameters({**typical, **{name: g.value for name, g in plain_bounds(problem).items()}})
+    sizes = np.array([problem.size_of(state) for state in phase.states])
+    x = phase.state_record(*(sizes[:, None] * rng.uniform(0.5, 1.5, (len(sizes), _TRIED))))
+    u = phase.control_record(*np.full((len(phase.control_names), _TRIED), math.nan))
+    records = {"x": x, "u": u, "p": p}
+
+    def at(value: Expression) -> Any:
+        found = value(*(records[role] for role in value.roles), NUMERIC)
+        return np.broadcast_to(found if value.scalar else found[0], _TRIED)
+
+    with np.errstate(all="ignore"):
+        known = [at(value) for value in ridden]
+        return frozenset(
+            i
+            for i, condition in enumerate(phase.end_conditions)
+            if not condition.ranged and any(_multiple(at(component(form[k, "end"], i)), values) for values in known)
+        )
+
+
+def _multiple(one: Any, other: Any) -> bool:
+    factor = one @ other / (other @ other)
+    return bool(factor and np.abs(one - factor * other).max() <= _ALIKE * np.abs(one).max())
