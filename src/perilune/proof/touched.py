@@ -29,7 +29,7 @@ from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
 from perilune.proof.switching import on_bounds
 from perilune.structures.carry import split
 from perilune.structures.read import Contact, arcs_of, of_states, room_along
-from perilune.structures.structure import Condition, Structure, conditions_of
+from perilune.structures.structure import Condition, Structure, conditions_of, moved_by
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
@@ -49,7 +49,7 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
     for k, flown in enumerate(solution.trajectories):
         arc = Arc(solution=solution, index=k)
         names = of_states(solution.problem, k) if flown.costate is not None else []
-        phases.append(arcs_of([c for name in names for c in _contacts(arc, name)], flown.duration))
+        phases.append(arcs_of(solution.problem, k, [c for name in names for c in _contacts(arc, name)], flown.duration))
     structure = Structure(tuple(phases))
     return solution if structure.plain else split(solution, structure), structure
 
@@ -92,7 +92,7 @@ def _by_bounds(arc: Arc, name: str, begin: float, end: float) -> bool:
     An empty tank stays empty while the engine is off. Then it has no multiplier, and the checks are made without one.
     """
     condition = conditions_of(arc.problem, arc.index, (name,))[name]
-    moving = {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
+    moving = moved_by(condition)
     u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
     on = {
         control.name: bool(np.logical_or(*on_bounds(arc, at, control, u)).all())

@@ -9,7 +9,7 @@ the state says so: it is ridden, if only for a moment.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,8 +18,8 @@ import numpy as np
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
-from perilune.structures.regimes import LEVELS, Stay, read_stays, regimes_at
-from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds
+from perilune.structures.regimes import EXACT, LEVELS, Stay, read_stays, regimes_at
+from perilune.structures.structure import Arc, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
@@ -66,7 +66,7 @@ def read(
     for k, flown in enumerate(solution.trajectories):
         stays = [] if level is None else read_stays(solution, k, level)
         found = [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
-        phases.append(arcs_of([c for c in found if not _at_bounds(c, stays)], flown.duration, stays))
+        phases.append(arcs_of(problem, k, [c for c in found if not _at_bounds(c, stays)], flown.duration, stays))
     structure = Structure(tuple(phases))
     return None if structure.plain else structure
 
@@ -79,8 +79,9 @@ def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
 
 
 def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
-    """Every structure that a solution may have: those with singular arcs first, of few arcs before those of many."""
-    different = dict[str, Structure]()
+    """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without."""
+    told = read(problem, solution, least, EXACT)
+    different = {told.text: told} if told is not None and told.singular else {}
     for size in (0, 1):
         found = [read(problem, solution, least, level) for level in LEVELS if level[0] == size]
         singular = [s for s in found if s is not None and s.singular]
@@ -152,13 +153,20 @@ def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> flo
     return end - begin
 
 
-def arcs_of(found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()) -> tuple[Arc, ...]:
-    """The arcs of a phase between the times at which something begins, ends or is touched."""
+def arcs_of(
+    problem: Problem, k: int, found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()
+) -> tuple[Arc, ...]:
+    """The arcs of phase k between the times at which something begins, ends or is touched."""
+    known = conditions_of(problem, k, tuple({c.name for c in found})) if stays else {}
     cuts = sorted({t for c in (*found, *stays) for t in (c.begin, c.end) if 0.0 < t < duration})
-    arcs = []
+    arcs = list[Arc]()
     for begin, end in zip([0.0, *cuts], [*cuts, duration], strict=True):
         middle = 0.5 * (begin + end)
         along = tuple(c.name for c in found if c.ridden and c.begin < middle < c.end)
         touches = tuple(c.name for c in found if not c.ridden and c.end == end)
-        arcs.append(Arc(along=along, touches=touches, regimes=regimes_at(stays, middle), until=end))
+        held = {name for condition in along if condition in known for name in moved_by(known[condition])}
+        arc = Arc(along=along, touches=touches, regimes=regimes_at(stays, middle, held), until=end)
+        if arcs and arc.regimes and replace(arcs[-1], touches=touches, until=end) == arc and not arcs[-1].touches:
+            arcs.pop()  # nothing begins where two regimes of a control meet that is held along both
+        arcs.append(arc)
     return tuple(arcs)
