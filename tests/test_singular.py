@@ -198,7 +198,7 @@ def test_a_control_that_is_averaged_flies_as_high_and_is_no_extremal() -> None:
 def test_an_arc_on_the_worse_bound_is_cut() -> None:
     """A coast that begins too early: H is less at the upper bound for a while."""
     solution = climbed()
-    (first, _, last) = read_stays(rough(), 0, (0, 5e-3))
+    (first, _, last) = read_stays(rough(), 0)[0, 5e-3]
     known = [replace(first, end=10.0), replace(last, begin=10.0, end=solution.trajectories[0].duration)]
     asked = revised_stays(solution, 0, known, 1e-5)
     assert asked is not None
@@ -209,7 +209,7 @@ def test_an_arc_on_the_worse_bound_is_cut() -> None:
 def test_regimes_that_an_extremal_keeps_are_kept() -> None:
     solution = climbed()
     ends = [arc.end for arc in solution.structure]
-    seen = read_stays(rough(), 0, (0, 5e-3))
+    seen = read_stays(rough(), 0)[0, 5e-3]
     stays = [replace(s, begin=begin, end=end) for s, begin, end in zip(seen, [0.0, *ends[:-1]], ends, strict=True)]
     assert revised_stays(solution, 0, stays, 1e-5) == stays
     gone = [stays[0], replace(stays[1], end=stays[1].begin + 1e-6), replace(stays[2], begin=stays[1].begin + 1e-6)]
@@ -242,7 +242,7 @@ def test_a_target_too_fast_to_follow_is_left_and_met_again() -> None:
 
 def test_regimes_are_read_exactly_off_exact_tables() -> None:
     """As neighbours need them, for which no arc may be dropped or joined."""
-    stays = read_stays(climbed(), 0, EXACT)
+    stays = read_stays(climbed(), 0)[EXACT]
     assert [stay.regime for stay in stays] == list(THREE)
     assert [stay.end for stay in stays] == [arc.end for arc in climbed().structure]
-    assert read_stays(rough(), 0, EXACT) == []
+    assert read_stays(rough(), 0)[EXACT] == []

@@ -41,10 +41,8 @@ class Contact:
     ridden: bool
 
 
-def read(
-    problem: Problem, solution: Solution, least: float = NEAR[0], level: tuple[int, float] | None = None
-) -> Structure | None:
-    """The arcs of a solution, by its curves.
+def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
+    """The arcs of a solution, by its curves, of conditions on states alone.
 
     Parameters
     ----------
@@ -54,21 +52,47 @@ def read(
         Of any method, however coarse.
     least
         As near as counts whatever the mesh, as a share of what a condition goes through.
-    level
-        Of `regimes.LEVELS`, at which singular arcs are looked for; None looks for none.
 
     Returns
     -------
     Structure
-        With times; None where no condition on states alone is at its limit on the way, and no control singular.
+        With times; None where no condition on states alone is at its limit on the way.
     """
-    phases = []
-    for k, flown in enumerate(solution.trajectories):
-        stays = [] if level is None else read_stays(solution, k, level)
-        found = [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
-        phases.append(arcs_of(problem, k, [c for c in found if not _at_bounds(c, stays)], flown.duration, stays))
-    structure = Structure(tuple(phases))
+    structure = _structure(problem, solution, _met(problem, solution, least), [[] for _ in problem.phases])
     return None if structure.plain else structure
+
+
+def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
+    """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without."""
+    met = _met(problem, solution, least)
+    stays = [read_stays(solution, k) for k in range(len(problem.phases))]
+    nothing = [list[Stay]() for _ in problem.phases]
+    by_level = {level: [own[level] for own in stays] for level in (EXACT, *LEVELS)}
+    structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
+    different = dict[str, Structure]()
+    for level in sorted(structures, key=lambda level: (level != EXACT, level[0], structures[level].count)):
+        different.setdefault(structures[level].text, structures[level])
+    without = _structure(problem, solution, met, nothing)
+    return [*different.values(), *([] if without.plain else [without])]
+
+
+def _met(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:
+    """For each phase where conditions on states alone are at their limit on the way."""
+    return [
+        [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
+        for k in range(len(problem.phases))
+    ]
+
+
+def _structure(
+    problem: Problem, solution: Solution, met: Sequence[Sequence[Contact]], stays: Sequence[Sequence[Stay]]
+) -> Structure:
+    return Structure(
+        tuple(
+            arcs_of(problem, k, [c for c in met[k] if not _at_bounds(c, stays[k])], flown.duration, stays[k])
+            for k, flown in enumerate(solution.trajectories)
+        )
+    )
 
 
 def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
@@ -76,19 +100,6 @@ def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
     names = {s.control for s in stays}
     here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
     return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
-
-
-def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
-    """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without."""
-    told = read(problem, solution, least, EXACT)
-    different = {told.text: told} if told is not None and told.singular else {}
-    for size in (0, 1):
-        found = [read(problem, solution, least, level) for level in LEVELS if level[0] == size]
-        singular = [s for s in found if s is not None and s.singular]
-        for structure in sorted(singular, key=lambda s: s.count):
-            different.setdefault(structure.text, structure)
-    without = read(problem, solution, least)
-    return [*different.values(), *([without] if without is not None else [])]
 
 
 def of_states(problem: Problem, k: int) -> list[str]:

@@ -71,21 +71,21 @@ def wavering(solution: Solution) -> bool:
     return False
 
 
-def read_stays(solution: Solution, k: int, level: tuple[int, float]) -> list[Stay]:
-    """The regimes of each scalar of phase k that is singular for a while, at a level; nothing of one that is not."""
+def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]]:
+    """By level the regimes of each scalar of phase k that is singular for a while; nothing of one that is not."""
+    found: dict[tuple[int, float], list[Stay]] = {level: [] for level in (EXACT, *LEVELS)}
     if solution.trajectories[k].costate is None:
-        return []
-    found = list[Stay]()
+        return found
     for at, control in linear_scalars(solution, k):
         t, gain, share = gain_along(solution, k, at, control)
-        if level == EXACT:
-            found += _between_breaks(control.name, solution.trajectories[k].control.time, t, gain, share)
-            continue
-        zero = level[1] * _sizes(gain, share)[level[0]]
-        if singular := list(_singular(t, gain, share, zero)):
-            # A mesh passes from bound to bound within a segment: there the gain says which it is.
-            upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
-            found += _filled(control.name, t, upper, singular)
+        found[EXACT] += _between_breaks(control.name, solution.trajectories[k].control.time, t, gain, share)
+        sizes = _sizes(gain, share)
+        for size, level in LEVELS:
+            zero = level * sizes[size]
+            if singular := list(_singular(t, gain, share, zero)):
+                # A mesh passes from bound to bound within a segment: there the gain says which it is.
+                upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
+                found[size, level] += _filled(control.name, t, upper, singular)
     return found
 
 
