@@ -20,7 +20,7 @@ from perilune.shooting.propagate import flight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
-# Tolerance of the arcs that are exported. Their curves are interpolated to 1e-10 in states, 1e-9 in costates and 3e-11
+# Tolerance of the arcs that are exported. Their curves are interpolated to 1e-10 in states, 3e-10 in costates and 3e-11
 # in controls (canonical): the re-flight integrates the control's error over the whole burn, and 3e-11 rad of a few
 # m/s^2 over 1000 s stays below 1e-6 m/s.
 _FINE = {"rtol": 1e-13, "atol": 1e-13}
@@ -116,7 +116,7 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: DenseArc,
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
     size = np.maximum(1.0, reached)
     size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
-    tolerance = np.concatenate([1e-10 * size[:n], 1e-9 * size[half : half + n], np.full(width, 3e-11)])
+    tolerance = np.concatenate([1e-10 * size[:n], 3e-10 * size[half : half + n], np.full(width, 3e-11)])
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = np.abs(arc.end.event_time[0] - 0.5 * duration) < (0.5 - _NOTHING) * duration
     pieces = []
