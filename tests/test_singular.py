@@ -11,14 +11,16 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.singular import singular_control
+from perilune.methods.search import Search
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined
 from perilune.structures.read import readings
-from perilune.structures.regimes import read_stays, revised_stays
+from perilune.structures.regimes import EXACT, read_stays, revised_stays
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Structure
+from perilune.words.watch import silent
 from problems.goddard import FOOT, goddard
-from problems.singular import aly, aly_switch, aly_truth, fuller, nearest_to_zero, planar_goddard
+from problems.singular import aly, aly_switch, aly_truth, following, fuller, nearest_to_zero, planar_goddard
 
 THREE = ("upper", "singular", "lower")
 
@@ -159,7 +161,7 @@ def forced(durations: dict[str, float], *arcs: tuple[str, float]) -> Solution:
     free = tuple(f for f in restated.free if f.name not in durations)
     fixed = restated.changed(given={**restated.given, **given}, free=free, form=None)
     near = pl.Pseudospectral(nodes=10, segments=2, refine=0).run(fixed)
-    found = pl.Indirect().run(fixed, guess=near)
+    found = Search(pl.Indirect(), fixed, silent).solve(near)
     every = {**found.free, **durations}
     whole = replace(found, problem=restated, free={name: every[name] for name in restated.free_names}, extremals=())
     return joined(problem, whole, structure)
@@ -196,7 +198,7 @@ def test_a_control_that_is_averaged_flies_as_high_and_is_no_extremal() -> None:
 def test_an_arc_on_the_worse_bound_is_cut() -> None:
     """A coast that begins too early: H is less at the upper bound for a while."""
     solution = climbed()
-    (first, _, last) = read_stays(rough(), 0, (0, 5e-3))
+    (first, _, last) = read_stays(rough(), 0)[0, 5e-3]
     known = [replace(first, end=10.0), replace(last, begin=10.0, end=solution.trajectories[0].duration)]
     asked = revised_stays(solution, 0, known, 1e-5)
     assert asked is not None
@@ -207,9 +209,40 @@ def test_an_arc_on_the_worse_bound_is_cut() -> None:
 def test_regimes_that_an_extremal_keeps_are_kept() -> None:
     solution = climbed()
     ends = [arc.end for arc in solution.structure]
-    seen = read_stays(rough(), 0, (0, 5e-3))
+    seen = read_stays(rough(), 0)[0, 5e-3]
     stays = [replace(s, begin=begin, end=end) for s, begin, end in zip(seen, [0.0, *ends[:-1]], ends, strict=True)]
     assert revised_stays(solution, 0, stays, 1e-5) == stays
     gone = [stays[0], replace(stays[1], end=stays[1].begin + 1e-6), replace(stays[2], begin=stays[1].begin + 1e-6)]
     shorter = revised_stays(solution, 0, gone, 1e-5)
     assert shorter is None or [stay.regime for stay in shorter][:1] == ["upper"]
+
+
+def test_a_speed_limit_is_ridden_in_the_place_of_the_singular_arc() -> None:
+    """At 225 m/s, which the singular arc exceeds: what rides holds the thrust, and no regime beside it."""
+    free = goddard()
+    (phase,) = free.phases
+    states = tuple(replace(s, upper=225.0) if s.name == "v" else s for s in phase.states)
+    limited = free.changed(phases=(replace(phase, states=states),), form=None)
+    solution = pl.solve(limited, level=2)
+    assert solution.outcome is pl.Outcome.PROVED
+    assert climbed().objective < solution.objective < climbed().objective + 20.0
+    assert "along the upper bound of v" in [arc.words for arc in solution.structure]
+
+
+def test_a_target_too_fast_to_follow_is_left_and_met_again() -> None:
+    """Two singular arcs between bounds, of which a coarse mesh shows one: every arc by the signs of the one before."""
+    solution = pl.solve(following())
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    words = [arc.words.removeprefix("u ") for arc in solution.structure]
+    down, up, singular = "at its lower bound", "at its upper bound", "singular"
+    assert words == [down, up, singular, down, singular, up]
+    direct = pl.Pseudospectral(nodes=4, segments=60, refine=0).run(following(), guess=solution)
+    assert direct.objective == pytest.approx(solution.objective, rel=1e-4)
+
+
+def test_regimes_are_read_exactly_off_exact_tables() -> None:
+    """As neighbours need them, for which no arc may be dropped or joined."""
+    stays = read_stays(climbed(), 0)[EXACT]
+    assert [stay.regime for stay in stays] == list(THREE)
+    assert [stay.end for stay in stays] == [arc.end for arc in climbed().structure]
+    assert read_stays(rough(), 0)[EXACT] == []

@@ -149,6 +149,36 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
     )
 
 
+def following() -> pl.Problem:
+    """From x = 0.8 m to 1.2 m in 6 s with the least int (x - a sin(phi))^2, |x'| <= 1 m/s, where a sin(phi) is faster.
+
+    On its singular arcs x is at the target, a sin(phi).
+    """
+    phase = pl.Phase(
+        name="go",
+        states=_variables(x="m", phi="1", c="m^2*s"),
+        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (u.u, p.w, (x.x - p.a * m.sin(x.phi)) ** 2),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.end,),
+        end_conditions=_variables(there="m"),
+    )
+    return pl.Problem(
+        name="following",
+        phases=(phase,),
+        start=lambda p, m: (p.start, 0 * p.w * p.T, 0.0),
+        given={
+            "T": Given(value=6.0, unit="s"),
+            "a": Given(value=1.0, unit="m"),
+            "w": Given(value=1.3, unit="1/s"),
+            "start": Given(value=0.8, unit="m"),
+            "end": Given(value=1.2, unit="m"),
+        },
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2*s",
+    )
+
+
 def planar_goddard(down: float = 2500.0) -> pl.Problem:
     """Goddard's rocket in a vertical plane, its thrust in a free direction: greatest altitude so far `down` range [m].
 

@@ -23,7 +23,7 @@ from perilune.words.types import Matrix, Vector
 
 # Accuracy to which curves are interpolated (canonical): the re-flight integrates the control's error over the whole
 # burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.
-_STATES, _COSTATES, _CONTROLS = 1e-10, 1e-9, 3e-11
+_STATES, _COSTATES, _CONTROLS = 1e-10, 3e-10, 3e-11
 _PLAIN = 3.0  # times their sizes a control moves the states on a plain landing, for which these numbers are
 _LOOKS, _DIFFERENCE = 19, 1e-6  # of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none

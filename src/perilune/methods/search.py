@@ -83,12 +83,13 @@ class Search:
         With `family` the best of all extremals on the family through it, along a free parameter between bounds.
         """
         search, found = self._from_guess(guess)
-        if not family or search.scanned is None:
+        trials = search.trials
+        if not family or trials.scanned is None:
             return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
-        root, place = found[0].root, search.conditions.free_at.start + search.scanned
+        root, place = found[0].root, trials.conditions.free_at.start + trials.scanned
         value, choice = float(root.y[place]), root.choice.copy()
-        choice[[search.scanned, search.shooting.plan.held + search.scanned]] = 1.0, value
-        held = search._settled(root.y[None], choice, limits=search.others)[0]
+        choice[[trials.scanned, trials.shooting.plan.held + trials.scanned]] = 1.0, value
+        held = trials.settled(root.y[None], choice, limits=trials.others)[0]
         if held.converged:
             others = search._all_extremals(Member(value=value, root=held))[0]
             found += new_among([f for f in others if search.judge.breach(f.root) is None], found)

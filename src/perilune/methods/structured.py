@@ -157,7 +157,7 @@ class Polish:
             if asked is None:
                 return None
             same &= found == known and asked == stays
-            phases.append(arcs_of(found, flown.duration, asked))
+            phases.append(arcs_of(self.problem, k, found, flown.duration, asked))
         revised = Structure(tuple(phases))
         return structure if same else None if revised.plain else revised
 

@@ -34,7 +34,7 @@ from perilune.proof.switching import on_bounds
 from perilune.structures.carry import split
 from perilune.structures.read import POINTS, Contact, arcs_of
 from perilune.structures.restate import restate
-from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds
+from perilune.structures.structure import Condition, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
@@ -55,7 +55,7 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
         arc = Arc(solution=solution, index=k)
         known = margins(solution.problem, arc.index) if flown.costate is not None else {}
         found = [c for name, (_, S, _) in known.items() if not acts(S) for c in _contacts(arc, name, S)]
-        phases.append(arcs_of(found, arc.duration))
+        phases.append(arcs_of(solution.problem, k, found, arc.duration))
     structure = Structure(tuple(phases))
     if structure.plain:
         return solution, structure
@@ -120,7 +120,7 @@ def _by_bounds(arc: Arc, name: str, begin: float, end: float) -> bool:
     An empty tank stays empty while the engine is off. Then it has no multiplier, and the checks are made without one.
     """
     condition = conditions_of(arc.problem, arc.index, (name,))[name]
-    moving = {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
+    moving = moved_by(condition)
     u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
     on = {
         control.name: bool(np.logical_or(*on_bounds(arc, at, control, u)).all())

@@ -9,7 +9,7 @@ the state says so: it is ridden, if only for a moment.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,8 +18,8 @@ import numpy as np
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
-from perilune.structures.regimes import LEVELS, Stay, read_stays, regimes_at
-from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds
+from perilune.structures.regimes import EXACT, LEVELS, Stay, read_stays, regimes_at
+from perilune.structures.structure import Arc, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
@@ -41,10 +41,8 @@ class Contact:
     ridden: bool
 
 
-def read(
-    problem: Problem, solution: Solution, least: float = NEAR[0], level: tuple[int, float] | None = None
-) -> Structure | None:
-    """The arcs of a solution, by its curves.
+def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
+    """The arcs of a solution, by its curves, of conditions on states alone.
 
     Parameters
     ----------
@@ -54,21 +52,47 @@ def read(
         Of any method, however coarse.
     least
         As near as counts whatever the mesh, as a share of what a condition goes through.
-    level
-        Of `regimes.LEVELS`, at which singular arcs are looked for; None looks for none.
 
     Returns
     -------
     Structure
-        With times; None where no condition on states alone is at its limit on the way, and no control singular.
+        With times; None where no condition on states alone is at its limit on the way.
     """
-    phases = []
-    for k, flown in enumerate(solution.trajectories):
-        stays = [] if level is None else read_stays(solution, k, level)
-        found = [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
-        phases.append(arcs_of([c for c in found if not _at_bounds(c, stays)], flown.duration, stays))
-    structure = Structure(tuple(phases))
+    structure = _structure(problem, solution, _met(problem, solution, least), [[] for _ in problem.phases])
     return None if structure.plain else structure
+
+
+def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
+    """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without."""
+    met = _met(problem, solution, least)
+    stays = [read_stays(solution, k) for k in range(len(problem.phases))]
+    nothing = [list[Stay]() for _ in problem.phases]
+    by_level = {level: [own[level] for own in stays] for level in (EXACT, *LEVELS)}
+    structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
+    different = dict[str, Structure]()
+    for level in sorted(structures, key=lambda level: (level != EXACT, level[0], structures[level].count)):
+        different.setdefault(structures[level].text, structures[level])
+    without = _structure(problem, solution, met, nothing)
+    return [*different.values(), *([] if without.plain else [without])]
+
+
+def _met(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:
+    """For each phase where conditions on states alone are at their limit on the way."""
+    return [
+        [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
+        for k in range(len(problem.phases))
+    ]
+
+
+def _structure(
+    problem: Problem, solution: Solution, met: Sequence[Sequence[Contact]], stays: Sequence[Sequence[Stay]]
+) -> Structure:
+    return Structure(
+        tuple(
+            arcs_of(problem, k, [c for c in met[k] if not _at_bounds(c, stays[k])], flown.duration, stays[k])
+            for k, flown in enumerate(solution.trajectories)
+        )
+    )
 
 
 def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
@@ -76,18 +100,6 @@ def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
     names = {s.control for s in stays}
     here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
     return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
-
-
-def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
-    """Every structure that a solution may have: those with singular arcs first, of few arcs before those of many."""
-    different = dict[str, Structure]()
-    for size in (0, 1):
-        found = [read(problem, solution, least, level) for level in LEVELS if level[0] == size]
-        singular = [s for s in found if s is not None and s.singular]
-        for structure in sorted(singular, key=lambda s: s.count):
-            different.setdefault(structure.text, structure)
-    without = read(problem, solution, least)
-    return [*different.values(), *([without] if without is not None else [])]
 
 
 def of_states(problem: Problem, k: int) -> list[str]:
@@ -152,13 +164,20 @@ def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> flo
     return end - begin
 
 
-def arcs_of(found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()) -> tuple[Arc, ...]:
-    """The arcs of a phase between the times at which something begins, ends or is touched."""
+def arcs_of(
+    problem: Problem, k: int, found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()
+) -> tuple[Arc, ...]:
+    """The arcs of phase k between the times at which something begins, ends or is touched."""
+    known = conditions_of(problem, k, tuple({c.name for c in found})) if stays else {}
     cuts = sorted({t for c in (*found, *stays) for t in (c.begin, c.end) if 0.0 < t < duration})
-    arcs = []
+    arcs = list[Arc]()
     for begin, end in zip([0.0, *cuts], [*cuts, duration], strict=True):
         middle = 0.5 * (begin + end)
         along = tuple(c.name for c in found if c.ridden and c.begin < middle < c.end)
         touches = tuple(c.name for c in found if not c.ridden and c.end == end)
-        arcs.append(Arc(along=along, touches=touches, regimes=regimes_at(stays, middle), until=end))
+        held = {name for condition in along if condition in known for name in moved_by(known[condition])}
+        arc = Arc(along=along, touches=touches, regimes=regimes_at(stays, middle, held), until=end)
+        if arcs and arc.regimes and replace(arcs[-1], touches=touches, until=end) == arc and not arcs[-1].touches:
+            arcs.pop()  # nothing begins where two regimes of a control meet that is held along both
+        arcs.append(arc)
     return tuple(arcs)

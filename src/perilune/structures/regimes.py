@@ -11,8 +11,9 @@ the control of a mesh chatters, and beyond both ends it leaves zero like t^2, wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from perilune.words.types import Vector
 # Of the size of the gain: so small it is zero, on better and on worse meshes. Its size is what it reaches while the
 # control is on a bound, on the bound where that is less and on the other: where a state rides along a bound of its own
 # a mesh tells costates of any size, and along a short arc hardly more than its noise.
+EXACT = (0, 0.0)  # by the breaks of tables that have an arc between any two of them
 LEVELS = tuple((size, level) for size in (0, 1) for level in (2e-3, 5e-3, 1e-2, 2e-2, 4e-2, 8e-2))
 WIDER, STAYS = 4.0, 0.5  # a wider level; singular where the gain stays for such a share of the time below the wider one
 SHORTEST, BURST = 0.01, 2e-3  # of a phase: singular arcs that are read are longer, and arcs on bounds
@@ -69,18 +71,21 @@ def wavering(solution: Solution) -> bool:
     return False
 
 
-def read_stays(solution: Solution, k: int, level: tuple[int, float]) -> list[Stay]:
-    """The regimes of each scalar of phase k that is singular for a while, at a level; nothing of one that is not."""
+def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]]:
+    """By level the regimes of each scalar of phase k that is singular for a while; nothing of one that is not."""
+    found: dict[tuple[int, float], list[Stay]] = {level: [] for level in (EXACT, *LEVELS)}
     if solution.trajectories[k].costate is None:
-        return []
-    found = list[Stay]()
+        return found
     for at, control in linear_scalars(solution, k):
         t, gain, share = gain_along(solution, k, at, control)
-        zero = level[1] * _sizes(gain, share)[level[0]]
-        if singular := list(_singular(t, gain, share, zero)):
-            # A mesh passes from bound to bound within a segment: there the gain says which it is.
-            upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
-            found += _filled(control.name, t, upper, singular)
+        found[EXACT] += _between_breaks(control.name, solution.trajectories[k].control.time, t, gain, share)
+        sizes = _sizes(gain, share)
+        for size, level in LEVELS:
+            zero = level * sizes[size]
+            if singular := list(_singular(t, gain, share, zero)):
+                # A mesh passes from bound to bound within a segment: there the gain says which it is.
+                upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
+                found[size, level] += _filled(control.name, t, upper, singular)
     return found
 
 
@@ -98,6 +103,25 @@ def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[V
         rates = phase.rates(list(x), list(moved), p)
         sides.append(sum(a * np.asarray(b) for a, b in zip(lam, rates, strict=True)))
     return t, sides[1] - sides[0], control.share(u[at], p)
+
+
+def _between_breaks(name: str, nodes: Vector, t: Vector, gain: Vector, share: Vector) -> list[Stay]:
+    """The regime between any two breaks; nothing where one is none, or none of them singular."""
+    breaks = nodes[1:][np.diff(nodes) == 0]
+    edges, most, found = np.unique([0.0, *breaks, t[-1]]), float(np.abs(gain).max()), list[Stay]()
+    for begin, end in pairwise(edges.tolist()):
+        inside = (t > begin) & (t < end)
+        if not inside.any():  # shorter than the points are apart
+            return []
+        low, high = (bool((np.abs(share[inside] - bound) <= WRONG).all()) for bound in (0.0, 1.0))
+        if not (low or high or np.abs(gain[inside]).max() <= WRONG * most):
+            return []
+        regime = "lower" if low else "upper" if high else "singular"
+        if found and found[-1].regime == regime:
+            found[-1] = replace(found[-1], end=end)
+        else:
+            found.append(Stay(control=name, regime=regime, begin=begin, end=end))
+    return found if any(stay.regime == "singular" for stay in found) else []
 
 
 def _sizes(gain: Vector, share: Vector) -> tuple[float, float]:
@@ -179,9 +203,11 @@ def stays_of(structure: Structure, k: int) -> list[Stay]:
     return sorted(found, key=lambda s: (s.begin, s.control))
 
 
-def regimes_at(stays: Sequence[Stay], t: float) -> Regimes:
-    """What each scalar does at a time."""
-    return tuple((s.control, s.regime) for s in stays if s.begin < t < s.end)
+def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> Regimes:
+    """What each scalar does at a time, some of which are held by what is ridden then."""
+    here = [s for s in stays if s.begin < t < s.end]
+    free = {s.control: "singular" if s.regime == "held" else s.regime for s in here}
+    return tuple((name, "held" if name in held else regime) for name, regime in free.items())
 
 
 def settled(control: Bounded, regime: str) -> Settled:
@@ -222,6 +248,9 @@ def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: floa
 
 def _kept(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
     """A stay cut where it should be another: on a bound that is the worse one, or beyond the bounds."""
+    if stay.regime == "held":
+        yield stay
+        return
     if stay.regime == "singular":
         asked = np.where(share > 1 + WRONG, 1, np.where(share < -WRONG, -1, 0))
         names = {1: "upper", -1: "lower", 0: "singular"}

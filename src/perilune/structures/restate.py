@@ -280,7 +280,7 @@ def _stated(function: str, names: str, rows: Sequence[tuple[Variable, Expression
 
 def _settled(phase: Phase, arc: Arc) -> tuple[Control, ...]:
     """The controls of an arc: those that stay in a regime along it say so."""
-    regimes = dict(arc.regimes)
+    regimes = {name: regime for name, regime in arc.regimes if regime != "held"}
     return tuple(
         settled(c, regimes[c.name]) if isinstance(c, Bounded) and c.name in regimes else c for c in phase.controls
     )

@@ -24,7 +24,7 @@ from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import quotient
 
 SIDES = ("lower", "upper")
-Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper" or "singular"
+Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper", "singular" or "held"
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Arc:
     touches
         Names of those that are touched at its end.
     regimes
-        Scalar controls that are on a bound, or singular, all along it; of the others the control law decides.
+        Scalar controls that are on a bound, or singular, all along it, or held by what it rides along; of the others
+        the control law decides.
     until
         When it ends, in seconds from the beginning of its phase, as far as that is known; NaN otherwise.
     """
@@ -52,7 +53,7 @@ class Arc:
     def text(self) -> str:
         """The arc in short."""
         held = [f"{name} singular" if regime == "singular" else f"{name} at its {regime} bound"
-                for name, regime in self.regimes]  # fmt: skip
+                for name, regime in self.regimes if regime != "held"]  # fmt: skip
         held = ["along " + ", ".join(self.along)] * bool(self.along) + held
         return " and ".join((*(held or ["free"]), *(f"touches {name}" for name in self.touches)))
 
@@ -179,6 +180,11 @@ def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, C
         values = derivatives(value, dynamics, phase.state_names, f"{name} of {phase.name}")
         found[name] = Condition(name=name, variable=variable, values=values, bound=bound)
     return found
+
+
+def moved_by(condition: Condition) -> set[str]:
+    """Components of the control that keep a condition while it is ridden."""
+    return {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
 
 
 def plain_bound(phase: Phase, state: Variable, side: str) -> str:
