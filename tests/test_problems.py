@@ -29,7 +29,7 @@ from problems.answered import Method
 from problems.delta import delta
 from problems.goddard import FOOT, goddard
 from problems.orbit_raising import PRINTED_RADIUS
-from problems.reentries import PRINTED_CONTROL, PRINTED_COSTATE, apollo, shuttle
+from problems.reentries import COOL_RANGE, COOL_TIME, PRINTED_CONTROL, PRINTED_COSTATE, apollo, shuttle
 
 ROOT = Path(__file__).parent.parent
 CLAIMS = [(answered, method) for answered in LIBRARY for method in answered.methods]
@@ -185,6 +185,13 @@ def test_entries_and_the_ascent_are_those_of_the_books() -> None:
     glide = pl.prove(solved(next(a for a in LIBRARY if a.make is shuttle), Indirect()))
     assert glide.verification.level == 3
     assert glide.free["time"] == pytest.approx(2008.59, abs=5e-3)
+
+
+def test_a_limit_of_heating_costs_the_shuttle_range() -> None:
+    """By the direct method, to the digits that are printed; it rides along the limit for 20 minutes."""
+    cool = Pseudospectral(tolerance=1e-4, refine=25).run(shuttle(70.0))
+    assert np.degrees(-cool.objective) == pytest.approx(COOL_RANGE, abs=5e-5)
+    assert cool.free["time"] == pytest.approx(COOL_TIME, abs=5e-3)
 
 
 def test_the_printed_orbit_is_not_quite_the_greatest() -> None:

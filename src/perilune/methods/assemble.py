@@ -25,7 +25,7 @@ from perilune.words.types import Matrix, Vector
 # burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.
 _STATES, _COSTATES, _CONTROLS = 1e-10, 3e-10, 3e-11
 _PLAIN = 3.0  # times their sizes a control moves the states on a plain landing, for which these numbers are
-_LOOKS, _DIFFERENCE = 19, 1e-6  # of a phase, and of a control in canonical units
+_LOOKS, _DIFFERENCE = 16, 1e-6  # nodes of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
@@ -100,16 +100,33 @@ def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Seq
 
 
 def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, free: Mapping[str, float]) -> Trajectory:
-    phase, extremal, p = problem.phases[k], conditions.phases[k], extremal_parameters(problem)
+    phase, extremal = problem.phases[k], conditions.phases[k]
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
-    duration = arc.duration
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
     size = np.maximum(1.0, reached)
     size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
-    t = np.linspace(0.0, duration, _LOOKS)[1:-1]
-    x, u = arc(t)[:, :n].T * x_scale[:, None], controls(extremal, arc, t, p).T
-    told = _CONTROLS / _leverage(problem, phase, problem.parameters(free), (x, u), size[:n])
-    tolerance = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], told])
+    u_scale = control_scales(phase.controls, problem.scales)
+    scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
+    of_states = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n]])
+
+    def told(finer: Any) -> tuple[Vector, Matrix, Matrix]:
+        tolerance = np.concatenate([of_states, np.full(width, _CONTROLS) / finer])
+        nodes, values, rates = _nodes(extremal, arc, tolerance, extremal_parameters(problem))
+        return nodes, values * scale, rates * scale / problem.scales.time
+
+    nodes, values, rates = told(1.0)
+    some = values[:: 1 + len(values) // _LOOKS]
+    leverage = _leverage(problem, phase, problem.parameters(free), (some[:, :n].T, some[:, 2 * n :].T), size[:n])
+    if (leverage > 1.0).any():
+        nodes, values, rates = told(leverage)
+    cut, time = np.split(np.arange(2 * n + width), [n, 2 * n]), nodes * problem.scales.time
+    state, costate, control = (Curve(time=time, values=values[:, at], rates=rates[:, at]) for at in cut)
+    return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
+
+
+def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) -> tuple[Vector, Matrix, Matrix]:
+    """Times, and state, costate and control there with their rates, canonical; a switch stands there twice."""
+    n, half, duration = extremal.state_count, extremal.half, arc.duration
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
     joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > _NOTHING * duration]
@@ -130,13 +147,7 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, fr
         piece = np.append(left + nodes[:-1], right), *evaluate(nodes)
         pieces.append([part[:-1] for part in piece] if right in joints else piece)
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    time = problem.scales.time
-    u_scale = control_scales(phase.controls, problem.scales)
-    scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
-    values, rates = values * scale, rates * scale / time
-    cut = np.split(np.arange(2 * n + width), [n, 2 * n])
-    state, costate, control = (Curve(time=nodes * time, values=values[:, at], rates=rates[:, at]) for at in cut)
-    return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
+    return nodes, values, rates
 
 
 def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matrix], size: Vector) -> Vector:
