@@ -328,7 +328,8 @@ def test_no_flight_stops_where_the_bound_says_none_does(
     rest.terminal = ground.terminal = True  # type: ignore[attr-defined]
     x0 = np.array(problem.start(p, NUMERIC), dtype=float)
     flown = solve_ivp(rates, (0.0, 400.0), x0, "DOP853", events=[rest, ground], rtol=1e-10, atol=1e-8)
-    if len(flown.t_events[0]):
+    # In one long step it may fall through the ground and come back, which no event tells.
+    if len(flown.t_events[0]) and flown.y_events[0][0][2] >= 0:
         assert fall.passed, flown.y_events[0][0][2]
         # The way that was fallen is never shorter than the bound.
         assert height - flown.y_events[0][0][2] >= fall.value - 1e-6

@@ -231,10 +231,10 @@ def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> lis
 def distinct(roots: Iterable[Root]) -> list[Root]:
     """Different extremals, best first."""
     kept: list[Root] = []
-    for root in sorted(roots, key=lambda root: root.cost):
+    for root in roots:
         if not any(same_extremal(root, other) for other in kept):
             kept.append(root)
-    return kept
+    return sorted(kept, key=lambda root: root.cost)
 
 
 def same_extremal(one: Root, other: Root) -> bool:
