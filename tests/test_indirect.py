@@ -177,3 +177,12 @@ def test_curves_interpolate_what_they_promise() -> None:
     dense = np.linspace(0, 2, 5001)
     assert np.abs(curve(dense) - fast(dense)[0]).max() < 2e-9
     assert np.diff(nodes)[0] > 4 * np.diff(nodes).min()
+
+
+def test_nodes_about_a_jump_come_to_an_end() -> None:
+    def jump(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.where(t < 2.0 - 1e-15, 1.0, -1.0)[:, None], np.zeros((len(t), 1))
+
+    nodes = hermite_nodes(jump, 2.0, np.array([1e-9]), shortest=1e-12)
+    assert len(nodes) < 200
+    assert 2e-13 < np.diff(nodes).min() <= 1e-12

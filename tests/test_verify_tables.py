@@ -213,8 +213,9 @@ def test_an_impulse_in_a_piece_of_a_picosecond_fails(way: float) -> None:
         return replace(dense, rates=rates)
 
     names = failed(with_table(solution, "control", impulse))
-    assert {"state_v", "place", "rest"} & names
-    assert "state_v" in names
+    # By rounding of the table the flight either steps over the impulse, is no number there, or creeps through it until
+    # it is given up: all three fail.
+    assert {"state_v", "computable"} & names
 
 
 def test_the_two_sides_of_a_switch_exchanged_fail() -> None:

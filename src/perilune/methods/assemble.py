@@ -85,11 +85,11 @@ def _mapped(function: ca.Function, count: int, first: bool = False) -> ca.Functi
     return function.map(count)
 
 
-def _report(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
-    """(z', u, u') at points z (n, nz) in one mode."""
+def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
+    """(z', u, u') in one mode: z' at points z (n, nz), the control at those that decide it."""
     count, numbers = len(z), np.repeat(p[:, None], len(z), axis=1)
     rate = np.array(_mapped(extremal.modes[mode], count)(z.T, numbers)).T
-    u, u_rate, _ = (np.array(out).T for out in _mapped(extremal.reports[mode], count)(z.T, numbers))
+    u, u_rate, _ = (np.array(out).T for out in _mapped(extremal.reports[mode], count)(decides.T, numbers))
     return rate, u, u_rate
 
 
@@ -125,11 +125,16 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, fr
 
 
 def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) -> tuple[Vector, Matrix, Matrix]:
-    """Times, and state, costate and control there with their rates, canonical; a switch stands there twice."""
+    """Times, and state, costate and control there with their rates, canonical; a switch stands there twice.
+
+    Where a velocity is free the costate that points the thrust vanishes at the end, and rounding lets it pass through
+    zero just before: the control at an end of the phase is the one a moment inside.
+    """
     n, half, duration = extremal.state_count, extremal.half, arc.duration
+    nothing = _NOTHING * duration
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
-    joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > _NOTHING * duration]
+    joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > nothing]
     pieces = []
     for left, right in pairwise([0.0, *sorted([*inside, *joints]), duration]):
         mode = int(arc.modes(np.array([0.5 * (left + right)]))[0])
@@ -137,12 +142,13 @@ def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) ->
         def evaluate(
             t: Vector, left: float = left, mode: int = mode, before: float = np.nextafter(right, left)
         ) -> tuple[Matrix, Matrix]:
-            z = arc(np.minimum(left + t, before))  # at the switch itself the costate may have jumped
-            rate, u, u_rate = _report(extremal, mode, z, p)
+            at = np.minimum(left + t, before)  # at the switch itself the costate may have jumped
+            z, decides = arc(at), arc(np.clip(at, nothing, duration - nothing))
+            rate, u, u_rate = _report(extremal, mode, z, decides, p)
             values = np.hstack([z[:, :n], z[:, half : half + n], u])
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
-        nodes = hermite_nodes(evaluate, right - left, tolerance)
+        nodes = hermite_nodes(evaluate, right - left, tolerance, shortest=nothing)
         # The last node is the switch itself, not a sum that may miss it by one rounding; a joint is the next piece's.
         piece = np.append(left + nodes[:-1], right), *evaluate(nodes)
         pieces.append([part[:-1] for part in piece] if right in joints else piece)

@@ -349,7 +349,11 @@ def _named(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Re
 
 
 def hermite_nodes(
-    evaluate: Callable[[Vector], tuple[Matrix, Matrix]], duration: float, tolerance: Vector, limit: int = 6401
+    evaluate: Callable[[Vector], tuple[Matrix, Matrix]],
+    duration: float,
+    tolerance: Vector,
+    limit: int = 6401,
+    shortest: float = 0.0,
 ) -> Vector:
     """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point.
 
@@ -363,6 +367,8 @@ def hermite_nodes(
         Largest error of each of the k components.
     limit
         Most nodes; reached only by curves with a kink.
+    shortest
+        Width of pieces that are not halved any more [s]: about a jump there would be no end to it.
     """
     time = np.linspace(0.0, duration, 101)
     values, rates = evaluate(time)
@@ -373,7 +379,7 @@ def hermite_nodes(
         middle = 0.5 * (right[0] + left[0])
         exact, slopes = evaluate(middle)
         interpolated = 0.5 * (left[1] + right[1]) + 0.125 * width[:, None] * (left[2] - right[2])
-        bad = (np.abs(interpolated - exact) / tolerance).max(axis=1) > 1.0
+        bad = ((np.abs(interpolated - exact) / tolerance).max(axis=1) > 1.0) & (width > shortest)
         if not bad.any():
             break
         # What is good enough stays so: only the halves of the others are looked at again.
