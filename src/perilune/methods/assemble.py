@@ -25,6 +25,7 @@ from perilune.words.types import Matrix, Vector
 # burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.
 _STATES, _COSTATES, _CONTROLS = 1e-10, 3e-10, 3e-11
 _PLAIN = 3.0  # times their sizes a control moves the states on a plain landing, for which these numbers are
+_CHANGED = 2.0  # times its size an error of a costate may change H: 6e-10, where the proof allows 1e-9
 _LOOKS, _DIFFERENCE = 16, 1e-6  # nodes of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 
@@ -96,10 +97,13 @@ def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: V
 def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
     """Curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
     free = free_values(problem, conditions, y)
-    return tuple(_trajectory(problem, conditions, k, arc, free) for k, arc in enumerate(flown))
+    whole = sum(arc.duration for arc in flown)
+    return tuple(_trajectory(problem, conditions, k, arc, free, whole) for k, arc in enumerate(flown))
 
 
-def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, free: Mapping[str, float]) -> Trajectory:
+def _trajectory(
+    problem: Problem, conditions: Conditions, k: int, arc: Flown, free: Mapping[str, float], whole: float
+) -> Trajectory:
     phase, extremal = problem.phases[k], conditions.phases[k]
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
@@ -107,18 +111,20 @@ def _trajectory(problem: Problem, conditions: Conditions, k: int, arc: Flown, fr
     size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
     u_scale = control_scales(phase.controls, problem.scales)
     scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
-    of_states = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n]])
+    plain = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], np.full(width, _CONTROLS)])
 
-    def told(finer: Any) -> tuple[Vector, Matrix, Matrix]:
-        tolerance = np.concatenate([of_states, np.full(width, _CONTROLS) / finer])
+    def told(tolerance: Vector) -> tuple[Vector, Matrix, Matrix]:
         nodes, values, rates = _nodes(extremal, arc, tolerance, extremal_parameters(problem))
         return nodes, values * scale, rates * scale / problem.scales.time
 
-    nodes, values, rates = told(1.0)
+    nodes, values, rates = told(plain)
     some = values[:: 1 + len(values) // _LOOKS]
     leverage = _leverage(problem, phase, problem.parameters(free), (some[:, :n].T, some[:, 2 * n :].T), size[:n])
-    if (leverage > 1.0).any():
-        nodes, values, rates = told(leverage)
+    # H is lam.f, and its size J over the whole flight: an error of a costate counts by how far f takes the state in it.
+    changed = size[half : half + n] * whole * problem.scales.time * np.abs(rates[:, :n]).max(axis=0) / x_scale
+    finer = np.concatenate([np.ones(n), np.maximum(1.0, changed / _CHANGED), leverage])
+    if (finer > 1.0).any():
+        nodes, values, rates = told(plain / finer)
     cut, time = np.split(np.arange(2 * n + width), [n, 2 * n]), nodes * problem.scales.time
     state, costate, control = (Curve(time=time, values=values[:, at], rates=rates[:, at]) for at in cut)
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
