@@ -60,6 +60,29 @@ def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(
     assert any(line.startswith("start") for line in kept["log"])
 
 
+def test_ctrl_c_in_a_destructor_is_not_lost() -> None:
+    """What a destructor raises is ignored: the signal comes again, and the work ends."""
+    program = (
+        "import os, signal, sys, time, perilune.cli as cli\n"
+        "class Closing:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        time.sleep(0.05)\n"
+        "def work(arguments):\n"
+        "    Closing()\n"
+        "    try:\n"
+        "        for _ in range(2000):\n"
+        "            time.sleep(0.01)\n"
+        "    except KeyboardInterrupt:\n"
+        "        return 130\n"
+        "    return 0\n"
+        "cli.run = work\n"
+        "cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
 def test_help_loads_nothing_heavy() -> None:
     heavy = "numpy scipy casadi matplotlib pydantic llvmlite rich"
     program = (

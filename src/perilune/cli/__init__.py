@@ -33,8 +33,17 @@ def main() -> NoReturn:
 
 def _stop(*_: object) -> NoReturn:
     """Ctrl-C: what an import or a file leaves open when it is cut short is no news for who asked for it."""
-    sys.unraisablehook = lambda _: None
+    sys.unraisablehook = _again
     raise KeyboardInterrupt
+
+
+def _again(ignored: sys.UnraisableHookArgs) -> None:
+    """Ctrl-C once more where the first met a destructor, which lets no exception out."""
+    if ignored.exc_type is KeyboardInterrupt:
+        from _thread import interrupt_main
+        from threading import Timer
+
+        Timer(0.01, interrupt_main).start()
 
 
 def _fill_closed_streams() -> None:
