@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from perilune.methods.first_mesh import ROUGHEST
 from perilune.methods.indirect import Indirect
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.pseudospectral import Pseudospectral
@@ -26,7 +27,6 @@ from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 
 NEWTON = "Newton"  # ends the rung of an answer that was made exact in the user's own phases
-ROUGHEST = 0.05  # relative error of a first mesh beyond which it is refined before anything is made of it
 APART = 30.0  # times its mesh error J may be better than the exact one's: so far two good answers were seen apart
 
 

@@ -44,15 +44,13 @@ from perilune.proof.extremal import end_multipliers, varied
 from perilune.proof.numerics import COMPLEX, STEP, stacked
 from perilune.proof.ridden import ALONG, Ridden
 from perilune.proof.switching import gain, product_of
+from perilune.proof.touched import MET, SIDEWAYS, STRICT
 from perilune.proof.variations import Kept
 from perilune.structures.restate import sums_of, with_sums
 from perilune.structures.structure import Condition, Structure, conditions_of
 from perilune.words.types import Matrix, Vector
 
 _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
-_MET = 1e-9  # of its size: a condition that is met, or its rate
-_SIDEWAYS = 1e-6  # of a multiplier: a jump of the costates so small in a direction is none, as H is continuous there
-_STRICT = 1e-6  # of J per condition, canonical: a jump with a smaller multiplier may be none
 _STEADY, _CLEAR = 1e-5, 1e-3  # of the size of a control: a jump that is none, and one that tells when an arc begins
 
 
@@ -198,7 +196,7 @@ class Rides:
         nu = self.entered(ridden).get(0, 0.0) if not s else 0.0
         nu += ridden.weights(s)[0] * (1 if s else -1)
         size = float(np.abs(ridden.slope(0, ridden.edge(s))).max()) / ridden.part.objective_scale
-        return nu * size < -_STRICT
+        return nu * size < -STRICT
 
     def kept(self) -> dict[int, Kept]:
         """What variations keep of what is ridden, by part: for the second variation."""
@@ -284,7 +282,7 @@ def _signs(rides: Rides, ridden: Ridden, of: str) -> Iterator[Check]:
         f"left it{beyond}; not available where it is no smooth function of time",
     )  # fmt: skip
     yield Check(
-        name=f"{part.prefix}along_ends{of}", level=2, unit="1", limit=_SIDEWAYS,
+        name=f"{part.prefix}along_ends{of}", level=2, unit="1", limit=SIDEWAYS,
         value=float(np.max([rides.jump(part.index), rides.jump(part.index + 1)])),
         meaning=f"jumps of the costates where the flight meets and leaves {name}, of a wrong sign or not along its "
         f"slope, as far as no condition at the end of a phase and no given start has them (scaled){beyond}",
@@ -300,7 +298,7 @@ def _met(rides: Rides, ridden: Ridden, of: str) -> Check:
         off = float(value(part.phase.state_record(*x[:, 0].tolist()), u, part.p, COMPLEX)[0].real)
         worst = float(np.max([worst, abs(off) / rides.scale(ridden, i)]))
     return Check(
-        name=f"{part.prefix}met{of}", level=2, unit="1", limit=_MET, value=worst,
+        name=f"{part.prefix}met{of}", level=2, unit="1", limit=MET, value=worst,
         meaning=f"{condition.name} and its rates where the flight is said to ride along it (scaled): they vanish",
     )  # fmt: skip
 

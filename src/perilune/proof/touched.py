@@ -42,10 +42,10 @@ from perilune.words.types import Vector
 _ON = 1e-7  # of what a condition goes through: it is met
 _SAID = 1e-6  # of the costates where a phase ends, scaled: what end conditions leave of them is nothing
 _JUMP = 1e-9  # of a costate's size: less is no jump
-_MET = 1e-9  # of its size: a condition that is met, or its rate
-_SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
+MET = 1e-9  # of its size: a condition that is met, or its rate
+SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
 _LOOKS = 200  # times of an arc
-_STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
+STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
 
 def cut(solution: Solution) -> tuple[Solution, Structure]:
@@ -168,12 +168,12 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
         "positive",
     )  # fmt: skip
     yield Check(
-        name=f"{part.prefix}touch_jump", level=2, unit="1", limit=_SIDEWAYS, value=abs(float(scaled[rate])),
+        name=f"{part.prefix}touch_jump", level=2, unit="1", limit=SIDEWAYS, value=abs(float(scaled[rate])),
         meaning=f"jump of the costates along the slope of the rate of {name}, where it is touched (scaled): they jump "
         "along its own slope alone",
     )  # fmt: skip
     yield Check(
-        name=f"{part.prefix}strict_touch", level=3, unit="1", limit=-_STRICT, value=float(scaled[at]),
+        name=f"{part.prefix}strict_touch", level=3, unit="1", limit=-STRICT, value=float(scaled[at]),
         meaning=f"multiplier of {name} where it is touched (scaled): strictly negative, so that a flight that does not "
         "touch it pays to first order",
     )  # fmt: skip
@@ -184,6 +184,6 @@ def _met(part: Arc, rows: list[int], name: str) -> Check:
     end = part.state(np.array([part.duration]))[:, 0].tolist()
     values = np.array(part.phase.evaluate("end", end, (), part.p), dtype=float) / part.end_scale
     return Check(
-        name=f"{part.prefix}met", level=2, unit="1", limit=_MET, value=float(np.abs(values[rows]).max()),
+        name=f"{part.prefix}met", level=2, unit="1", limit=MET, value=float(np.abs(values[rows]).max()),
         meaning=f"{name} and its rates where the flight is said to meet it (scaled): they vanish",
     )  # fmt: skip

@@ -63,19 +63,18 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
 
 
 def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
-    """Every structure that a solution may have: as exact tables tell, without singular arcs, with (few arcs first)."""
-    met = _met(problem, solution, least)
-    stays = [read_stays(solution, k) for k in range(len(problem.phases))]
-    nothing = [list[Stay]() for _ in problem.phases]
-    by_level = {level: [own[level] for own in stays] for level in (EXACT, *LEVELS)}
-    structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
-    different = dict[str, Structure]()
-    if EXACT in structures:
-        different[structures[EXACT].text] = structures[EXACT]
+    """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without.
+
+    Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
+    """
+    met, nothing = _met(problem, solution, least), [list[Stay]() for _ in problem.phases]
     without = _structure(problem, solution, met, nothing)
     touched = any(arc.touches for arcs in without.phases for arc in arcs)
-    # Beside a touch a mesh wavers where nothing is singular.
-    for level in [] if touched else sorted(structures, key=lambda level: (level[0], structures[level].count)):
+    stays = [read_stays(solution, k) for k in range(len(problem.phases))]
+    by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if touched else (EXACT, *LEVELS))}
+    structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
+    different = dict[str, Structure]()
+    for level in sorted(structures, key=lambda level: (level != EXACT, level[0], structures[level].count)):
         different.setdefault(structures[level].text, structures[level])
     if not without.plain:
         different.setdefault(without.text, without)
