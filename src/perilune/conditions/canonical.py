@@ -179,25 +179,24 @@ def canonical_equations(
         def moving(
             control: ca.SX,
             held: Held,
-            between: tuple[int, ...] = (),
+            regimes: tuple[Regime, ...],
             f: ca.SX = f,
             hamiltonian: ca.SX = hamiltonian,
             gradient: ca.SX = gradient,
         ) -> ca.SX:
-            """z' as an expression of u, beside which there is a control; `between` are the scalars between bounds."""
+            """z' as an expression of u, beside which there is a control of these regimes."""
             # A limit that is a free parameter moves the control with it.
             pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, bounds, q))
             holds = [*always.values(), *(kept[name] for name in held)]
-            pull -= held_back(phase, hamiltonian, u, holds, ca.vertcat(x, q), between)
+            pull -= held_back(phase, hamiltonian, u, holds, ca.vertcat(x, q), regimes)
             return ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
 
-        motion = Motion(z=z, rate=lambda control, held, moving=moving: ca.substitute(moving(control, held), u, control))
+        motion = Motion(
+            z=z, rate=lambda control, *mode, moving=moving: ca.substitute(moving(control, *mode), u, control)
+        )
         law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion)
         for control, found, held, regimes in zip(law.control, law.solved, law.held, law.regimes, strict=True):
-            between = (
-                at for (at, _), regime in zip(scalars(phase.controls), regimes, strict=True) if regime == "interior"
-            )
-            whole = moving(control, held, tuple(between))
+            whole = moving(control, held, regimes)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
             if found is None:

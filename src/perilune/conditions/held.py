@@ -2,7 +2,8 @@
 
 A condition of the path that is linear in a direction, c = a . d - b >= 0, leaves a cap of the sphere. Where -g/|g| lies
 outside, the least of g . d is on its rim, d = b/|a| a/|a| - sqrt(1 - (b/|a|)^2) h/|h| with h the part of g across a;
-where two of them hold, in a corner. One that is held all along a phase may be linear in a scalar instead.
+where two of them hold, in a corner. A condition of scalars alone leaves a range of one, or a part of a plane of more:
+where it is held they are told by it and by what is left of H (`perilune.conditions.scalars`).
 """
 
 from __future__ import annotations
@@ -13,26 +14,36 @@ from itertools import combinations
 import casadi as ca
 import numpy as np
 
-from perilune.problem.controls import directions, scalars
+from perilune.conditions.scalars import pivots
+from perilune.problem.controls import Regime, Settled, directions, scalars
 from perilune.problem.phase import Phase
 from perilune.words.outcome import PeriluneError
 
 Held = tuple[str, ...]  # conditions of the path by name
 
 
+def turns(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
+    """Whether a direction is in a condition."""
+    return any(ca.depends_on(condition, u[first:last]) for first, last in directions(phase.controls))
+
+
 def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
-    """Whether a condition of the path is linear in one direction and knows no other control."""
-    return _direction_of(phase, condition, u) is not None
+    """Whether a condition of the path is linear in one direction alone, or one of scalars alone."""
+    if turns(phase, condition, u):
+        return _direction_of(phase, condition, u) is not None
+    acting = [control for at, control in scalars(phase.controls) if ca.depends_on(condition, u[at])]
+    return bool(acting) and not any(isinstance(control, Settled) for control in acting)
 
 
 def held_back(
-    phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX, between: Sequence[int] = ()
+    phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX, regimes: Sequence[Regime]
 ) -> ca.SX:
     """What holding conditions c = 0 adds to -dH/dz: their multipliers mu times dc/dz, as functions of the control u.
 
     H - mu.c is stationary in the control: mu of a direction's conditions from the tangents of the sphere and scalars
-    `between` their bounds, that of a scalar's from its slope.
+    between their bounds, that of scalars' conditions from their slopes. `regimes` are those of the scalars.
     """
+    places = {at: regime for (at, _), regime in zip(scalars(phase.controls), regimes, strict=True)}
     total = ca.SX.zeros(z.numel(), 1)
     if not any(ca.depends_on(c, z) for c in held):
         return total
@@ -42,6 +53,7 @@ def held_back(
         if own:
             d, c = u[first:last], ca.vertcat(*own)
             sphere = ca.SX.eye(d.numel()) - ca.mtimes(d, d.T)
+            between = [at for at, regime in places.items() if regime == "interior"]
             free = ca.vertcat(ca.SX(0, 1), *(u[i] for i in between))
             G = ca.horzcat(ca.mtimes(ca.jacobian(c, d), sphere), ca.jacobian(c, free))
             mu = ca.solve(
@@ -50,9 +62,11 @@ def held_back(
             total += ca.jtimes(c, z, mu, True)
             slopes -= ca.jtimes(c, u, mu, True)
             rest = [c for c in rest if not any(ca.is_equal(c, other) for other in own)]
-    for c in rest:
-        at = next(at for at, _ in scalars(phase.controls) if ca.depends_on(c, u[at]))
-        total += slopes[at] / ca.gradient(c, u[at]) * ca.gradient(c, z)
+    if rest:
+        told, c = [at for at, regime in places.items() if regime == "held"], ca.vertcat(*rest)
+        C = ca.jacobian(c, ca.vertcat(*(u[at] for at in told)))
+        mu = ca.solve(ca.mtimes(C, C.T), ca.mtimes(C, ca.vertcat(*(slopes[at] for at in told))))
+        total += ca.jtimes(c, z, mu, True)
     return total
 
 
@@ -67,14 +81,23 @@ def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] |
 
 
 def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
-    """Which conditions may be held together: none, each, and two of one direction in space."""
+    """Which conditions may be held together: one of a direction, or two in space; one of each scalar."""
     of = {name: _direction_of(phase, condition, u) for name, condition in kept.items()}
+    turning, others = [n for n in kept if of[n] is not None], [n for n in kept if of[n] is None]
     pairs = [
         (a, b)
-        for a, b in combinations(kept, 2)
+        for a, b in combinations(turning, 2)
         if (at := of[a]) is not None and at == of[b] and at[1] - at[0] == 3 and not _parallel(kept[a], kept[b], u)
     ]
-    return [(), *((name,) for name in kept), *pairs]
+    symbols = [u[at] for at, _ in scalars(phase.controls)]
+    sets = [
+        held
+        for count in range(len(others) + 1)
+        for held in combinations(others, count)
+        if pivots(symbols, [kept[name] for name in held]) is not None
+    ]
+    every = ({*one, *other} for one in sets for other in [(), *((n,) for n in turning), *pairs])
+    return [tuple(name for name in kept if name in held) for held in every]
 
 
 def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
@@ -90,22 +113,20 @@ def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
     return True
 
 
-def told_scalar(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> tuple[int, ca.SX] | None:
-    """Place and value of the scalar that a held condition determines; None where it is a direction's."""
-    first_last = next((at for at in directions(phase.controls) if ca.depends_on(condition, u[at[0] : at[1]])), None)
-    if first_last is not None:
-        part = u[first_last[0] : first_last[1]]
-        if not ca.depends_on(ca.gradient(condition, part), part):
-            return None
+def demand_held(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> None:
+    """Refuse a condition to be held that is not linear in one direction, or one of scalars alone."""
+    for first, last in directions(phase.controls):
+        part = u[first:last]
+        if ca.depends_on(condition, part):
+            if not ca.depends_on(ca.gradient(condition, part), part):
+                return
+            break
     else:
-        acting = [at for at, _ in scalars(phase.controls) if ca.depends_on(condition, u[at])]
-        if len(acting) == 1:
-            slope = ca.gradient(condition, u[acting[0]])
-            if not ca.depends_on(slope, u[acting[0]]):
-                return acting[0], -ca.substitute(condition, u[acting[0]], 0) / slope
+        if any(ca.depends_on(condition, u[at]) for at, _ in scalars(phase.controls)):
+            return
     raise PeriluneError(
         f"the indirect method cannot hold {name} along {phase.name}",
-        got="a condition that is not linear in one direction, or in one scalar alone",
+        got="a condition that is not linear in one direction, or one of scalars alone",
         expected="a held condition that says what the control does",
         advice="use the direct method: solve(problem, Pseudospectral())",
     )

@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.held import Held
+from perilune.problem.controls import Regime
 from perilune.words.outcome import PeriluneError
 
 MOST = 4  # derivatives that are looked at: arcs of order 1 and 2
@@ -31,10 +32,10 @@ _POINTS, _DRAWS, _ZERO = 3, 30, 1e-9  # at which a coefficient is looked at; dra
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """State and costate z, and their rates with a control in place and these conditions of the path held."""
+    """State and costate z, and their rates with a control of a mode: what it holds, the regimes of its scalars."""
 
     z: ca.SX
-    rate: Callable[[ca.SX, Held], ca.SX]
+    rate: Callable[[ca.SX, Held, tuple[Regime, ...]], ca.SX]
 
 
 def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -> ca.SX:

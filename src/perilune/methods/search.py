@@ -96,14 +96,21 @@ class Search:
         found = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
         return search._compose(found, "family"), lambda: search.judge.breach(found[0].root)
 
-    def all_extremals(self, base: Member | None = None) -> tuple[Search, list[Found]]:
-        """By the ladder; and of which search they are: this one, or one whose control keeps more of the path."""
+    def all_extremals(self, base: Member | None = None, *, last: bool = False) -> tuple[Search, list[Found]]:
+        """By the ladder; and of which search they are: this one, or one whose control keeps more of the path.
+
+        With `last` by its last rung alone.
+        """
         found: list[Found] = []
         given = [(base, "continuation")] if base is not None else []
         rungs = [given, self._sphere_members(), self._carried_members(), self._transcription()]
         for i, rung in enumerate(rungs):
+            if last and i < 3:
+                continue
             if self._answers(found) and (i == 3 or (i == 2 and (base is not None or self.agreed))):
                 continue  # the last rung is for those that the others left without an answer
+            if i == 3 and (held := self._met_by(self.coarse.solve())):
+                return self._keeping(held).all_extremals(last=True)
             for first, name in rung:
                 if not self._walked_through(first):
                     new, members = self._all_extremals(first)
@@ -118,6 +125,11 @@ class Search:
                     answers = [f for f in found if self.judge.breach(f.root) is None]
                     return search, [*kept, *new_among(answers, kept)]
         return self, found
+
+    def _met_by(self, flight: Solution | None) -> Held:
+        """Conditions that the control could keep, which may hold a flight back."""
+        near = touched(flight) if self.keepable and flight is not None else set[str]()
+        return tuple(name for name in self.keepable if name in near)
 
     def _worth_keeping(self, found: list[Found]) -> Held:
         """Conditions that the control could keep, broken by extremals that are better than every answer."""
@@ -139,7 +151,7 @@ class Search:
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""
-        self.watch(f"extremals break {', '.join(more)}: the control keeps to it")
+        self.watch(f"{', '.join(more)} would be broken: the control keeps to it")
         keep = tuple(name for name in keepable_conditions(self.problem) if name in {*self.keep, *more})
         search = Search(self.settings, self.problem, self.watch, keep, self.tried)
         search.coarse, search.trials.history = self.coarse, self.trials.history
@@ -180,8 +192,7 @@ class Search:
         """Newton from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""
         if any(flown.costate is None for flown in guess.trajectories):
             guess = self.coarse.solve(guess) or guess
-        near = touched(guess) if self.keepable else set[str]()
-        held = tuple(name for name in self.keepable if name in near)
+        held = self._met_by(guess)
         search = self._keeping(held) if held else self
         y = known(search.settings, search.trials, guess)
         found = search._near(y, held_in(search.trials, guess, y), guess)

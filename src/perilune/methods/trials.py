@@ -17,6 +17,7 @@ from perilune.problem.symbolic import free_scales
 from perilune.shooting.active import Limits, limits_of, settle
 from perilune.shooting.continuum import completed
 from perilune.shooting.function import Root, Roots, Shooting
+from perilune.shooting.newton import FINEST
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
@@ -84,7 +85,8 @@ class Trials:
         Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
         root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
         if root.converged and segments > 1:  # one piece again, for what follows
-            root = self.shooting.in_one(self.settled(root.y[None, : len(y)], root.choice, limits=limits)[0], root)
+            one = self.settled(root.y[None, : len(y)], root.choice, limits=limits, accuracy=FINEST)[0]
+            root = self.shooting.in_one(one, root)
         return root
 
     def correct(self, y: Vector, like: Root, p: Vector) -> Root:

@@ -1,0 +1,208 @@
+"""Scalar controls: their regimes, and where H is least over those that are not on a bound.
+
+Between their bounds dH/du = 0. Where conditions c(x, u) = 0 of scalars alone are held, as many of the scalars say so,
+
+    dH/du = sum of mu dc/du,     c = 0,
+
+and H has to be least on what the conditions leave (Karush, Kuhn, Tucker). Both are solved in closed form where they are
+linear, else by Newton's method in u and mu from the best of many points: of a grid, or where a line of the grid meets
+the conditions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, product
+
+import casadi as ca
+import numpy as np
+
+from perilune.problem.controls import Bounded, Regime, Settled
+from perilune.problem.phase import Phase
+from perilune.problem.symbolic import elements
+from perilune.words.outcome import PeriluneError
+
+# Newton's method starts at the least of so many values of H, for one and for two controls at once.
+_GRID = {1: 17, 2: 9}
+_STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
+_WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
+_MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
+
+FREE: tuple[Regime, ...] = ("interior", "held")  # not on a bound
+
+
+class Scalar:
+    """A scalar control with the slope S of H in it, directions in place.
+
+    Attributes
+    ----------
+    regimes
+        That it may have; those of one that `acts` in what is held are not all of a mode's (`combinations`).
+    linear
+        Whether H is linear in it.
+    """
+
+    def __init__(
+        self, phase: Phase, at: int, control: Bounded, H: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX], *, acts: bool
+    ) -> None:
+        self.at, self.control, self.limits, self.symbol = at, control, limits, u[at]
+        self.slope = ca.gradient(H, u[at])
+        self.linear = not ca.depends_on(self.slope, u[at])
+        if isinstance(control, Settled):
+            if control.regime == "singular" and not self.linear:
+                raise no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
+            self.regimes: tuple[Regime, ...] = (control.regime,)
+            return
+        lower, upper = (not (limit.is_constant() and np.isinf(float(limit))) for limit in limits)
+        if self.linear and not acts and not (lower and upper):
+            raise no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
+        between: tuple[Regime, ...] = ("held",) if acts else () if self.linear else ("interior",)
+        self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
+
+    def value(self, regime: Regime) -> ca.SX:
+        """The control at a bound; of a singular one its symbol."""
+        return self.symbol if regime == "singular" else self.limits[regime == "upper"]
+
+    def grid(self, count: int) -> list[ca.SX]:
+        """Values over its range, canonical."""
+        lower, upper = self.limits
+        if self.control.bounded:
+            return [lower + share * (upper - lower) for share in np.linspace(0.0, 1.0, count)]
+        if self.control.unit == "rad":
+            return [ca.SX(value) for value in np.linspace(-np.pi, np.pi, count)]
+        return [ca.SX(value) for value in np.sinh(np.linspace(-_WIDEST, _WIDEST, count))]
+
+
+def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tuple[Regime, ...]]:
+    """Regimes of all scalars that may go together: each of the conditions that are held has a scalar to hold it."""
+    for regimes in product(*(kind.regimes for kind in kinds)):
+        symbols = [kind.symbol for kind, regime in zip(kinds, regimes, strict=True) if regime == "held"]
+        if pivots(symbols, held) is not None:
+            yield regimes
+
+
+def pivots(symbols: Sequence[ca.SX], held: Sequence[ca.SX]) -> list[int] | None:
+    """Which of the scalars holds which condition, each another one; None where there are not enough."""
+    if not held:
+        return []
+    for i, symbol in enumerate(symbols):
+        if ca.depends_on(held[0], symbol):
+            rest = pivots([*symbols[:i], *symbols[i + 1 :]], held[1:])
+            if rest is not None:
+                return [i, *(j + (j >= i) for j in rest)]
+    return None
+
+
+def multipliers(H: ca.SX, u: ca.SX, held: ca.SX) -> ca.SX:
+    """mu of conditions that are held by scalars u, by least squares: exact where H is least."""
+    C = ca.jacobian(held, u)
+    return ca.solve(ca.mtimes(C, C.T), ca.mtimes(C, ca.gradient(H, u)))
+
+
+def keeps(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> ca.SX:
+    """Whether a control u holds conditions by these scalars, or Newton's method has not found one that does."""
+    near = ca.fabs(held) <= _MET * ca.sum2(ca.fabs(ca.jacobian(held, told)))
+    return ca.substitute(ca.logic_all(near), u, control)
+
+
+def least_between(phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Where H is least over scalars that are not on a bound: in closed form, or a step from w, which Newton finds.
+
+    Parameters
+    ----------
+    phase
+        Whose controls.
+    H, u, free
+        The Hamiltonian as an expression of the symbols u of these scalars.
+    held
+        Conditions of them that are held.
+
+    Returns
+    -------
+    The control as an expression of w, the symbols w, and the values of w; none where there is a closed form.
+
+    Raises
+    ------
+    PeriluneError
+        If there are more than two scalars and no closed form.
+    """
+    none = ca.SX.zeros(u.numel(), 1)
+    step, system = _step(H, u, held)
+    if not ca.depends_on(system, u):
+        return ca.substitute(step, u, none), ca.SX(0, 1), ca.SX(0, 1)
+    if len(free) not in _GRID:
+        names = tuple(kind.control.name for kind in free)
+        raise no_law(phase, names, "more than two controls that bend the Hamiltonian together")
+    grids = [kind.grid(_GRID[len(free)]) for kind in free]
+    at, least = none, ca.SX(np.inf)
+    for point, met in _candidates(u, grids, elements(held)):
+        value = ca.substitute(H, u, point)
+        better = ca.logic_and(met, value < least)
+        at, least = ca.if_else(better, point, at), ca.if_else(better, value, least)
+    reach = ca.vertcat(*(ca.fabs(grid[1] - grid[0]) for grid in grids))
+    # |bend| keeps a single control on the way down where H is not convex.
+    down = -ca.gradient(H, u) / ca.fabs(system) if len(free) == 1 and not held.numel() else step
+    for _ in range(_STEPS):
+        at = at + ca.fmax(-reach, ca.fmin(reach, ca.substitute(down, u, at)))
+    w = ca.SX.sym("w", u.numel())
+    return ca.substitute(u + step, u, w), w, at
+
+
+def _step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Newton's step for u, and the matrix of its system; multipliers are those of least squares at u."""
+    slope, C = ca.gradient(H, u), ca.jacobian(held, u)
+    if held.numel() == u.numel():
+        return -ca.solve(C, held), C
+    if not held.numel():
+        bend = ca.jacobian(slope, u)
+        return -ca.solve(bend, slope), bend
+    symbols, mu = ca.SX.sym("mu", held.numel()), multipliers(H, u, held)
+    bend = ca.substitute(ca.jacobian(slope - ca.mtimes(C.T, symbols), u), symbols, mu)
+    system = ca.blockcat([[bend, -C.T], [C, ca.SX(held.numel(), held.numel())]])
+    left = ca.vertcat(slope - ca.mtimes(C.T, mu), held)
+    return -ca.solve(system, left)[: u.numel()], system
+
+
+def _candidates(u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: Sequence[ca.SX]) -> Iterator[tuple[ca.SX, ca.SX]]:
+    """Points to start from, and whether they are near to what is held."""
+    symbols = elements(u)
+    holding = pivots(symbols, held)
+    assert holding is not None, "asked of scalars that hold them"
+    middle = [grid[len(grid) // 2] for grid in grids]
+    lines = [[middle[i]] if i in holding else grid for i, grid in enumerate(grids)]
+    for corner in product(*lines):
+        points = [([*corner], ca.SX(1.0))]
+        for condition, i in zip(held, holding, strict=True):
+            points = [new for old in points for new in _met(u, *old, condition, i, grids[i])]
+        for point, met in points:
+            yield ca.vertcat(*point), met
+
+
+def _met(
+    u: ca.SX, point: list[ca.SX], met: ca.SX, condition: ca.SX, i: int, grid: Sequence[ca.SX]
+) -> Iterator[tuple[list[ca.SX], ca.SX]]:
+    """Points on the line through one along scalar i at which a condition changes its sign, roughly."""
+
+    def at(value: ca.SX) -> ca.SX:
+        return ca.substitute(condition, u, ca.vertcat(*point[:i], value, *point[i + 1 :]))
+
+    slope = ca.gradient(condition, u[i])
+    if not ca.depends_on(slope, u[i]):
+        zero = ca.SX(0.0)
+        own = ca.substitute(slope, u, ca.vertcat(*point[:i], zero, *point[i + 1 :]))
+        yield [*point[:i], -at(zero) / own, *point[i + 1 :]], met
+        return
+    for a, b in pairwise(grid):
+        left, right = at(a), at(b)
+        root = a - left * (b - a) / (right - left)
+        yield [*point[:i], root, *point[i + 1 :]], ca.logic_and(met, left * right <= 0)
+
+
+def no_law(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
+    """Why a control's minimum of H is not known."""
+    return PeriluneError(
+        f"the indirect method has no control law for {', '.join(names)} of {phase.name}",
+        got=got,
+        expected="a direction or a bounded scalar that enters linearly, or a scalar that bends the Hamiltonian",
+        advice="use the direct method: solve(problem, Pseudospectral())",
+    )

@@ -1,0 +1,137 @@
+"""Conditions of the path on scalar controls, that the indirect method keeps: closed forms, and the same said otherwise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import perilune as pl
+from perilune.conditions.pontryagin import derive, keepable_conditions
+from test_control_law import given, slide, variables
+
+BRAKES, WAY = 2.0, 3.0
+
+
+def _proved(problem: pl.Problem) -> pl.Solution:
+    solution = pl.solve(problem)
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
+    return solution
+
+
+def test_a_limit_that_is_no_interval_holds_on_both_its_sides() -> None:
+    """|u| <= 5 said as u^2 <= 25, of a control without bounds: a root of the condition for each of its sides."""
+    bounded = slide("strength")
+    phase = replace(
+        bounded.phases[0],
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        path=lambda x, u, p, m: (p.strength * p.strength - u.u * u.u,),
+        path_conditions=variables(weak="m^2/s^4"),
+    )
+    solution = _proved(replace(bounded, phases=(phase,)))
+    first = 0.5 * (1 - math.sqrt(0.6))
+    assert solution.objective == pytest.approx(25 * (first + (0.5 - first) / 3), abs=1e-10)
+    time = solution.trajectories[0].control.time
+    assert time[1:][np.diff(time) == 0] == pytest.approx([first, 1 - first], abs=1e-10)
+
+
+def _pushed(*limits: str) -> pl.Problem:
+    """From rest to rest in least time, u between -2 and 9: pushed no harder than `limits` of 1 + v and of 1.5 say."""
+    every = {"by_speed": lambda x, u, p: p.push + p.gain * x.v - u.u, "by_size": lambda x, u, p: p.most - u.u}
+    phase = pl.Phase(
+        name="push",
+        states=variables(x="m", v="m/s"),
+        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-BRAKES, upper=9.0),),
+        dynamics=lambda x, u, p, m: (x.v, u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.way, x.v),
+        end_conditions=variables(arrive="m", rest="m/s"),
+        path=lambda x, u, p, m: tuple(every[name](x, u, p) for name in limits),
+        path_conditions=variables(**dict.fromkeys(limits, "m/s^2")),
+    )
+    return pl.Problem(
+        name="push",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0),
+        given=given(way=(WAY, "m"), push=(1.0, "m/s^2"), gain=(1.0, "1/s"), most=(1.5, "m/s^2")),
+        free=(pl.Free(name="T", unit="s", lower=0.1, upper=20.0, typical=3.0),),
+        objective=lambda x, p, m: p.T,
+        objective_unit="s",
+    )
+
+
+@pytest.mark.parametrize("size", [math.inf, 1.5])
+def test_a_bound_that_moves_with_the_state(size: float) -> None:
+    """v' = 1 + v, and no more than 1.5, then brakes: the condition of the least slack holds a control that is linear."""
+
+    def flown(pushed: float) -> tuple[float, float]:
+        alone = min(pushed, math.log(size))
+        v, x = math.exp(alone) - 1, math.exp(alone) - 1 - alone
+        rest = pushed - alone
+        return x + v * rest + 0.75 * rest**2, v + 1.5 * rest
+
+    until: Any = brentq(lambda t: flown(t)[0] + flown(t)[1] ** 2 / (2 * BRAKES) - WAY, 0.1, 3.0, xtol=1e-15)
+    limits = ("by_speed",) if size == math.inf else ("by_speed", "by_size")
+    solution = _proved(_pushed(*limits))
+    assert solution.objective == pytest.approx(until + flown(until)[1] / BRAKES, abs=1e-10)
+    held = derive(_pushed(*limits), limits).phases[0].held
+    assert set(held) == {(), *((name,) for name in limits)}  # never two of one scalar
+
+
+def _plane(size: bool) -> pl.Problem:
+    """Least int a^2/2 in the plane with |a| <= 5.2: by components and a condition, or by size and direction."""
+    states = variables(x="m", y="m", vx="m/s", vy="m/s", c="m^2/s^3")
+
+    def by_components(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+        return x.vx, x.vy, u.a, u.b, 0.5 * (u.a * u.a + u.b * u.b)
+
+    def by_size(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+        return x.vx, x.vy, u.size * u.c, u.size * u.s, 0.5 * u.size * u.size
+
+    common: dict[str, Any] = {
+        "name": "plane", "states": states, "duration": "T",
+        "end": lambda x, p, m: (x.x - p.way, x.vx, x.y - p.up, x.vy),
+        "end_conditions": variables(there="m", rest="m/s", height="m", level="m/s"),
+    }  # fmt: skip
+    if size:
+        controls = pl.Bounded(name="size", unit="m/s^2", lower=0.0, upper="most"), pl.Direction(names=("c", "s"))
+        phase = pl.Phase(**common, controls=controls, dynamics=by_size)
+    else:
+        phase = pl.Phase(
+            **common,
+            controls=(pl.Bounded(name="a", unit="m/s^2"), pl.Bounded(name="b", unit="m/s^2")),
+            dynamics=by_components,
+            path=lambda x, u, p, m: (p.most * p.most - u.a * u.a - u.b * u.b,),
+            path_conditions=variables(weak="m^2/s^4"),
+        )
+    return pl.Problem(
+        name="plane",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, p.across, 0.0, 0.0),
+        given=given(T=(1.0, "s"), way=(1.0, "m"), up=(0.5, "m"), across=(0.3, "m/s"), most=(5.2, "m/s^2")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s^3",
+    )
+
+
+def test_a_condition_that_two_controls_hold_together() -> None:
+    """A circle of components is a size and a direction."""
+    solution = _proved(_plane(size=False))
+    assert solution.objective == pytest.approx(pl.solve(_plane(size=True), level=0).objective, abs=1e-10)
+    u = solution.trajectories[0].control(np.linspace(0.0, 1.0, 200))
+    assert 0.1 < np.mean(np.hypot(*u.T) > 5.2 - 1e-9) < 0.9  # on the circle for a part of the time
+
+
+def test_what_knows_a_direction_too_is_not_kept() -> None:
+    problem = _plane(size=True)
+    phase = replace(
+        problem.phases[0],
+        path=lambda x, u, p, m: (p.most - u.size * u.c,),
+        path_conditions=variables(across="m/s^2"),
+    )
+    assert keepable_conditions(replace(problem, phases=(phase,))) == ()
