@@ -1,4 +1,4 @@
-"""Conditions of the path on scalar controls, that the indirect method keeps: closed forms, and the same said otherwise."""
+"""Conditions of the path on scalar controls that the indirect method keeps: closed forms, the same said otherwise."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _pushed(*limits: str) -> pl.Problem:
 
 @pytest.mark.parametrize("size", [math.inf, 1.5])
 def test_a_bound_that_moves_with_the_state(size: float) -> None:
-    """v' = 1 + v, and no more than 1.5, then brakes: the condition of the least slack holds a control that is linear."""
+    """v' = 1 + v, and no more than 1.5, then brakes: of two conditions the one with less slack is held."""
 
     def flown(pushed: float) -> tuple[float, float]:
         alone = min(pushed, math.log(size))

@@ -164,10 +164,11 @@ class Ways:
         """The mode that holds a condition besides, or in the place of others that the same scalars hold."""
         condition = self.kept[name]
         acting = [i for i, kind in enumerate(mode.kinds) if ca.depends_on(condition, kind.symbol)]
-        regimes = mode.regimes
+        regimes: tuple[Regime, ...] = mode.regimes
         if not turns(self.phase, condition, self.u):
             between = [i for i in acting if regimes[i] in FREE] or acting[:1]
-            regimes = tuple("held" if i in between else regime for i, regime in enumerate(regimes))
+            for i in between:
+                regimes = *regimes[:i], "held", *regimes[i + 1 :]
         rivals = {n for n, c in mode.own.items() if any(ca.depends_on(c, mode.kinds[i].symbol) for i in acting)}
         for held in ({*mode.held, name}, {*mode.held, name} - rivals):
             after = tuple(n for n in self.kept if n in held), regimes

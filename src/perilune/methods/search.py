@@ -206,8 +206,10 @@ class Search:
         """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
         trials = self.trials
         root = trials.settled(y[None], choice, limits=trials.limits)[0]
-        stuck = not root.converged and (not is_neighbour(self.problem) or trials.shooting.rounding(root))
-        if stuck and guess is not None and may_be_cut(trials.conditions, self.settings.segments):
+        # A neighbour is no further than rounding from its guess, but for flights on which that grows beyond all use.
+        lost = not is_neighbour(self.problem) or trials.shooting.rounding(root) or not np.isfinite(root.residual).all()
+        cut = may_be_cut(trials.conditions, self.settings.segments)
+        if not root.converged and lost and cut and guess is not None:
             root = trials.by_pieces(guess, y, choice, self.settings.segments, trials.limits)
         name = trials.outside(root)
         if root.converged and name is None:

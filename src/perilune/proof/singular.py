@@ -55,9 +55,12 @@ def singular_between(arc: Arc, left: float, right: float) -> int | None:
             moved = np.array(u)
             moved[at] = lower + share * (upper - lower)
             values.append(lam * arc.rates(x, moved).real)
-            held.append(arc.held(x, moved))
-        if (np.abs(held[2] - held[0]) > _LINEAR * arc.held_scale[:, None]).any():  # what the phase holds decides it
-            continue
+            if arc.allowed:
+                held.append(arc.allowed.values(x, moved).real)
+        if arc.allowed:  # what the phase holds decides it, and so does a condition that is active all along
+            always = arc.allowed.active(x, u).all(axis=1)
+            if (np.abs(held[2] - held[0])[always] > _LINEAR * arc.allowed.sizes[always, None]).any():
+                continue
         bend = np.abs((values[0] - 2 * values[1] + values[2]).sum(axis=0))
         if (bend <= _LINEAR * sum(np.abs(value).sum(axis=0) for value in values)).all():
             found.append(at)

@@ -239,17 +239,13 @@ class Shooting:
         return 1.0 / float(root.inverse[at, row])
 
     def rounding(self, root: Root) -> bool:
-        """Whether the residual is what errors in the last digits become: of y, or of states anywhere on the way.
-
-        For the one Newton's next step moves nothing but last digits; for the other the residual, or that there is none,
-        is as large as the derivatives at the end are in units of the error of a flight.
-        """
+        """Whether the residual is what errors in the last digits become: of y, or of states anywhere on the way."""
+        if not np.isfinite(root.inverse).all():
+            return False
         step = root.inverse @ root.residual[self.plan.rows]
         if np.linalg.norm(step) <= _LAST_DIGITS * (1.0 + np.linalg.norm(root.y)):
             return True
-        if not np.isfinite(root.inverse).all():
-            return True
-        least = np.linalg.norm(root.inverse, -2)  # one over the largest growth
+        least = np.linalg.norm(root.inverse, -2)  # one over the most that an error grows
         return bool(np.abs(root.residual).max() * least <= FINEST)
 
     def met(self, root: Root) -> Root:
