@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive, keepable_conditions
+from problems.entry import limited_entry
 from test_control_law import given, slide, variables
 
 BRAKES, WAY = 2.0, 3.0
@@ -135,3 +136,12 @@ def test_what_knows_a_direction_too_is_not_kept() -> None:
         path_conditions=variables(across="m/s^2"),
     )
     assert keepable_conditions(replace(problem, phases=(phase,))) == ()
+
+
+def test_an_entry_under_limits_of_load_and_of_heating() -> None:
+    """From its bound the lift goes along the load, in which it is, and later along the heating, by a square of it."""
+    problem = limited_entry(load=55.0, rate=93.2e3)
+    solution = _proved(problem)
+    assert [arc.words for arc in solution.structure if arc.words.startswith("along")] == ["along load", "along rate"]
+    rough = pl.Pseudospectral(nodes=6, segments=16, refine=0).near(solution)
+    assert solution.objective == pytest.approx(rough.objective, rel=1e-5)

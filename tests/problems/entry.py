@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from perilune.problem.controls import Bounded
@@ -23,6 +24,26 @@ def _rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
         -push * (p.drag + p.polar * u.lift * u.lift) - gravity * m.sin(x.gamma),
         push * u.lift / x.v + (x.v / r - gravity / x.v) * m.cos(x.gamma),
         p.heating * m.sqrt(density / p.nose) * x.v**3,
+    )
+
+
+def limited_entry(load: float, rate: float) -> Problem:
+    """`cool_entry` with no more than a load [m/s^2], in which the lift is, and a rate of heating [W/m^2]."""
+
+    def path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+        density = p.density * m.exp(-x.h / p.scale_height)
+        push = 0.5 * density * x.v * x.v * p.area / p.mass
+        drag = p.drag + p.polar * u.lift * u.lift
+        return (
+            1 - push * m.sqrt(drag * drag + u.lift * u.lift) / p.most_load,
+            1 - p.heating * m.sqrt(density / p.nose) * x.v**3 / p.most_rate,
+        )
+
+    free = cool_entry(heat=1e7)
+    limits = Variable(name="load", unit="1"), Variable(name="rate", unit="1")
+    given = {"most_load": Given(value=load, unit="m/s^2"), "most_rate": Given(value=rate, unit="W/m^2")}
+    return replace(
+        free, phases=(replace(free.phases[0], path=path, path_conditions=limits),), given={**free.given, **given}
     )
 
 

@@ -26,6 +26,7 @@ from perilune.words.outcome import PeriluneError
 _GRID = {1: 17, 2: 9}
 _STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
+_BEYOND = 0.1  # of a step of the grid: so far beyond the bounds conditions are looked for
 _MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
 
 FREE: tuple[Regime, ...] = ("interior", "held")  # not on a bound
@@ -173,7 +174,10 @@ def _candidates(u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: Sequence[ca.SX
     for corner in product(*lines):
         points = [([*corner], ca.SX(1.0))]
         for condition, i in zip(held, holding, strict=True):
-            points = [new for old in points for new in _met(u, *old, condition, i, grids[i])]
+            # What lies on a bound when it is met may by rounding lie beyond.
+            first, *_, last = (b - a for a, b in pairwise(grids[i]))
+            line = [grids[i][0] - _BEYOND * first, *grids[i][1:-1], grids[i][-1] + _BEYOND * last]
+            points = [new for old in points for new in _met(u, *old, condition, i, line)]
         for point, met in points:
             yield ca.vertcat(*point), met
 

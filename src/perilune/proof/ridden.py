@@ -25,7 +25,8 @@ from perilune.structures.structure import Condition
 from perilune.words.types import Matrix, Vector
 
 # The multiplier along an arc is a polynomial in time, to rounding; its derivatives are noise below a share of it.
-_DEGREE, _ROUGH, ALONG = 12, 1e-6, 1e-4
+# Twice the degree is for what nearly has a root in it, as a control that S^(q) = 0 has to the square.
+_DEGREES, _ROUGH, ALONG = (12, 24), 1e-6, 1e-4
 _STRAIGHT = 1e-12  # of rates: they are linear in a control
 _POSITIVE, _AT_ENDS = 1e-3, 0.02  # of its largest value mu is strictly positive; near the ends it may vanish
 
@@ -74,8 +75,10 @@ class Ridden:
         """A polynomial of eta over its size on [0, 1], and how far that is from it."""
         s, eta = self.shares, self.eta / self.size
         curve = Chebyshev([np.nan], domain=[0.0, 1.0])
-        if np.isfinite(eta).all() and self.condition.order <= 2:
-            curve = Chebyshev.fit(s, eta, min(_DEGREE, len(s) // 2), domain=[0.0, 1.0])
+        for degree in _DEGREES if np.isfinite(eta).all() and self.condition.order <= 2 else ():
+            curve = Chebyshev.fit(s, eta, min(degree, len(s) // 2), domain=[0.0, 1.0])
+            if np.abs(curve(s) - eta).max() <= _ROUGH:
+                break
         return curve, float(np.abs(curve(s) - eta).max())
 
     @property
