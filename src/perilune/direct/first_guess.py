@@ -7,7 +7,7 @@ direction).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -69,16 +69,18 @@ def trusted(problem: Problem) -> Problem:
     """
     if all(phase.typical_end is None for phase in problem.phases):
         return problem
-    bare = replace(problem, phases=tuple(replace(phase, typical_end=None) for phase in problem.phases))
-    return problem if _ends_missed(problem) <= _ends_missed(bare) else bare
+    if _ends_missed(problem, _rough_end) <= _ends_missed(problem, lambda phase, begin, p: begin):
+        return problem
+    bare = tuple(replace(phase, typical_end=None) for phase in problem.phases)
+    return problem.changed(phases=bare, form=None)
 
 
-def _ends_missed(problem: Problem) -> float:
-    """By how much the rough ends of the phases miss end conditions and bounds, in canonical units."""
+def _ends_missed(problem: Problem, end_of: Callable[[Phase, Vector, Any], Vector]) -> float:
+    """By how much rough ends of the phases miss end conditions and bounds, in canonical units."""
     p = problem.parameters({f.name: f.typical for f in problem.free})
     missed, before = 0.0, None
     for k, phase in enumerate(problem.phases):
-        before = _rough_end(phase, begin_of(problem, k, before, p), p)
+        before = end_of(phase, begin_of(problem, k, before, p), p)
         conditions = zip(phase.end_conditions, phase.evaluate("end", before, (), p), strict=True)
         missed += sum(
             abs(condition.missed(float(value), p)) / problem.size_of(condition) for condition, value in conditions
