@@ -33,8 +33,8 @@ HALVINGS = 6
 WANDERING = 8
 # Least gain of a step: part of the violation.
 GAIN = 1e-5
-# Multipliers at the start beyond this say nothing.
-LARGEST = 1e3
+# Multipliers at the start beyond this say nothing; those of bounds are this much over the distance, and no more.
+LARGEST, BARRIER = 1e3, 0.3
 # Part of the tolerance at which a search that has converged ends without a further step.
 CLOSER = 1e-2
 # Multipliers of bounds stay within this of mu / d.
@@ -166,16 +166,17 @@ class _Search:
         return np.bincount(self.at, values, minlength=len(self.lower)) + 0.0
 
     def first_multipliers(self, v: Vector) -> _Point:
-        """Of bounds 1, and of the others those that fit the slopes best, in the sense of least squares."""
-        here, z = self.here, np.ones(len(self.at))
-        pull = self.onto(self.sign)
+        """Of bounds those of a barrier, and of the others those that fit the slopes best, by least squares."""
+        here, d = self.here, self.sign * (v[self.at] - self.bound)
+        z = BARRIER / np.maximum(d, 1.0)
+        pull = self.onto(self.sign * z)
         ranged = -pull[self.n :]
         slope = here.gradient - pull[: self.n] + here.pulled(np.zeros(len(self.equal)), ranged)
         weighed = Weighed(np.ones(self.n), np.zeros(len(ranged)))
         found = self.reduced().step(None, weighed, np.column_stack([slope, slope]))
         y = np.zeros(len(self.equal)) if found is None else found[2][:, 1]
         y = y if np.abs(y).max() < LARGEST else np.zeros(len(y))
-        return _Point(v, self.sign * (v[self.at] - self.bound), z, y, ranged)
+        return _Point(v, d, z, y, ranged)
 
     def errors(self, point: _Point) -> tuple[float, float]:
         """Largest violation of the optimality conditions, relative to large multipliers, and largest d z."""
@@ -273,8 +274,9 @@ class _Evaluated:
         self.place = place
         of, by = program.jacobian_at
         known = np.nonzero(place[by] >= 0)[0]
-        self._first, self._slots = known, (row[of] * n + place[by])[known]
-        self.slopes = np.zeros((len(self.rows), n))
+        self._first, self._slots = known, (place[by] * len(self.rows) + row[of])[known]
+        self._columns = np.zeros((n, len(self.rows)))
+        self.slopes = self._columns.T  # as LAPACK has it
         of, by = (place[at] for at in program.hessian_at)
         self._second = np.nonzero((of >= 0) & (by >= 0))[0]
         self._upper, self._lower = ((a * n + b)[self._second] for a, b in ((of, by), (by, of)))
@@ -293,7 +295,7 @@ class _Evaluated:
         J, g, gradient, jacobian = self.curve(y, ranged)
         self.objective, self.gradient = float(J[0]), gradient[self.order]
         self.g, self.g_ranged = np.split(g[self.rows], [self._equations])
-        self.slopes.ravel()[self._slots] = jacobian[self._first]
+        self._columns.ravel()[self._slots] = jacobian[self._first]
 
     def curve(self, y: Vector, ranged: Vector) -> list[Vector]:
         """The second derivatives of the Lagrangian with these multipliers, where it was evaluated last."""

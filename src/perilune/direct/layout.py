@@ -125,7 +125,8 @@ def by_kind(layouts: tuple[Layout, ...], values: Vector) -> dict[tuple[int, str]
 def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, list[slice]]:
     """Unknowns that are states, rows that determine them when all else is known, and the segments of both, in order.
 
-    The first segment of a phase is its start; of each the rows are as many as the states, and take those before only.
+    The first segment of a phase has its start too; of each the rows are as many as the states, and take those before
+    only.
     """
     states, dynamics, at, row = list[Vector](), list[Vector](), free, 0
     for layout in layouts:
@@ -134,7 +135,8 @@ def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, 
         start, defect, over, *_ = np.split(row + np.arange(sum(sizes)), np.cumsum(sizes))
         ends = layout.states * np.cumsum(layout.degrees)[:-1]
         last = np.split(over, len(layout.degrees))
-        dynamics += [start, *(np.concatenate(both) for both in zip(np.split(defect, ends), last, strict=True))]
+        first, *others = (np.concatenate(both) for both in zip(np.split(defect, ends), last, strict=True))
+        dynamics += [np.concatenate([start, first]), *others]
         at += sum(layout.sizes)
         row += sum(sizes)
     ends = [0, *np.cumsum([len(rows) for rows in dynamics]).tolist()]

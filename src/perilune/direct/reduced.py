@@ -41,7 +41,8 @@ class Chain:
     """
 
     def __init__(self, B: Matrix, sizes: Vector, blocks: Sequence[slice]) -> None:
-        self.B, self.sizes, self.blocks = B * (sizes / sizes[:, None]), sizes[:, None], blocks
+        self.B, self.sizes, self.blocks = B * sizes, sizes[:, None], blocks
+        self.B /= self.sizes
         self.factors = [self._factored(self.B[b, b]) for b in blocks]
 
     @staticmethod
@@ -53,21 +54,25 @@ class Chain:
 
     def solved(self, right: Matrix) -> Matrix:
         """B^-1 right."""
-        right = right / self.sizes
-        found = np.empty_like(right, order="F")
+        found = np.divide(right, self.sizes, order="F")
         for b, (lu, pivots) in zip(self.blocks, self.factors, strict=True):
-            here = right[b] - self.B[b, : b.start] @ found[: b.start] if b.start else right[b]
+            here = found[b]
+            if b.start:
+                here -= self.B[b, : b.start] @ found[: b.start]
             found[b] = _getrs(lu, pivots, here)[0]
-        return found * self.sizes
+        found *= self.sizes
+        return found
 
     def transposed(self, right: Matrix) -> Matrix:
         """B^-T right."""
-        right = right * self.sizes
-        found = np.empty_like(right, order="F")
+        found = np.multiply(right, self.sizes, order="F")
         for b, (lu, pivots) in zip(reversed(self.blocks), reversed(self.factors), strict=True):
-            here = right[b] - self.B[b.stop :, b].T @ found[b.stop :] if b.stop < len(found) else right[b]
+            here = found[b]
+            if b.stop < len(found):
+                here -= self.B[b.stop :, b].T @ found[b.stop :]
             found[b] = _getrs(lu, pivots, here, trans=1)[0]
-        return found / self.sizes
+        found /= self.sizes
+        return found
 
 
 class Lengths:

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import marshal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -252,8 +253,7 @@ class Form:
     def digest(self) -> str:
         """SHA-256 of structure and expressions, hexadecimal."""
         tapes = [e.tape.document() for e in self.expressions.values()]
-        text = json.dumps([self.structure, tapes], separators=(",", ":"), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return _digest(marshal.dumps([self.structure, tapes], 2))  # which writes what is equal in one way
 
     def chooses(self, k: int) -> bool:
         """Whether the dynamics of phase k have a choice (``m.where``) in them, and so perhaps a jump."""
@@ -269,6 +269,13 @@ class Form:
 
     def __hash__(self) -> int:
         return hash(self.digest)
+
+
+@lru_cache(maxsize=256)
+def _digest(content: bytes) -> str:
+    """Of structure and tapes: a problem is often stated anew, with other numbers."""
+    text = json.dumps(marshal.loads(content), separators=(",", ":"), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def trace(problem: Any) -> Form:
