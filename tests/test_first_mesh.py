@@ -84,3 +84,20 @@ def test_an_ordinary_problem_is_solved_from_the_straight_line_alone() -> None:
     tried = pl.Pseudospectral().run(mars_glide_slope()).statistics.tried
     assert tried[0].startswith("straight line, durations x 1: solved")
     assert not any("flown" in line for line in tried)
+
+
+def test_a_straight_line_is_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the first attempt fails it is looked at whether the flight under its controls winds."""
+    from perilune.direct import first_guess
+
+    drawn = list[int]()
+    straight = first_guess._straight_lines
+
+    def counted(problem: Problem, free: dict[str, float]) -> list[Sampler]:
+        drawn.append(1)
+        return straight(problem, free)
+
+    monkeypatch.setattr(first_guess, "_straight_lines", counted)
+    with pytest.raises(pl.PeriluneError):
+        pl.Pseudospectral(iterations=1).run(meditch())
+    assert len(drawn) == len(first_guess.STRETCHES)

@@ -179,6 +179,14 @@ def test_curves_interpolate_what_they_promise() -> None:
     assert np.diff(nodes)[0] > 4 * np.diff(nodes).min()
 
 
+def test_a_piece_without_length_is_its_end() -> None:
+    """What an arc shorter than rounding leaves behind at the end of a phase: three nodes at one time."""
+    t = np.array([0.0, 1.0, 1.0, 1.0])
+    curve = Curve(time=t, values=np.array([[0.0], [1.0], [5.0], [6.0]]), rates=np.ones((4, 1)))
+    assert curve(np.array([0.5, 1.0]))[:, 0] == pytest.approx([0.5, 6.0])
+    assert curve(1.0) == pytest.approx([6.0])
+
+
 def test_nodes_about_a_jump_come_to_an_end() -> None:
     def jump(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.where(t < 2.0 - 1e-15, 1.0, -1.0)[:, None], np.zeros((len(t), 1))

@@ -12,6 +12,7 @@ from scipy.linalg import get_lapack_funcs
 
 from perilune.direct import blocks, errors, interior, nlp
 from perilune.direct.collocation import Mesh, Polynomial, rule
+from perilune.direct.mesh import refined
 from perilune.direct.nlp import Program
 from perilune.direct.reduced import Reduced, Weighed, negative
 from perilune.direct.segments import Segment
@@ -230,3 +231,10 @@ def exponential(growth: float) -> Problem:
         objective=lambda x, p, m: x.x,
         objective_unit="m",
     )  # fmt: skip
+
+
+def test_a_phase_without_length_keeps_its_mesh() -> None:
+    """An optimum may do without a phase; shares of no time are no numbers, and no mesh."""
+    flat, mesh = Polynomial(points=np.array([-0.5, 0.5]), values=np.zeros((2, 1))), Mesh.uniform(2, 2)
+    gone = [Segment(begin=0.0, end=0.0, state=flat, control=flat, costate=flat)] * 2
+    assert refined(meditch().phases[0], mesh, gone, np.ones((2, 3)), 1e-6, meditch().parameters({})) is mesh

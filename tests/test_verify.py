@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
+from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.landing import Retro, bookkeeping
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
@@ -21,6 +22,7 @@ from perilune.problem.verification import Verification
 from perilune.proof.resolved import neighbours
 from perilune.solve import verify
 from perilune.words.outcome import Outcome, PeriluneError
+from problems.constrained import mars_glide_slope
 
 HYBRID = Retro(specific_impulse=310.0)
 # First values only: Newton's method finds the roots to the last digit.
@@ -585,3 +587,15 @@ def sailing(along: float, space: int) -> Solution:
 def test_a_direction_that_is_best_among_its_neighbours_alone_fails(space: int) -> None:
     assert failed(verify(sailing(1.0, space), level=2)) == set()
     assert failed(verify(sailing(-1.0, space), level=2)) == {"minimum_of_hamiltonian"}
+
+
+def test_what_is_no_flight_has_no_neighbours_solved() -> None:
+    """Its costates promise nothing, and from a rough start each may take seconds."""
+    rough = Pseudospectral(nodes=3, refine=0, polish=False).run(mars_glide_slope())
+
+    def refused(problem: Problem, guess: Solution) -> Solution:
+        raise AssertionError("solved again")
+
+    found = verify(rough, resolve=refused)
+    assert found.level == 0 and "conjugate_point" in {c.name for c in found.checks}
+    assert any("neighbours were not solved again" in note for note in found.notes)

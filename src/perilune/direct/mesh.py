@@ -88,8 +88,13 @@ def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -
 
 
 def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float, p: Any) -> Mesh:
-    """A mesh for the next solve; `relative` (segments, states) are the errors of the last one, p all parameters."""
+    """A mesh for the next solve; `relative` (segments, states) are the errors of the last one, p all parameters.
+
+    Of a phase that the optimum does without, and that has no length, it is the last one.
+    """
     begin, total = flown[0].begin, flown[-1].end - flown[0].begin
+    if not total > 0:
+        return mesh
     joints = [0.0] + [(s.end - begin) / total for s in flown[:-1]] + [1.0]
     movable = {j for j, reach in zip(joints[1:-1], mesh.free, strict=True) if reach > 0}
     at_switches = switches(phase, flown, movable, p)

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from perilune.methods.first_mesh import ROUGHEST
 from perilune.methods.ladder import Ladder
 from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
@@ -18,7 +19,6 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
-_ROUGHEST = 0.05  # relative mesh error beyond which a flight is not said to keep anything
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
 _BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
 _TOUCHING = 1e-3  # of its range
@@ -155,4 +155,4 @@ def _often_switched(flight: Solution) -> bool:
 
 
 def _fair(solution: Solution) -> bool:
-    return solution.statistics.residual < _ROUGHEST
+    return solution.statistics.residual < ROUGHEST

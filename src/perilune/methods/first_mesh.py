@@ -22,6 +22,7 @@ from perilune.words.types import Vector
 if TYPE_CHECKING:
     from perilune.direct.layout import PhaseValues
     from perilune.direct.nlp import Answer, Program
+    from perilune.direct.segments import Sampler
 
 # Most iterations of the first attempt and of a search for the least miss; what ends well takes 10 to 60 and 10 to 130.
 BRIEF, PATIENT = 60, 150
@@ -60,6 +61,7 @@ class FirstMesh:
     def __init__(self, run: Run, guess: Solution | None, *, near: bool = False) -> None:
         self.run, self.problem, self.guess, self.near = run, run.problem, guess, near
         self.all_missed = False
+        self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
 
     def answer(self) -> tuple[Program, Answer]:
         """A program and its solution."""
@@ -120,18 +122,17 @@ class FirstMesh:
         s = self.run.settings
         program = self.run.program(tuple(Mesh.uniform(s.segments, s.nodes) for _ in self.problem.phases))
         for free, by, name in first_guesses(self.problem, self.guess):
+            self.first = self.first or (free, by)
             yield Start(program, free, sampled(program, by), name)
 
     def wound(self) -> Start | None:
         """The flight under the controls of the first straight line, where it winds."""
-        from perilune.direct.first_guess import first_guesses
         from perilune.direct.flown_guess import NODES, flown_guess, winding
         from perilune.direct.segments import sampled
 
-        if self.guess is not None:
+        if self.guess is not None or self.first is None:
             return None
-        s = self.run.settings
-        free, lines, _ = next(first_guesses(self.problem, None))
+        s, (free, lines) = self.run.settings, self.first
         flown = flown_guess(self.problem, free, lines)
         swings = None if flown is None else winding(flown)
         if flown is None or swings is None:

@@ -86,7 +86,8 @@ class Curve:
         at = np.atleast_1d(np.asarray(t, dtype=float))
         i = np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
         h = self.time[i + 1] - self.time[i]
-        s = ((at - self.time[i]) / h)[:, None]
+        # A last piece without length, as of an arc shorter than rounding, is its end.
+        s = np.divide(at - self.time[i], h, out=np.ones_like(at), where=h != 0)[:, None]
         h = h[:, None]
         left, right = self.values[i], self.values[i + 1]
         slope_left, slope_right = self.rates[i] * h, self.rates[i + 1] * h

@@ -30,6 +30,8 @@ from perilune.proof.variations import Kept
 from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
 
+_ROUGH = "neighbours were not solved again, as a check of level 1 failed"
+
 
 def examine(
     solution: Solution, level: int, resolve: Resolve, other: Method | None = None, tolerance: Tolerance | None = None
@@ -73,7 +75,7 @@ def examine(
     try:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
         with np.errstate(all="ignore"):
-            for check in _checks(solution, level, resolve, other, tolerance):
+            for check in _checks(solution, level, resolve, other, tolerance, checks):
                 checks.append(raised(check, tolerance))
             if solution.repeated is not None and all(check.passed for check in checks):
                 checks.extend(solution.repeated(solution))
@@ -82,14 +84,26 @@ def examine(
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         meaning = f"the physics can be computed where the tables lead: {error}"
         checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
+    if level >= 3 and _failed(checks):
+        notes = (_ROUGH, *notes)
     notes = (*_unneeded(checks, tolerance), *notes)
     return Verification(checks=tuple(checks), text=solution.problem.text, notes=notes, tolerance=tolerance)
 
 
+def _failed(made: Sequence[Check]) -> bool:
+    """Whether a check of level 1 failed: it is no flight, let alone an optimum."""
+    return any(check.level == 1 and not check.passed for check in made)
+
+
 def _checks(
-    solution: Solution, level: int, resolve: Resolve, other: Method | None, tolerance: Tolerance
+    solution: Solution,
+    level: int,
+    resolve: Resolve,
+    other: Method | None,
+    tolerance: Tolerance,
+    made: Sequence[Check],
 ) -> Iterator[Check]:
-    """Every check in order; those of tables that cannot be read end there."""
+    """Every check in order, after those `made` so far; those of tables that cannot be read end there."""
     readable = tables(solution)
     yield readable
     if not readable.passed:
@@ -112,7 +126,8 @@ def _checks(
         yield from extremality(parts, flown if parts is solution else flights(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
             yield from local_optimality(parts, kept)
-            yield from neighbours(parts, resolve)
+            if not _failed(made):
+                yield from neighbours(parts, resolve)
     if level >= 4:
         yield from agreement(solution, other, arcs)
 
