@@ -630,6 +630,7 @@ def test_what_is_no_number_is_not_nought(ordinary_dir: Path, capsys: pytest.Capt
         (lambda d: d["free"]["retro_delta_v"].update(value=1201.0), 2),  # its own extremal is another
         (lambda d: d["free"]["flight_time"].update(value=286.8637), 5),
         (lambda d: d["multipliers"]["descent.touchdown_altitude"].update(value=1.0), 5),
+        (lambda d: d["multipliers"].update({"descent.none": {"value": 0.0, "unit": ""}}), 2),
         (lambda d: d["multipliers"].pop("descent.touchdown_altitude"), 0),
         (lambda d: d["phases"][0].update(name="ascent"), 2),
         (lambda d: d["phases"].append(d["phases"][0]), 2),
