@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from perilune.words.declared import quantity, record, words
+
+LIKE = 0.02  # of its radius and of its pull: constants of a body differ by less, from paper to paper
 
 
 @record("body")
@@ -26,9 +28,20 @@ class Body:
 
     @property
     def spoken(self) -> str:
-        """How it is called in a sentence: the Moon, Mars; the body where it has no name of its own."""
+        """How it is called in a sentence: the Moon, Mars; the body where it has no name of its own.
+
+        The name of a known body with the size or the pull of another is told as a name and no more.
+        """
+        known = BODIES.get(self.name.lower())
+        if known is not None and not self.resembles(known):
+            return f"a body called {self.name}"
         name = self.name[:1].upper() + self.name[1:]
         return {"Moon": "the Moon", "Body": "the body"}.get(name, name)
+
+    def resembles(self, other: Body) -> bool:
+        """Whether size and pull are those of another: Callisto is as large as Mercury, with a third of its mass."""
+        pairs = (self.radius, other.radius), (self.gravitational_parameter, other.gravitational_parameter)
+        return all(abs(own - its) <= LIKE * abs(its) for own, its in pairs)
 
     @property
     def titled(self) -> str:
@@ -82,3 +95,14 @@ EUROPA = Body(name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3
 CERES = Body(name="ceres", gravitational_parameter=6.26274e10, radius=470.0e3, rotation_rate=1.923e-4)
 
 BODIES = {body.name: body for body in (MOON, MERCURY, MARS, EUROPA, CERES)}
+
+
+def known_like(body: Body) -> Body | None:
+    """The known body of this size and pull."""
+    return next((known for known in BODIES.values() if body.resembles(known)), None)
+
+
+def recognised(body: Body) -> Body:
+    """The body with the name and the air of the known one of its size and pull, if there is one."""
+    like = known_like(body)
+    return replace(body, name=like.name, air=like.air) if like else body

@@ -31,6 +31,7 @@ import numpy as np
 
 from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
 from perilune.problem.controls import Control, scalars
+from perilune.problem.declared import given_of
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
 from perilune.problem.phase import Phase
 from perilune.problem.tape import Expression
@@ -45,6 +46,7 @@ from perilune.words.units import Scales
 
 _NOTHING = 1e-18  # of a canonical unit
 STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
+MOST_TOLD = 4  # values that were given later, in a heading
 BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
 # Of what a state reaches: so much rounds, some hundred times the last digit, beside limits of 3e-10 of a size.
 ROUNDS = 1e-4
@@ -185,8 +187,18 @@ class Problem:
 
     @property
     def heading(self) -> str:
-        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger."""
-        return one_line(self.title or self.name)
+        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger.
+
+        A title tells the records that the problem was made of; values that were given later are told behind it.
+        """
+        made = given_of(*self.declared)
+        later = [
+            f"{name} {one_line(f'{g.value:.10g} {g.unit}').removesuffix(' 1')}"
+            for name, g in self.given.items()
+            if name in made and made[name].value != g.value
+        ]
+        told = ", ".join([*later[:MOST_TOLD], *([f"{len(later) - MOST_TOLD} more"] if later[MOST_TOLD:] else [])])
+        return one_line(self.title or self.name) + (f", but with {told}" if told else "")
 
     @property
     def text(self) -> str:
