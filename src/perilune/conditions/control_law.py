@@ -62,6 +62,8 @@ class ControlLaw:
         For each mode the conditions of the path that are held, by name.
     control
         For each mode the whole control, a column of expressions.
+    room
+        For each mode a column of expressions: where one is negative, nothing holds what it should.
     solved
         For each mode None, or what is found by Newton's method: the control as an expression of w, the symbols w, and
         the values of w. The control is one more step from w, so that its derivative at fixed w is the whole one.
@@ -74,6 +76,7 @@ class ControlLaw:
     regimes: tuple[tuple[Regime, ...], ...]
     held: tuple[Held, ...]
     control: tuple[ca.SX, ...]
+    room: tuple[ca.SX, ...]
     solved: tuple[tuple[ca.SX, ca.SX, ca.SX] | None, ...]
     transitions: tuple[Transition, ...]
     mode: ca.SX
@@ -114,9 +117,10 @@ def minimising_control(
     scalar_told = dict(found for found in told.values() if found is not None)
     turning = {name: value for name, value in always.items() if told[name] is None}
     modes, controls, stepped, values = list[_Mode](), list[ca.SX](), list[tuple[ca.SX, ca.SX, ca.SX]](), list[ca.SX]()
+    rooms = list[ca.SX]()
     for held in together(phase, u, kept):
         here = {**turning, **{name: kept[name] for name in held}}
-        reduced, law = _directions_eliminated(phase, hamiltonian, u, limits, here)
+        reduced, law, room = _directions_eliminated(phase, hamiltonian, u, limits, here)
         kinds = [
             _Scalar(phase, at, control, reduced, u, limits[control.name], scalar_told.get(at))
             for at, control in scalars(phase.controls)
@@ -124,18 +128,20 @@ def minimising_control(
         for regimes in product(*(kind.regimes for kind in kinds)):
             ridden = riding_control(phase, hamiltonian, u, here) if regimes == ("interior",) else None
             none = ca.SX(0, 1)
-            step = _control(phase, reduced, law, u, kinds, regimes) if ridden is None else (ridden, none, none)
+            step = _control(phase, reduced, law, u, kinds, regimes) if ridden is None else (ridden[0], none, none)
             if "singular" in regimes:
                 step = _without_singular(phase, hamiltonian, u, kinds, step, motion, held)
             modes.append(_Mode(held=held, regimes=regimes, kinds=kinds))
             stepped.append(step)
             controls.append(ca.substitute(*step))
+            rooms.append(ca.substitute(room, u, controls[-1]) if ridden is None else ridden[1])
             others = [c for name, c in kept.items() if name not in held]
-            values.append(_value(hamiltonian, u, modes[-1], controls[-1], others))
+            values.append(_value(hamiltonian, u, modes[-1], controls[-1], [*others, *elements(rooms[-1])]))
     return ControlLaw(
         regimes=tuple(mode.regimes for mode in modes),
         held=tuple(mode.held for mode in modes),
         control=tuple(controls),
+        room=tuple(rooms),
         solved=tuple(step if step[1].numel() else None for step in stepped),
         transitions=tuple(_transitions(u, modes, controls, kept)),
         mode=_least(values),
@@ -190,9 +196,9 @@ class _Scalar:
 
 def _directions_eliminated(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
-) -> tuple[ca.SX, list[ca.SX]]:
-    """H with the best directions that hold these conditions in place, and u with them."""
-    law = elements(u)
+) -> tuple[ca.SX, list[ca.SX], ca.SX]:
+    """H with the best directions that hold these conditions in place, u with them, and the room they have for it."""
+    law, rooms = elements(u), ca.SX(0, 1)
     for first, last in directions(phase.controls):
         names, part = phase.control_names[first:last], u[first:last]
         gradient = ca.gradient(hamiltonian, part)
@@ -207,10 +213,11 @@ def _directions_eliminated(
                     raise _no_law(phase, names, f"a direction that depends on {control.name}")
                 gradient = ca.substitute(gradient, u[at], reference)
         own = [c for c in held.values() if ca.depends_on(c, part)]
-        law[first:last] = elements(best_direction(gradient, part, own))
+        direction, room = best_direction(gradient, part, own)
+        law[first:last], rooms = elements(direction), ca.vertcat(rooms, room)
     places = [i for first, last in directions(phase.controls) for i in range(first, last)]
     best = ca.vertcat(ca.SX(0, 1), *(law[i] for i in places))
-    return ca.substitute(hamiltonian, ca.vertcat(ca.SX(0, 1), *(u[i] for i in places)), best), law
+    return ca.substitute(hamiltonian, ca.vertcat(ca.SX(0, 1), *(u[i] for i in places)), best), law, rooms
 
 
 def _factor(gradient: ca.SX, scalar: ca.SX) -> bool:
