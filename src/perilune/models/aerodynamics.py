@@ -24,7 +24,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from perilune.models.rotating import Triple, combine, cross, dot
-from perilune.words.outcome import PeriluneError
 
 SUTTON_GRAVES = 1.7415e-4  # kg^(1/2)/m, air; carbon dioxide has 1.9027e-4
 
@@ -34,17 +33,20 @@ def dynamic_pressure(density: Any, velocity: Sequence[Any]) -> Any:
     return 0.5 * density * dot(velocity, velocity)
 
 
-def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any) -> Any:
-    """Size of the drag [m/s^2], of ``vehicle_drag_area`` or ``vehicle_ballistic_coefficient``."""
+def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
+    """Size of the drag [m/s^2], of the vehicle's ballistic coefficient, drag area or sphere-cone."""
     pressure = dynamic_pressure(density, velocity)
     if hasattr(p, "vehicle_ballistic_coefficient"):
         return pressure / p.vehicle_ballistic_coefficient
-    return pressure * p.vehicle_drag_area / mass
+    if hasattr(p, "vehicle_drag_area"):
+        return pressure * p.vehicle_drag_area / mass
+    nose = getattr(p, "vehicle_nose_radius", 0.0 * p.vehicle_base_radius)
+    return pressure * sphere_cone_drag_area(nose, p.vehicle_base_radius, p.vehicle_cone_angle, m) / mass
 
 
 def drag(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Triple:
     """Acceleration by drag [m/s^2]."""
-    strength = drag_acceleration(density, velocity, mass, p) / m.sqrt(dot(velocity, velocity))
+    strength = drag_acceleration(density, velocity, mass, p, m) / m.sqrt(dot(velocity, velocity))
     return combine((-strength, velocity))
 
 
@@ -60,7 +62,7 @@ def lift_axes(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> tuple
 
 def load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
     """Load [m/s^2]: with lift (``vehicle_lift_to_drag``) where there is one."""
-    found = drag_acceleration(density, velocity, mass, p)
+    found = drag_acceleration(density, velocity, mass, p, m)
     if hasattr(p, "vehicle_lift_to_drag"):
         return found * m.sqrt(1 + p.vehicle_lift_to_drag * p.vehicle_lift_to_drag)
     return found
@@ -72,27 +74,20 @@ def heat_rate(density: Any, velocity: Sequence[Any], p: Any, m: Any) -> Any:
     return p.heating_constant * m.sqrt(density / p.vehicle_nose_radius) * squared * m.sqrt(squared)
 
 
-def sphere_cone_drag_area(nose_radius: float, base_radius: float, half_angle: float) -> float:
+def sphere_cone_drag_area(nose_radius: Any, base_radius: Any, half_angle: Any, m: Any) -> Any:
     """Drag coefficient times area [m^2] of a sphere-cone in Newtonian flow, without an angle of attack.
 
     Parameters
     ----------
     nose_radius, base_radius
-        Radii [m] of the nose and of the base; a nose of radius 0 is a sharp cone.
+        Radii [m] of the nose, which is 0 for a sharp cone, and of the base, which is at least R_n cos d.
     half_angle
         Half angle of the cone [rad].
-
-    Raises
-    ------
-    PeriluneError
-        If the nose is wider than the base: R_n cos d is where it meets the cone.
+    m
+        Maths namespace.
     """
-    sine, cosine = math.sin(half_angle), math.cos(half_angle)
-    if not (0 <= half_angle < math.pi / 2 and 0 <= nose_radius * cosine <= base_radius > 0):
-        raise PeriluneError(
-            "this is no sphere-cone",
-            got=f"nose {nose_radius:g} m, base {base_radius:g} m, half angle {math.degrees(half_angle):g} deg",
-            expected="a nose that meets the cone within its base: nose radius times cos(half angle) <= base radius",
-        )
-    cap = nose_radius**2 * (1 - sine**4)
-    return math.pi * (cap + 2 * sine**2 * (base_radius**2 - nose_radius**2 * cosine**2))
+    sine, cosine = m.sin(half_angle), m.cos(half_angle)
+    squared, nose = sine * sine, nose_radius * nose_radius
+    return math.pi * (
+        nose * (1 - squared * squared) + 2 * squared * (base_radius * base_radius - nose * cosine * cosine)
+    )
