@@ -60,6 +60,23 @@ class OblateBody(Body):
 
 
 @record("body")
+class Planet(OblateBody):
+    """A body with further zonal harmonics, and an ellipsoid for its surface where it has a flattening."""
+
+    j3: float | None = quantity(
+        "1", "-2.53e-6", above=-1.0, most=1.0, default=None, about="third zonal harmonic, unnormalised"
+    )  # fmt: skip
+    j4: float | None = quantity(
+        "1", "-1.62e-6", above=-1.0, most=1.0, default=None, about="fourth zonal harmonic, unnormalised"
+    )  # fmt: skip
+    flattening: float | None = quantity(
+        "1", "3.353e-3", above=0.0, below=0.5, default=None,
+        hint="1/298.257 of the Earth; leave it out for a sphere",
+        about="of the ellipsoid whose equatorial radius is body.radius: altitudes and latitudes are geodetic then",
+    )  # fmt: skip
+
+
+@record("body")
 class UniformGravity:
     """Flat ground that does not turn, under gravity that is the same everywhere."""
 
@@ -95,6 +112,13 @@ EUROPA = Body(name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3
 CERES = Body(name="ceres", gravitational_parameter=6.26274e10, radius=470.0e3, rotation_rate=1.923e-4)
 
 BODIES = {body.name: body for body in (MOON, MERCURY, MARS, EUROPA, CERES)}
+
+# WGS 84 and EGM 2008 (tide-free). Its air is that of the model that flies through it.
+EARTH = Planet(
+    name="earth", gravitational_parameter=3.986004418e14, radius=6378137.0, rotation_rate=7.292115e-5,
+    j2=1.08262617e-3, j3=-2.5324105e-6, j4=-1.6198976e-6, flattening=1 / 298.257223563,
+)  # fmt: skip
+PLANETS = {EARTH.name: EARTH}
 
 
 def known_like(body: Body) -> Body | None:

@@ -44,6 +44,7 @@ from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics, Vector
 from perilune.words.units import Scales
 
+_HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
 _NOTHING = 1e-18  # of a canonical unit
 STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
 MOST_TOLD = 4  # values that were given later, in a heading
@@ -78,8 +79,8 @@ class Problem:
     """Phases, links, parameters and the objective.
 
     Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process
-    (pickle) carries its formulas as expressions; `ranges`, `preflight` and `bookkeeping` go along where they are found
-    by name, as functions of a module are, and are left behind otherwise.
+    (pickle) carries its formulas as expressions; `ranges`, `preflight`, `bookkeeping` and `rough_flight` go along where
+    they are found by name, as functions of a module are, and are left behind otherwise.
 
     Parameters
     ----------
@@ -116,6 +117,10 @@ class Problem:
         but not on their values, which may be arrays or symbols; ``inf`` is no limit.
     bookkeeping
         ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
+    rough_flight
+        ``rough_flight(p)`` of all parameters, durations included, returns a picture of the flight where straight lines
+        are none: for each phase rough states in SI at times evenly apart, shape (times, states). A direct method starts
+        there in place of `Phase.typical_end`.
     views
         What figures show of it.
     scales
@@ -140,6 +145,7 @@ class Problem:
     ranges: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
+    rough_flight: Callable[[Any], Sequence[Matrix]] | None = None
     views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
     title: str = ""
@@ -242,7 +248,7 @@ class Problem:
     def __getstate__(self) -> dict[str, Any]:
         own = self.expressed
         state = {f.name: getattr(own, f.name) for f in fields(own)}
-        hooks = {name: _by_name(state[name]) for name in ("ranges", "preflight", "bookkeeping")}
+        hooks = {name: _by_name(state[name]) for name in _HOOKS}
         hooks["declared"] = _by_name(self.declared) or ()
         return {**state, "given": dict(self.given), "form": self.form, **hooks}
 

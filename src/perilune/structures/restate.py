@@ -138,6 +138,7 @@ class _Restated:
             given=MappingProxyType({**user.given, **bounds}),
             free=tuple(self._free()),
             bookkeeping=None,
+            rough_flight=None,
             form=None,
         )
 
