@@ -26,13 +26,13 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.held import Held, best_direction, together, told_scalar
+from perilune.conditions.directions import directions_eliminated, no_law
+from perilune.conditions.held import Held, together, told_scalar
 from perilune.conditions.riding import riding_control
 from perilune.conditions.singular import Motion, singular_control
-from perilune.problem.controls import Bounded, Regime, Settled, directions, scalars
+from perilune.problem.controls import Bounded, Regime, Settled, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
-from perilune.words.outcome import PeriluneError
 
 # Newton's method on S = 0 starts at the least of so many values of H, for one and for two controls at once.
 _GRID = {1: 17, 2: 9}
@@ -120,7 +120,7 @@ def minimising_control(
     rooms = list[ca.SX]()
     for held in together(phase, u, kept):
         here = {**turning, **{name: kept[name] for name in held}}
-        reduced, law, room = _directions_eliminated(phase, hamiltonian, u, limits, here)
+        reduced, law, room = directions_eliminated(phase, hamiltonian, u, limits, here)
         kinds = [
             _Scalar(phase, at, control, reduced, u, limits[control.name], scalar_told.get(at))
             for at, control in scalars(phase.controls)
@@ -178,12 +178,12 @@ class _Scalar:
         self.linear = not ca.depends_on(self.slope, u[at])
         if isinstance(control, Settled):
             if control.regime == "singular" and not self.linear:
-                raise _no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
+                raise no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
             self.regimes = (control.regime,)
             return
         lower, upper = (not (limit.is_constant() and np.isinf(float(limit))) for limit in limits)
         if self.linear and not (lower and upper):
-            raise _no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
+            raise no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
         between: tuple[Regime, ...] = () if self.linear else ("interior",)
         self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
 
@@ -192,45 +192,6 @@ class _Scalar:
         if regime == "singular":
             return self.symbol
         return self.limits[regime == "upper"] if self.told is None else self.told
-
-
-def _directions_eliminated(
-    phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
-) -> tuple[ca.SX, list[ca.SX], ca.SX]:
-    """H with the best directions that hold these conditions in place, u with them, and the room they have for it."""
-    law, rooms = elements(u), ca.SX(0, 1)
-    for first, last in directions(phase.controls):
-        names, part = phase.control_names[first:last], u[first:last]
-        gradient = ca.gradient(hamiltonian, part)
-        if ca.depends_on(gradient, part):
-            raise _no_law(phase, names, "a Hamiltonian that is not linear in it")
-        for at, control in scalars(phase.controls):
-            if ca.depends_on(gradient, u[at]):
-                # Thrust carries its throttle as a factor, which is not negative and leaves the direction as it is.
-                upper = limits[control.name][1]
-                reference = ca.SX(1.0) if upper.is_constant() and np.isinf(float(upper)) else upper
-                if (isinstance(control.lower, float | int) and control.lower < 0) or not _factor(gradient, u[at]):
-                    raise _no_law(phase, names, f"a direction that depends on {control.name}")
-                gradient = ca.substitute(gradient, u[at], reference)
-        own = [c for c in held.values() if ca.depends_on(c, part)]
-        direction, room = best_direction(gradient, part, own)
-        law[first:last], rooms = elements(direction), ca.vertcat(rooms, room)
-    places = [i for first, last in directions(phase.controls) for i in range(first, last)]
-    best = ca.vertcat(ca.SX(0, 1), *(law[i] for i in places))
-    return ca.substitute(hamiltonian, ca.vertcat(ca.SX(0, 1), *(u[i] for i in places)), best), law, rooms
-
-
-def _factor(gradient: ca.SX, scalar: ca.SX) -> bool:
-    """Whether the scalar only scales the gradient: seen at a few points."""
-    others = [s for s in ca.symvar(gradient) if not ca.is_equal(s, scalar)]
-    evaluate = ca.Function("gradient", [scalar, ca.vertcat(ca.SX(0, 1), *others)], [gradient])
-    rng = np.random.default_rng(0)
-    for _ in range(3):
-        point = rng.uniform(0.5, 1.5, len(others))
-        a, b = (np.array(evaluate(value, point)).ravel() for value in (0.3, 0.8))
-        if not np.allclose(a * np.linalg.norm(b), b * np.linalg.norm(a), rtol=1e-9, atol=1e-12):
-            return False
-    return True
 
 
 def _control(
@@ -269,7 +230,7 @@ def _without_singular(
     control, solved, _ = step
     if motion is None or len(singular) > 1 or solved.numel():
         names = tuple(kind.control.name for kind in singular)
-        raise _no_law(phase, names, "more than one singular control, or one beside a control without a formula")
+        raise no_law(phase, names, "more than one singular control, or one beside a control without a formula")
     (kind,) = singular
     slope = ca.substitute(ca.gradient(hamiltonian, kind.symbol), u, control)
     name = f"{kind.control.name} of {phase.name}"
@@ -292,7 +253,7 @@ def _interior(phase: Phase, H: ca.SX, u: ca.SX, free: list[_Scalar]) -> tuple[ca
         return closed, ca.SX(0, 1), ca.SX(0, 1)
     if len(free) not in _GRID:
         names = tuple(kind.control.name for kind in free)
-        raise _no_law(phase, names, "more than two controls that bend the Hamiltonian together")
+        raise no_law(phase, names, "more than two controls that bend the Hamiltonian together")
     grids = [_grid(kind, _GRID[len(free)]) for kind in free]
     at, least = None, None
     for corner in product(*grids):
@@ -392,12 +353,3 @@ def _least(values: Sequence[ca.SX]) -> ca.SX:
 def _text(expression: ca.SX) -> str:
     symbols = ca.symvar(expression)
     return ca.Function("f", symbols, [expression]).serialize()
-
-
-def _no_law(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
-    return PeriluneError(
-        f"the indirect method has no control law for {', '.join(names)} of {phase.name}",
-        got=got,
-        expected="a direction or a bounded scalar that enters linearly, or a scalar that bends the Hamiltonian",
-        advice="use the direct method: solve(problem, Pseudospectral())",
-    )

@@ -22,6 +22,7 @@ from perilune.methods.flown import may_be_cut
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
+from perilune.methods.smoothing import Smoothing
 from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, known, on_the_sphere
 from perilune.methods.trials import Trials
 from perilune.problem.neighbours import is_neighbour
@@ -38,6 +39,7 @@ from perilune.words.watch import Watch
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _DURATION = "continuation in the duration"
+_SMOOTH = "smoothed controls"
 _AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
 
 
@@ -276,8 +278,11 @@ class Search:
             yield from ((member, name) for member in breaking)
 
     def _transcription(self) -> Iterator[tuple[Member, str]]:
-        """An extremal from a direct solution, in one piece or by multiple shooting; from finer ones in more pieces."""
-        trials, some = self.trials, self.settings.segments
+        """An extremal from a direct solution, in one piece or by multiple shooting.
+
+        Of a flight of many switches by way of smooth controls, or from finer meshes in more pieces.
+        """
+        trials, some, smoothing = self.trials, self.settings.segments, None
         pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
         for rough, counts in zip(self.coarse.resolved(), pieces, strict=False):
             y = unknowns_from(self.problem, trials.conditions, rough)
@@ -294,6 +299,14 @@ class Search:
                     yield Member(value=value, root=root), rung
                     return
                 self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
+            if smoothing is None and self.coarse.lost and not self.keep:
+                self.watch(f"start: {_SMOOTH}")
+                smoothing = Smoothing(trials=trials, segments=some)
+                root = smoothing.root(choice)
+                self.tried.append(smoothing.told)
+                if root is not None:
+                    yield Member(value=value, root=root), _SMOOTH
+                    return
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
