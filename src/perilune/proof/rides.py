@@ -316,7 +316,7 @@ def _lowered(along: Sequence[Ridden]) -> float:
     few = np.unique(np.linspace(0, len(inside.t) - 1, _LOOKS).astype(int))
     x, u, lam = inside.x[:, few], inside.u[:, few], lam[:, few]
     parts = [
-        np.stack(control.samples(u[here], float(part.control_scale[here.start]), part.p), axis=1)
+        np.stack(control.samples(u[here], float(part.control_size[here.start]), part.p), axis=1)
         for here, control in placed(part.phase.controls)
     ]
     lowered = gain(part, x[:, None], u[:, None], product_of(parts), lam[:, None], leaving=True)

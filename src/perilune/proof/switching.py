@@ -75,7 +75,7 @@ def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
             continue
         yield Check(
             name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
-            value=float(np.maximum(-falls, 0.0).max()) / arc.rate_scale,
+            value=float(np.maximum(-falls, 0.0).max() * _more(arc).max()) / arc.rate_scale,
             meaning=f"most that the Hamiltonian falls as the control leaves {condition.name} = 0 for the inside: a "
             "multiplier of the wrong sign (scaled)",
         )  # fmt: skip
@@ -176,7 +176,7 @@ def _minimum(arc: Arc) -> Check:
     count = len(pieces)
     worst = gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
     parts = [
-        control.samples(u[here, :, 0], float(arc.control_scale[here.start]), arc.p)
+        control.samples(u[here, :, 0], float(arc.control_size[here.start]), arc.p)
         for here, control in placed(arc.phase.controls)
     ]
     if arc.allowed:
@@ -264,7 +264,14 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matri
     if arc.allowed:
         found = arc.allowed.multipliers(x, u, lam)
         gradient = gradient - found.pull
-    return gradient / arc.rate_scale, found
+    return gradient * _more(arc)[:, None] / arc.rate_scale, found
+
+
+def _more(arc: Arc) -> Vector:
+    """By how much more than `Arc.control_scale` each tangent is judged, (k,): a direction by no more."""
+    more = arc.control_size / arc.control_scale
+    rows = [more[here] if control.scalar else np.ones(control.freedom) for here, control in placed(arc.phase.controls)]
+    return np.concatenate(rows)
 
 
 def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:
