@@ -69,6 +69,41 @@ def parked(ceiling: float) -> pl.Problem:
     return replace(whole, name="parked", phases=(swing,))
 
 
+FROM, UNTIL = 0.5, 1.4  # s, between which `drawn_off` rides along the floor
+
+
+def drawn_off() -> pl.Problem:
+    """To rest on the floor x >= 0 with the least int (u - a)^2/2, a = (t - 2)^3: it rides along it, and leaves.
+
+    Along the floor u = 0 and eta = lam_v - a, so that mu = -a'' = 6 (2 - t): riding on to the end gains by leaving from
+    2 s on. Off the floor u - a = -lam_v is linear in t. It is left with u = 0, at the time from which s from there on
+    u = k (0.3 L^2 s - 1.2 L s^2 + s^3) leads back to rest on it after L = 1.5 s: at 2 - 0.4 L. It is met with u = 0 as
+    well; where the flight begins is what leads there with lam_v' = 20 m/s^3.
+    """
+    phase = pl.Phase(
+        name="flight",
+        states=_variables(x="m", v="m/s", t="s", c="m^2/s^3"),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 1.0, 0.5 * (u.u - p.k * (x.t - p.turn) ** 3) ** 2),
+        duration="T",
+        end=lambda x, p, m: (x.x, x.v),
+        end_conditions=_variables(down="m", still="m/s"),
+        path=lambda x, u, p, m: (x.x,),
+        path_conditions=_variables(height="m"),
+    )
+    bend, lag = 20.0 - 3.0 * (FROM - 2.0) ** 2, FROM - 2.0
+    x0 = bend * FROM**3 / 6 + lag * FROM**4 / 4 - FROM**5 / 20
+    v0 = -(bend * FROM**2 / 2 + lag * FROM**3 - FROM**4 / 4)
+    return pl.Problem(
+        name="drawn_off",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, p.v0, 0.0, 0.0),
+        given=_given(T=(2.9, "s"), k=(1.0, "m/s^5"), turn=(2.0, "s"), x0=(x0, "m"), v0=(v0, "m/s")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s^3",
+    )
+
+
 SLOPE, OFFSET = 0.5, 0.1
 
 
