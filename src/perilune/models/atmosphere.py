@@ -47,10 +47,9 @@ class Air:
     name
         What it is, in words.
     given
-        Parameters by which it is scaled, as a problem takes them.
+        Parameters by which it is scaled, as a problem takes them: a density and a height.
     table
-        Logarithm of the density over ``air_density`` against the altitude over ``air_height``; None for exponential
-        air of these.
+        Logarithm of the density over that one against the altitude over that height; None for exponential air of them.
     top
         Up to which altitude [m] the data go.
     near
@@ -64,14 +63,16 @@ class Air:
     near: float = 0.0
 
     def density(self, altitude: Any, p: Any, m: Any) -> Any:
-        """Density [kg/m^3] at an altitude [m], from the parameters ``air_density`` and ``air_height``."""
-        height = altitude / p.air_height
-        return p.air_density * m.exp(-height if self.table is None else m.table(self.table, height))
+        """Density [kg/m^3] at an altitude [m], from the parameters of the problem."""
+        density, height = (getattr(p, name) for name in self.given)
+        share = altitude / height
+        return density * m.exp(-share if self.table is None else m.table(self.table, share))
 
 
 def exponential(density: float, scale_height: float) -> Air:
     """Air whose density [kg/m^3] falls by e with each scale height [m]."""
-    return Air(name=f"exponential air of scale height {scale_height / 1e3:g} km", given=_given(density, scale_height))
+    given = _given("atmosphere_density", density, "atmosphere_scale_height", scale_height)
+    return Air(name=f"exponential air of scale height {scale_height / 1e3:g} km", given=given)
 
 
 @cache
@@ -174,14 +175,12 @@ def tabulated(altitude: Vector, density: Vector, name: str, near: float = NEAR) 
             break
         places = sorted({*places, worst})
     _refuse_rough(x, y, table, float(away[worst]), name)
-    given = _given(_SEA_LEVEL, _KILOMETRE)
+    given = _given("air_density", _SEA_LEVEL, "air_height", _KILOMETRE)
     return Air(name=name, given=given, table=table, top=float(altitude[-1]), near=float(away[worst]))
 
 
-def _given(density: float, height: float) -> Mapping[str, Given]:
-    return MappingProxyType({
-        "air_density": Given(value=density, unit="kg/m^3"), "air_height": Given(value=height, unit="m")
-    })  # fmt: skip
+def _given(name: str, density: float, height_name: str, height: float) -> Mapping[str, Given]:
+    return MappingProxyType({name: Given(value=density, unit="kg/m^3"), height_name: Given(value=height, unit="m")})
 
 
 def _checked(altitude: Vector, density: Vector, name: str) -> tuple[Vector, Vector]:

@@ -63,6 +63,13 @@ class OblateBody(Body):
 class Planet(OblateBody):
     """A body with further zonal harmonics, and an ellipsoid for its surface where it has a flattening."""
 
+    name: str = words("earth", about="earth, in place of the quantities")
+    gravitational_parameter: float = quantity("m^3/s^2", "398600.4418 km^3/s^2", above=0.0, about="mu")
+    radius: float = quantity("m", "6378.137 km", above=0.0, about="altitudes are above it; that of the equator")
+    rotation_rate: float = quantity("rad/s", "7.292115e-5 rad/s", about="inertial (sidereal); negative is retrograde")
+    j2: float = quantity(
+        "1", "1.0826e-3", above=-1.0, most=1.0, default=0.0, about="second zonal harmonic, unnormalised"
+    )  # fmt: skip
     j3: float | None = quantity(
         "1", "-2.53e-6", above=-1.0, most=1.0, default=None, about="third zonal harmonic, unnormalised"
     )  # fmt: skip

@@ -16,8 +16,9 @@ from typing import Any
 from perilune.models import atmosphere
 from perilune.models.atmosphere import Air
 from perilune.models.bodies import EARTH, Planet
+from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
-from perilune.models.deorbit import flight, orbit, times
+from perilune.models.deorbit import flight, orbit, times, told
 from perilune.models.deorbit.records import (
     Aim,
     Atmosphere,
@@ -99,6 +100,7 @@ def _interface_conditions(interface: Interface) -> tuple[Variable, ...]:
 def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) -> Phase:
     """A phase between the orbit and the interface, under thrust or without."""
     burns = name == "burn"
+    outputs = told.PLACED + ((told.PUSHED,) if burns else ())
     return Phase(
         name=name,
         states=(*flight.STATES, mass_state(dry)),
@@ -109,10 +111,17 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) ->
         end_conditions=_interface_conditions(interface) if last else (),
         path=None if name == "coast" else flight.above_interface,
         path_conditions=() if name == "coast" else (Variable(name="height_above_interface", unit="m"),),
+        outputs=told.pushed if burns else told.placed,
+        output_variables=outputs,
+        integrals=told.burnt if burns else None,
+        integral_variables=SPENT if burns else (),
+        marks=told.at_interface if last else None,
+        mark_variables=told.AT_INTERFACE if last else (),
+        inertial=told.inertial if burns else told.inertial_without_thrust,
     )
 
 
-def _entry(air: Air, *, lift: bool, heat: bool, placed: bool, dry: bool) -> Phase:
+def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, dry: bool) -> Phase:
     names = ("site_up", "site_north", "site_east") if placed else ("site_up",)
     return Phase(
         name="entry",
@@ -122,6 +131,11 @@ def _entry(air: Air, *, lift: bool, heat: bool, placed: bool, dry: bool) -> Phas
         duration=_DURATIONS["entry"],
         end=flight.at_site,
         end_conditions=tuple(Variable(name=name, unit="m") for name in names),
+        outputs=partial(told.felt, air=air),
+        output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
+        integrals=partial(told.heated, air=air) if nose else None,
+        integral_variables=(told.HEAT_LOAD,) if nose else (),
+        inertial=told.inertial_without_thrust,
     )
 
 
@@ -190,23 +204,25 @@ def deorbit_entry(
     demand_records((vehicle, Returner), (orbit_, Orbit), (interface, Interface), (body, Planet))
     flown = _air(air)
     site = Landing() if site is None and flown is not None else site
-    heating = Heating() if heating is None else heating
+    if heating is None and flown is not None and vehicle.nose_radius is not None:
+        heating = Heating()
     _refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
-    stated = [r for r in (aim, body, orbit_, manoeuvre, vehicle, transition, interface, heating, site) if r is not None]
+    stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, heating, site)
+    stated = tuple(record for record in (*stated, air if isinstance(air, Atmosphere) else None) if record is not None)
     given = {**given_of(*stated), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
     if flown is not None:
-        given |= flown.given
+        given = {**flown.given, **given}
     angles = orbit.from_node if manoeuvre is None else orbit.from_place(manoeuvre.going)
     names = ("coast",) * (orbit_.longest_coast is not None) + ("burn",)
     names += ("drift",) * (transition.longest_coast is not None) + ("entry",) * (flown is not None)
-    dry, heat = "vehicle_dry_mass" in given, minimise == "heat_load"
+    dry, heat, nose = "vehicle_dry_mass" in given, minimise == "heat_load", vehicle.nose_radius is not None
     phases = [
         _above_the_air(name, last=name == names[-1 if flown is None else -2], interface=interface, dry=dry)
         for name in names if name != "entry"
     ]  # fmt: skip
     if flown is not None and site is not None:
         lift, placed = vehicle.lift_to_drag is not None, site.longitude is not None
-        phases.append(_entry(flown, lift=lift, heat=heat, placed=placed, dry=dry))
+        phases.append(_entry(flown, lift=lift, nose=nose, heat=heat, placed=placed, dry=dry))
     links = [_into_the_air if heat and name == "entry" else _on for name in names[1:]]
     objective, unit = _OBJECTIVES[minimise]
     return Problem(
@@ -220,7 +236,10 @@ def deorbit_entry(
         objective=objective,
         objective_unit=unit,
         objective_scale=flight.HEAT.scale if heat else None,
-        declared=tuple(stated),
+        results=partial(told.results, names=names),
+        result_variables=told.of_flight(names),
+        views=told.views(air=flown is not None, heat=nose),
+        declared=stated,
         ranges=partial(_ranges, angles=angles, names=names),
         rough_flight=partial(_rough, angles=angles, names=names, heat=heat),
         scales=Scales(
@@ -238,8 +257,15 @@ def _air(air: Atmosphere | Air | None) -> Air | None:
     """The air that is flown."""
     if not isinstance(air, Atmosphere):
         return air
-    if air.density is not None and air.scale_height is not None:
+    if air.model == "exponential" and air.density is not None and air.scale_height is not None:
         return atmosphere.exponential(air.density, air.scale_height)
+    for name in ("density", "scale_height"):
+        stated = getattr(air, name) is not None
+        if stated != (air.model == "exponential"):
+            raise PeriluneError(
+                f"atmosphere.{name} belongs to exponential air" if stated else f"atmosphere.{name} is missing",
+                expected='model = "exponential", density and scale_height; or model = "us1976" alone',
+            )
     return atmosphere.standard()
 
 

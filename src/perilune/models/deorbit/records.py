@@ -205,15 +205,6 @@ class Atmosphere:
         "m", "7.2 km", default=None, above=0.0, about="of exponential air: over it the density falls by e"
     )
 
-    def __post_init__(self) -> None:
-        for name in ("density", "scale_height"):
-            stated = getattr(self, name) is not None
-            if stated != (self.model == "exponential"):
-                raise PeriluneError(
-                    f"atmosphere.{name} belongs to exponential air" if stated else f"atmosphere.{name} is missing",
-                    expected='model = "exponential", density and scale_height; or model = "us1976" alone',
-                )
-
 
 @record("heating")
 class Heating:
