@@ -136,3 +136,30 @@ def test_a_rest_that_is_best_is_proved(drift: float) -> None:
     state = straight([0, 0], [drift, 1.0 + 0.5 * drift**2])
     right = claimed(problem, state, straight([drift], [drift]), straight([0, 1], [0, 1]))
     assert not failed(right)
+
+
+@pytest.mark.parametrize("length", [1.0, 1e-6, 1e-9, 1e-14])
+def test_no_choice_of_units_makes_a_rest_the_best(length: float) -> None:
+    """In units as small as its drift everything that is scaled is small; what a Newton step gains is not."""
+    problem = replace(resting(), scales=pl.Scales(length=length))
+    state = straight([0, 0], [1e-13, 1.0 - 0.5e-13])
+    state = replace(state, rates=np.array([[1e-13, 1.0], [1e-13, 1.0 - 1e-13]]))
+    wrong = claimed(problem, state, straight([1e-13], [1e-13]), straight([-1e-13, 1], [0, 1]))
+    found = {check.name: check for check in pl.verify(wrong, level=3).checks}
+    assert found["nothing_gained"].value == pytest.approx(1 / 6, rel=1e-3) and not found["nothing_gained"].passed
+
+
+@pytest.mark.parametrize(("share", "passes"), [(1.0, True), (1.01, False), (0.5, False)])
+def test_what_a_newton_step_gains_is_what_is_missing(share: float, passes: bool) -> None:
+    """J is quadratic: (1 - share)^2/6 of what is flown is missing, told of flights alone, with true costates."""
+    u = straight([share], [0.0])
+    t = np.linspace(0.0, 1.0, 200)
+    x = share * (t - t * t / 2)
+    c = share**2 * (t - t * t + t**3 / 3) / 2 - share * (t * t / 2 - t**3 / 6) + t
+    rates = np.column_stack([share * (1 - t), share**2 * (1 - t) ** 2 / 2 - x + 1])
+    state = Curve(time=t, values=np.column_stack([x, c]), rates=rates)
+    solution = claimed(resting(), state, u, straight([-1, 1], [0, 1]))
+    check = next(c for c in pl.verify(solution, level=3).checks if c.name == "nothing_gained")
+    scale = max(1.0, abs(solution.objective))
+    assert check.passed is passes
+    assert check.value == pytest.approx((1 - share) ** 2 / 6 / scale, rel=1e-3, abs=1e-12)

@@ -161,19 +161,6 @@ class Arc:
         reached = np.abs(self.trajectory.control.values).max(axis=0)
         return np.array([likely(unit, most) for unit, most in zip(units.tolist(), reached.tolist(), strict=True)])
 
-    @cached_property
-    def control_size(self) -> Vector:
-        """By what slopes of H in the control components are judged [SI]: `control_scale`, or more (`telling`)."""
-        units = control_scales(self.phase.controls, self.problem.scales)
-        if self.trajectory.costate is None or (units <= self.control_scale).all():
-            return self.control_scale
-        t = self.cut.left[:: len(self.cut) // _TRIED + 1]
-        x, u, lam = self.state(t), self.control(t), self.costate(t)
-        steps = 1j * STEP * np.diag(self.control_scale)
-        f_u = self.rates(x[:, None], u[:, None] + steps[:, :, None]).imag / STEP  # (n, k, N), per `control_scale`
-        weights = np.abs(lam[:, None] * f_u).sum(axis=0).max(axis=1) / self.rate_scale
-        return self.control_scale * telling(units / self.control_scale, weights)
-
     @property
     def time_scale(self) -> float:
         """Size of a time [s]."""
@@ -347,22 +334,6 @@ class Arc:
         pieces = self.looked_at[0]
         x, u, lam = (values.reshape(len(values), np.size(pieces.times())) for values in self.read(pieces))
         return Sampled(t=pieces.times().ravel(), weights=(pieces.width[:, None] * WEIGHTS).ravel(), x=x, u=u, lam=lam)
-
-
-def telling(unit: Any, weight: Any) -> Any:
-    """How many of its sizes a quantity has to change by to tell in J, where the flight hardly moves in it; at least 1.
-
-    What stands still, or drifts by a billionth of its unit, says nothing of how far it could go: by its own size no
-    slope would be seen in it. So it is judged by what changes J by all of itself, and by its unit at most.
-
-    Parameters
-    ----------
-    unit
-        Its canonical unit, in sizes: more than 1 only where the flight reaches less than a thousandth of that.
-    weight
-        By how much of J each size changes it.
-    """
-    return np.clip(1.0 / np.maximum(weight, 1e-300), 1.0, np.maximum(unit, 1.0))
 
 
 def objective_scale(solution: Solution) -> float:

@@ -36,11 +36,10 @@ from perilune.proof.arc import (
     objective_scale,
     objective_slope,
     slopes_at_end,
-    telling,
 )
 from perilune.proof.flight import MOST_GROWTH, Flight, costate_deviation
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import COMPLEX, STEP
+from perilune.proof.numerics import COMPLEX, STEP, telling
 from perilune.proof.pieces import just_before
 from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality, with_limits
 from perilune.words.types import Matrix, Vector

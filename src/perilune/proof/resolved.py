@@ -16,7 +16,7 @@ from perilune.problem.neighbours import held, movable, offset_of, released
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, objective_scale, telling
+from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.extremal import at_bound, varied
 from perilune.words.outcome import PeriluneError
 
@@ -84,8 +84,6 @@ def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
                 change = (4 * change - slope(2 * shift)) / 3
             if abs(change - lam) * size <= limit:
                 break
-        # A state that hardly moves is judged as its costate is (`flight.costate_deviation`).
-        size *= float(telling(problem.scales.of(state.unit) / of_state, max(abs(lam), abs(change)) * size))
         yield Check(
             name=f"initial_costate_{state.name}", level=3, limit=limit, unit="1",
             value=abs(float(change - lam)) * size,

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars, tangents
+from perilune.problem.controls import Bounded, Direction, control_scales, normalised, placed, scalars, tangents
 from perilune.problem.verification import Check
 from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
 from perilune.proof.arc import Arc
-from perilune.proof.numerics import STEP, jacobian
+from perilune.proof.numerics import STEP, jacobian, telling
 from perilune.proof.pieces import just_before
 from perilune.proof.singular import Singular, slopes_beside
 from perilune.words.types import Matrix, Vector
@@ -37,6 +37,7 @@ HAMILTONIAN_LIMIT = 1e-9
 SLOPE_LIMIT = 1e-9
 STRICT_LIMIT = -1e-4
 _AT_ONCE = 100_000  # samples of the control, so that they stay in the processor's cache
+_LOOKS = 100  # pieces at which slopes of H are sized
 _EVERY = 4  # of the samples, moved onto each condition that is active
 ADMISSIBLE = 1e-9  # by how much, in canonical units, a sampled control may leave a path condition
 
@@ -176,7 +177,7 @@ def _minimum(arc: Arc) -> Check:
     count = len(pieces)
     worst = gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
     parts = [
-        control.samples(u[here, :, 0], float(arc.control_size[here.start]), arc.p)
+        control.samples(u[here, :, 0], float(control_sizes(arc)[here.start]), arc.p)
         for here, control in placed(arc.phase.controls)
     ]
     if arc.allowed:
@@ -250,6 +251,17 @@ def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving:
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 
+def control_sizes(arc: Arc) -> Vector:
+    """By what slopes of H in the control components are judged [SI]: `Arc.control_scale`, or more (`telling`)."""
+    scale, units = arc.control_scale, control_scales(arc.phase.controls, arc.problem.scales)
+    if (units <= scale).all():
+        return scale
+    t = arc.cut.left[:: len(arc.cut) // _LOOKS + 1]
+    f_u = control_rates(arc, arc.state(t), arc.control(t), np.repeat(np.diag(scale)[:, :, None], len(t), axis=2))
+    weights = np.abs(arc.costate(t)[:, None] * f_u).sum(axis=0).max(axis=1) / arc.rate_scale
+    return scale * telling(units / scale, weights)
+
+
 def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
     """Derivatives of the dynamics as the control moves along `tangents`, (n, k, N), in SI."""
     moved = u[:, None, :] + 1j * STEP * moves
@@ -269,7 +281,7 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matri
 
 def _more(arc: Arc) -> Vector:
     """By how much more than `Arc.control_scale` each tangent is judged, (k,): a direction by no more."""
-    more = arc.control_size / arc.control_scale
+    more = control_sizes(arc) / arc.control_scale
     rows = [more[here] if control.scalar else np.ones(control.freedom) for here, control in placed(arc.phase.controls)]
     return np.concatenate(rows)
 
