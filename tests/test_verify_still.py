@@ -163,3 +163,33 @@ def test_what_a_newton_step_gains_is_what_is_missing(share: float, passes: bool)
     scale = max(1.0, abs(solution.objective))
     assert check.passed is passes
     assert check.value == pytest.approx((1 - share) ** 2 / 6 / scale, rel=1e-3, abs=1e-12)
+
+
+def two_ways(mass: float, aside: float) -> pl.Problem:
+    """From rest to rest in 1 s, 1 m ahead by a force and so far `aside` by an acceleration: J = 6 (1 + aside^2)."""
+    phase = pl.Phase(
+        name="go",
+        states=variables(x="m", y="m", vx="m/s", vy="m/s", c="m^2/s^3"),
+        controls=(pl.Bounded(name="force", unit="N"), pl.Bounded(name="w", unit="m/s^2")),
+        dynamics=lambda x, u, p, m: (x.vx, x.vy, u.force / p.m, u.w, 0.5 * ((u.force / p.m) ** 2 + u.w * u.w)),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.L, x.y - p.aside, x.vx, x.vy),
+        end_conditions=variables(ahead="m", beside="m", still="m/s", steady="m/s"),
+    )
+    given = {"T": GIVEN["T"], "L": GIVEN["L"], "m": Given(value=mass, unit="kg"), "aside": Given(value=aside, unit="m")}
+    return pl.Problem(
+        name="two_ways", phases=(phase,), given=given,
+        start=lambda p, m: (0.0 * p.L, 0.0 * p.L, 0.0 * p.L / p.T, 0.0 * p.L / p.T, 0.0),
+        objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("mass", "aside"), [(1e-4, 1.0), (100.0, 1e-13), (1e4, 1e-6)])
+def test_controls_of_other_sizes_are_compared_by_what_they_tell(mass: float, aside: float) -> None:
+    """Newtons beside metres per square second, and a way aside that is almost none."""
+    solution = pl.solve(two_ways(mass, aside))
+    assert solution.verification.level == 3, str(solution.verification)
+    assert solution.objective == pytest.approx(6.0 * (1 + aside**2), rel=1e-9)
+    flown = solution.trajectories[0]
+    wrong = replace(flown, control=replace(flown.control, values=flown.control.values * np.array([1 + 1e-7, 1.0])))
+    assert pl.verify(replace(solution, trajectories=(wrong,))).level == 0

@@ -156,7 +156,7 @@ class Search:
         found, members = scan(self._family(), first, trials.bounds(trials.scanned), self.settings.scan_points)
         scale = free_scales(self.problem.free, self.problem)[trials.scanned]
         low, high = (members[end].value * scale for end in (0, -1))
-        count = f"{len(found)} extremal{'' if len(found) == 1 else 's'}"
+        count = _extremals(len(found))
         self.tried.append(f"a family along {free.name} from {low:.6g} to {high:.6g} {free.unit}: {count}")
         return found, members
 
@@ -271,7 +271,8 @@ class Search:
                 breaking.append(member)
                 self.broken.append(breach)
                 self.breaking.append(member.root)
-        self.tried.append(f"{tried}, {met} extremals, {len(breaking)} of them break a condition")
+        breaks = f"{len(breaking)} of them break{'s' if len(breaking) == 1 else ''} a condition" if met else ""
+        self.tried.append(", ".join(filter(None, (tried, _extremals(met), breaks))))
         if any(open_directions(member.root) for member in members):
             self.tried.append(NOT_ISOLATED)
         if self.base is None:
@@ -328,3 +329,7 @@ class Search:
     def _failure(self) -> NotConvergedError:
         trials = self.trials
         return not_converged(trials.conditions, self.coarse, trials.shooting.iterations, trials.best_failure)
+
+
+def _extremals(count: int) -> str:
+    return f"{count} extremal{'' if count == 1 else 's'}"

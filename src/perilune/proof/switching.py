@@ -37,6 +37,7 @@ HAMILTONIAN_LIMIT = 1e-9
 SLOPE_LIMIT = 1e-9
 STRICT_LIMIT = -1e-4
 _AT_ONCE = 100_000  # samples of the control, so that they stay in the processor's cache
+_NO_EFFECT = 1e-300
 _LOOKS = 100  # pieces at which slopes of H are sized
 _EVERY = 4  # of the samples, moved onto each condition that is active
 ADMISSIBLE = 1e-9  # by how much, in canonical units, a sampled control may leave a path condition
@@ -252,14 +253,42 @@ def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving:
 
 
 def control_sizes(arc: Arc) -> Vector:
-    """By what slopes of H in the control components are judged [SI]: `Arc.control_scale`, or more (`telling`)."""
-    scale, units = arc.control_scale, control_scales(arc.phase.controls, arc.problem.scales)
-    if (units <= scale).all():
-        return scale
-    t = arc.cut.left[:: len(arc.cut) // _LOOKS + 1]
+    """By what slopes of H in the control components are judged [SI].
+
+    `Arc.control_scale`, unless a component reaches less than its unit: then what is `telling`, between these two.
+    """
+    scale, reached = arc.control_scale, _reached(arc)
+    units, least = _control_units(arc), np.where(reached > 0, np.minimum(scale, reached), scale)
+    return scale if (units <= least).all() else least * telling(units / least, _weights(arc) * least / scale)
+
+
+def varied_sizes(arc: Arc) -> Vector:
+    """What in the control components changes H by as much as J over the time of the flight [SI].
+
+    At most their unit, or what they reach. So the curvatures of H in controls of several units, and in those that
+    hardly move, can be compared.
+    """
+    told = arc.control_scale / np.maximum(_weights(arc), _NO_EFFECT)
+    return np.minimum(told, np.maximum(_control_units(arc), _reached(arc)))
+
+
+def _reached(arc: Arc) -> Vector:
+    return np.abs(arc.trajectory.control.values).max(axis=0)
+
+
+def _control_units(arc: Arc) -> Vector:
+    """Canonical units of the control components, at least the size of any of the same unit [SI]."""
+    units = control_scales(arc.phase.controls, arc.problem.scales)
+    names = np.array([control.unit for control in arc.phase.controls for _ in control.names])
+    alike = [arc.control_scale[names == name].max() for name in names]
+    return np.maximum(units, alike) if len(alike) else units
+
+
+def _weights(arc: Arc) -> Vector:
+    """The terms of the slope of H in each control component, by their amounts, over J and the time of the flight."""
+    scale, t = arc.control_scale, arc.cut.left[:: len(arc.cut) // _LOOKS + 1]
     f_u = control_rates(arc, arc.state(t), arc.control(t), np.repeat(np.diag(scale)[:, :, None], len(t), axis=2))
-    weights = np.abs(arc.costate(t)[:, None] * f_u).sum(axis=0).max(axis=1) / arc.rate_scale
-    return scale * telling(units / scale, weights)
+    return np.abs(arc.costate(t)[:, None] * f_u).sum(axis=0).max(axis=1) / arc.rate_scale
 
 
 def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:

@@ -19,8 +19,8 @@ from perilune.proof.arc import Arc
 from perilune.proof.held import held_along
 from perilune.proof.numerics import hessian, jacobian
 from perilune.proof.singular import Singular, goh
-from perilune.proof.switching import control_rates, crossings, on_bounds, with_limits
-from perilune.words.types import Matrix
+from perilune.proof.switching import control_rates, crossings, on_bounds, varied_sizes, with_limits
+from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
 _WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
@@ -209,9 +209,17 @@ class Piece:
         return length * (H - self.held.work(x, u, p) if self.held else H) / self.arc.objective_scale
 
 
+def _sizes(arc: Arc) -> Vector:
+    """Of the control components in variations [SI]; a direction turns by radians."""
+    return np.concatenate([
+        varied_sizes(arc)[here] if control.scalar else arc.control_scale[here]
+        for here, control in placed(arc.phase.controls)
+    ])  # fmt: skip
+
+
 def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
     """Tangents along which the control may vary, (components, k, N), and whether a bound holds a scalar for a part."""
-    basis = tangents(arc.phase.controls, arc.control_scale, u) if len(u) else np.zeros((0, 0, u.shape[1]))
+    basis = tangents(arc.phase.controls, _sizes(arc), u) if len(u) else np.zeros((0, 0, u.shape[1]))
     varying, partly, row = [], False, 0
     f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
     effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)
