@@ -28,11 +28,8 @@ from perilune.words.types import Vector
 
 _SHARE = 0.3  # of J: a burn's thrust then differs little from the middle of its range
 _LEVELS = (1e-3, 1e-4, 1e-5)  # of the first smoothing, at which the switched extremal may be in reach
-_NODES, _SWINGS = (
-    4,
-    2,
-)  # of a segment of the first mesh, and segments for each time that the flight goes through its range
-_FEW = 8  # swings where the flight does not wind
+_NODES, _FINER = 4, 2  # of a segment, and segments for each of those that a flown guess asks for
+_FEW = 8  # the least that it asks for
 _REFINE, _FOLLOWED = 2, 1e-3  # a mesh for first values
 _EVALUATIONS = 16  # of Newton's method from one smoothing to the next
 _ROUGHLY = 1e-8  # residual of a root that only leads to the next
@@ -91,13 +88,13 @@ class Smoothing:
 
     def _rough(self, smooth: Problem) -> Solution | None:
         from perilune.direct.first_guess import first_guesses
-        from perilune.direct.flown_guess import flown_guess, winding
+        from perilune.direct.flown_guess import fitting_segments, flown_guess
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
         free, lines, _ = next(first_guesses(smooth, None))
         flown = flown_guess(smooth, free, lines)
-        swings = max((None if flown is None else winding(flown)) or (_FEW,))
-        mesh = Pseudospectral(nodes=_NODES, segments=_SWINGS * swings, refine=_REFINE, tolerance=_FOLLOWED)
+        count = _FEW if flown is None else max(_FEW, *fitting_segments(flown))
+        mesh = Pseudospectral(nodes=_NODES, segments=_FINER * count, refine=_REFINE, tolerance=_FOLLOWED)
         try:
             return mesh.run(smooth)
         except PeriluneError as error:
