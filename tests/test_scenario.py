@@ -107,7 +107,9 @@ def test_each_key_of_a_return_may_be_used() -> None:
             load_text(used)
             read += 1
         except PeriluneError as error:
-            assert re.search("twice|one or the other|quantities of its own|belongs to|and a|is missing", error.what), error
+            assert re.search("twice|one or the other|quantities of its own|belongs to|and a|is missing", error.what), (
+                error
+            )
     assert read > 10
 
 
