@@ -71,7 +71,8 @@ class Coarse:
         if self.solution is not None or self.refusal is not None:
             return self.solution
         # Phases are segments already: of several the mesh of one would be too fine to be found from straight lines.
-        few = max(2, _SEGMENTS // len(self.problem.phases)) if self.settings.transcription is None else _SEGMENTS
+        lines = self.settings.transcription is None and self.problem.rough_flight is None
+        few = max(2, _SEGMENTS // len(self.problem.phases)) if lines else _SEGMENTS
         for segments in dict.fromkeys((few, _SEGMENTS)):
             try:
                 self.solution = self._run(segments=segments, guess=self.solution or guess)

@@ -37,7 +37,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
 from perilune.words.asked import demand_records
 from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix, Physics
+from perilune.words.types import Physics
 from perilune.words.units import STANDARD_GRAVITY, Scales
 
 _DURATIONS = {"coast": "coast_time", "burn": "burn_time", "drift": "drift_time", "entry": "entry_time"}
@@ -139,10 +139,11 @@ def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, dry: b
     )
 
 
-def _ranges(p: Any, m: Any, *, angles: Physics, names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
+def _ranges(
+    p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
+) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times."""
-    coasts, drifts, air = (name in names for name in ("coast", "drift", "entry"))
-    typical = times.typical_times(p, angles, coasts=coasts, drifts=drifts, air=air)
+    typical = times.typical_times(p, angles, air, coasts="coast" in names, drifts="drift" in names)
     burnt = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * times.exhaust_speed(p) / p.vehicle_thrust
     longest = {
         "coast_time": getattr(p, "orbit_longest_coast", math.inf),
@@ -240,17 +241,13 @@ def deorbit_entry(
         result_variables=told.of_flight(names),
         views=told.views(air=flown is not None, heat=nose),
         declared=stated,
-        ranges=partial(_ranges, angles=angles, names=names),
-        rough_flight=partial(_rough, angles=angles, names=names, heat=heat),
+        ranges=partial(_ranges, angles=angles, air=flown, names=names),
+        rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(
             length=float(body.radius), time=math.sqrt(body.radius**3 / body.gravitational_parameter),
             mass=float(vehicle.mass),
         ),
     )  # fmt: skip
-
-
-def _rough(p: Any, *, angles: Physics, names: tuple[str, ...], heat: bool) -> list[Matrix]:
-    return times.picture(p, angles, names, heat)
 
 
 def _air(air: Atmosphere | Air | None) -> Air | None:
