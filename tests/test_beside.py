@@ -174,6 +174,8 @@ def test_the_best_may_be_left_out_of_a_list_but_is_not_invented(landing: Any, or
     lower = solve(landing, guess=ordinary, level=0)
     claims = replace(lower, extremals=(replace(hybrid.extremals[1], nature=Nature.BEST), hybrid.extremals[2]))
     save(claims, tmp_path / "without")
+    beside_the_worst = prove(pl.load(tmp_path / "without"), 1)
+    assert natures(beside_the_worst) == [Nature.LOCAL_OPTIMUM_AT_BOUND, Nature.WORST]
     alone = prove(pl.load(edited(tmp_path / "without", lambda d: d["extremals"].pop())), 1)
     assert natures(alone) == [Nature.LOCAL_OPTIMUM_AT_BOUND]
     save(replace(lower, extremals=(*lower.extremals, hybrid.extremals[0])), tmp_path / "with")
@@ -227,11 +229,13 @@ def reached(solution: Solution, *said: tuple[float, Nature]) -> tuple[Solution, 
 def test_listed_extremals_stand_in_order_whatever_the_order_of_the_file(hybrid: Solution) -> None:
     """The solution itself, then the better before the worse, and last what is locally worst, however good its J."""
     itself = (hybrid.objective, Nature.LOCAL_OPTIMUM)
-    others = [(-120.0, Nature.LOCAL_OPTIMUM), (-200.0, Nature.WORST), (-140.0, Nature.LOCAL_OPTIMUM_AT_BOUND),
+    others = [(-120.0, Nature.LOCAL_OPTIMUM), (-155.0, Nature.WORST), (-140.0, Nature.LOCAL_OPTIMUM_AT_BOUND),
               (-130.0, Nature.LOCAL_OPTIMUM), (-150.0, Nature.WORST)]  # fmt: skip
     extremals, notes = found_again(*reached(hybrid, itself, *others))
-    assert [round(e.objective) for e in extremals] == [-161, -140, -130, -120, -200, -150]
-    assert extremals[0].nature is Nature.BEST and notes == ()  # a locally worst one is no better answer
+    assert [round(e.objective) for e in extremals] == [-161, -140, -130, -120, -155, -150]
+    assert extremals[0].nature is Nature.BEST and notes == ()
+    extremals, notes = found_again(*reached(hybrid, itself, *others, (-200.0, Nature.WORST)))
+    assert extremals[0].nature is Nature.LOCAL_OPTIMUM and len(notes) == 1  # beside it something better still is near
     extremals, notes = found_again(*reached(hybrid, itself, (-200.0, Nature.LOCAL_OPTIMUM)))
     assert extremals[0].nature is Nature.LOCAL_OPTIMUM and len(notes) == 1
 
@@ -626,6 +630,7 @@ def test_what_is_no_number_is_not_nought(ordinary_dir: Path, capsys: pytest.Capt
         (lambda d: d["free"]["retro_delta_v"].update(value=1201.0), 2),  # its own extremal is another
         (lambda d: d["free"]["flight_time"].update(value=286.8637), 5),
         (lambda d: d["multipliers"]["descent.touchdown_altitude"].update(value=1.0), 5),
+        (lambda d: d["multipliers"].update({"descent.none": {"value": 0.0, "unit": ""}}), 2),
         (lambda d: d["multipliers"].pop("descent.touchdown_altitude"), 0),
         (lambda d: d["phases"][0].update(name="ascent"), 2),
         (lambda d: d["phases"].append(d["phases"][0]), 2),

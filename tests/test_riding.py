@@ -6,7 +6,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from perilune.conditions.canonical import canonical_equations, extremal_parameters, hamiltonian_at, limit_symbols
 from perilune.conditions.riding import riding
+from perilune.models.bodies import UniformGravity
+from perilune.models.corridor import NONE
+from perilune.models.precision import Approach, precision_landing
+from perilune.models.vehicle import Vehicle
+from perilune.problem.symbolic import trace_parameters
+from perilune.structures.restate import restate
+from perilune.structures.structure import Arc, Structure
 
 
 def every_direction(count: int) -> np.ndarray:
@@ -35,12 +43,12 @@ def test_no_direction_is_better(held: bool) -> None:
         H, c = s * (ca.dot(g, d) + k) + 0.7, a + s * ca.dot(b, d)
         law = riding(H, d, s, c, [2.0 * ca.dot(axis, d) - 2.0 * share] if held else [])
         assert law is not None
-        best, size = (np.array(ca.evalf(e)).ravel() for e in law)
+        best, size, room = (np.array(ca.evalf(e)).ravel() for e in law)
         every = every_held(axis, share, 200_001) if held else every_direction(200_000)
         with np.errstate(divide="ignore"):
             sizes = -a / (every @ b)
         values = np.where(sizes > 0, sizes * (every @ g + k), np.inf)
-        if not (np.isfinite(size).all() and size[0] > 0):
+        if not (room.min() >= 0 and np.isfinite(size).all() and size[0] > 0):
             # None exists, or H falls without end towards directions that hardly act.
             assert values.min() == np.inf or values.min() < -50 or sizes[np.argmin(values)] > 50
             continue
@@ -60,3 +68,35 @@ def test_another_form_is_left_to_newton() -> None:
     assert riding(plain + s**2, d, s, 1.0 - s * d[1], []) is None
     assert riding(plain, d, s, 1.0 - s * d[1] + s, []) is None
     assert riding(plain + d[2], d, s, 1.0 - s * d[1], []) is None
+
+
+@pytest.mark.parametrize("throttle", [(0.4, 0.9), (0.6, 0.9)], ids=["floor too low to hover", "floor that can"])
+def test_what_cannot_hold_the_condition_is_no_law_and_leaves_no_nan(throttle: tuple[float, float]) -> None:
+    """Along the ground one of three laws holds the height; derivatives of H are its own, not 0 times a NaN of another.
+
+    At a thrust of twice the weight a throttle of 0.4 cannot hover; one of 0.6 can, at another direction than 0.9.
+    """
+    lander = Vehicle(mass=1000.0, thrust=2000.0, specific_impulse=300.0)
+    approach = Approach(east=-300.0, north=40.0, up=100.0, east_speed=5.0, north_speed=0.0, up_speed=-5.0)
+    plain = precision_landing(lander, approach, None, NONE, throttle, UniformGravity(gravity=1.0))
+    along = Arc(along=("height_above_site",), until=60.0)
+    problem = restate(plain, Structure(((Arc(until=30.0), along),)), repeated=False)
+    p = trace_parameters(problem)
+    symbols, limits = limit_symbols(problem, p)
+    numbers = ca.vertcat(p.given, symbols, ca.SX.sym("offset", 7))
+    ride = canonical_equations(problem.phases[1], p, limits[1], numbers, problem.free_names)
+    z, values = ca.SX.sym("z", 14), extremal_parameters(problem)
+    H = hamiltonian_at(ride, z, numbers)
+    told = ca.Function("H", [z, numbers], [H, ca.gradient(H, z), ride.mode(z, numbers)])
+    scales = np.array([problem.scales.of(state.unit) for state in problem.phases[1].states])
+    x = np.array([-100.0, 10.0, 0.0, 8.0, -1.0, 0.0, 950.0]) / scales
+    at = np.concatenate([x, [-0.1, 0.02, 0.0, -0.3, 0.1, -0.8, -0.9]])
+    slope, mode = np.array(told(at, values)[1]).ravel(), int(told(at, values)[2])
+    differences = [
+        (float(told(at + step, values)[0]) - float(told(at - step, values)[0])) / 2e-6 for step in 1e-6 * np.eye(14)
+    ]
+    assert np.isfinite(np.array(ride.modes[mode](at, values))).all()
+    assert slope == pytest.approx(differences, abs=1e-8)
+    rates = np.array([np.array(rate(at, values)).ravel() for rate in ride.modes])
+    hover = ride.regimes.index(("lower",))
+    assert np.isnan(rates[hover]).any() == (throttle[0] < 0.5)

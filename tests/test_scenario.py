@@ -87,10 +87,30 @@ def test_a_template_states_its_problem(kind: str) -> None:
     problem = load_text(template(kind))
     assert problem.name == kind
     assert possible(preflight(problem))
+    if kind == "deorbit_entry":  # where keys stand in place of others
+        return
     # With every key in use it is read as well: the examples of what may be left out are values of their kind.
     whole = re.sub(r"^# (?=\[|\w+ = )", "", template(kind), flags=re.MULTILINE)
     whole = re.sub(r"^(gravitational_parameter|radius|rotation_rate|gravity) = .*\n", "", whole, flags=re.MULTILINE)
     assert set(problem.given) <= set(load_text(whole).given)
+
+
+def test_each_key_of_a_return_may_be_used() -> None:
+    """One by one: what is read, or stands in place of another key, or needs one beside it."""
+    text, read = template("deorbit_entry"), 0
+    spare = [line for line in text.splitlines() if re.match(r"# \w+ = ", line)]
+    assert len(spare) > 20
+    for line in spare:
+        used = text.replace(line, line.removeprefix("# "))
+        used = used.replace("# [heating]", "[heating]").replace("# [proof]", "[proof]")
+        try:
+            load_text(used)
+            read += 1
+        except PeriluneError as error:
+            assert re.search("twice|one or the other|quantities of its own|belongs to|and a|is missing", error.what), (
+                error
+            )
+    assert read > 10
 
 
 def test_an_unknown_kind_offers_the_nearest() -> None:

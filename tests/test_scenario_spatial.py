@@ -75,6 +75,7 @@ def test_every_kind_is_stated_by_an_example() -> None:
         "hybrid_lander": "hybrid_landing",
         "polar_descent": "powered_descent",
         "precision_landing": "precision_landing",
+        "minimum_duration_return": "deorbit_entry",
     }
     assert set(kinds.values()) == set(KINDS)
     for name, kind in {**kinds, "mars_pinpoint": "precision_landing"}.items():

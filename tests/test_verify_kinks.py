@@ -19,12 +19,20 @@ from perilune.words.maths import NUMERIC
 from test_control_law import given, variables
 from test_language import layered, refraction
 
+
+def _built_up(x: Any, p: Any, m: Any) -> Any:
+    above = p.k * x.x / p.L
+    above -= p.k * p.xs / p.L
+    return m.fmax(above, 0 * p.k)
+
+
 STEP = pl.Table((0.0, 0.3, 1.0), (0.0, 0.0, 0.7), "linear")
-# The same kink at x = 30 m of a slope that rises from there, in four ways of writing it, and a jump.
+# The same kink at x = 30 m of a slope that rises from there, in five ways of writing it, and a jump.
 SLOPES: dict[str, Any] = {
     "jump": lambda x, p, m: m.where(x.x > p.xs, p.k, 0 * p.k),
     "where": lambda x, p, m: m.where(x.x > p.xs, p.k * (x.x - p.xs) / p.L, 0 * p.k),
     "fmax": lambda x, p, m: m.fmax(p.k * (x.x - p.xs) / p.L, 0 * p.k),
+    "built up": _built_up,
     "fabs": lambda x, p, m: 0.5 * p.k * (x.x - p.xs + m.fabs(x.x - p.xs)) / p.L,
     "linear": lambda x, p, m: p.k * m.table(STEP, x.x / p.L),
 }
@@ -220,6 +228,7 @@ def test_a_short_dip_across_a_guard_is_two_crossings(at: float) -> None:
 
 STRIPS: dict[str, Any] = {
     "square": lambda x, p, m: (x.x - p.xs) ** 2 < p.half**2,
+    "built up": _built_up,
     "fabs": lambda x, p, m: m.fabs(x.x - p.xs) < p.half,
     "power": lambda x, p, m: p.L**6 * p.half**2 > (x.x - p.xs) ** 4 * (x.x + p.xs) ** 2 * x.x**2,
     "sine": lambda x, p, m: m.sin(20 * (x.x - p.xs) / p.L) ** 2 < (p.half / p.L) ** 2,

@@ -287,3 +287,11 @@ def test_an_arc_that_is_missed_by_little_is_none() -> None:
     solution = string(2.0, 1.0, 1.0, 1.0)
     wrong = replace(solution, problem=solution.problem.with_given(l=1 + 1e-8))
     assert failed(wrong, 2)
+
+
+@pytest.mark.parametrize("condition", ["there", "still"])
+@pytest.mark.parametrize("claim", [0.0, 1e-6, -1.0])
+def test_a_multiplier_of_an_end_that_the_arc_says_already_is_compared(condition: str, claim: float) -> None:
+    """It ends at rest on the ceiling that it rides along: its costates end at 0, and so do both multipliers."""
+    solution = replace(parked_ridden(1 / 9, 1 / 3), multipliers={f"swing.{condition}": claim})
+    assert failed(solution, 3) == ({"multipliers"} if claim else set())

@@ -69,6 +69,41 @@ def parked(ceiling: float) -> pl.Problem:
     return replace(whole, name="parked", phases=(swing,))
 
 
+FROM, UNTIL = 0.5, 1.4  # s, between which `drawn_off` rides along the floor
+
+
+def drawn_off() -> pl.Problem:
+    """To rest on the floor x >= 0 with the least int (u - a)^2/2, a = (t - 2)^3: it rides along it, and leaves.
+
+    Along the floor u = 0 and eta = lam_v - a, so that mu = -a'' = 6 (2 - t): riding on to the end gains by leaving from
+    2 s on. Off the floor u - a = -lam_v is linear in t. It is left with u = 0, at the time from which s from there on
+    u = k (0.3 L^2 s - 1.2 L s^2 + s^3) leads back to rest on it after L = 1.5 s: at 2 - 0.4 L. It is met with u = 0 as
+    well; where the flight begins is what leads there with lam_v' = 20 m/s^3.
+    """
+    phase = pl.Phase(
+        name="flight",
+        states=_variables(x="m", v="m/s", t="s", c="m^2/s^3"),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 1.0, 0.5 * (u.u - p.k * (x.t - p.turn) ** 3) ** 2),
+        duration="T",
+        end=lambda x, p, m: (x.x, x.v),
+        end_conditions=_variables(down="m", still="m/s"),
+        path=lambda x, u, p, m: (x.x,),
+        path_conditions=_variables(height="m"),
+    )
+    bend, lag = 20.0 - 3.0 * (FROM - 2.0) ** 2, FROM - 2.0
+    x0 = bend * FROM**3 / 6 + lag * FROM**4 / 4 - FROM**5 / 20
+    v0 = -(bend * FROM**2 / 2 + lag * FROM**3 - FROM**4 / 4)
+    return pl.Problem(
+        name="drawn_off",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, p.v0, 0.0, 0.0),
+        given=_given(T=(2.9, "s"), k=(1.0, "m/s^5"), turn=(2.0, "s"), x0=(x0, "m"), v0=(v0, "m/s")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s^3",
+    )
+
+
 SLOPE, OFFSET = 0.5, 0.1
 
 
@@ -203,13 +238,12 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
 
 MU, RADIUS, TURNS = 3.986005e14, 6.371e6, 7.2921159e-5
-LEGS = 2
 
 
-def deorbit() -> pl.Problem:
+def deorbit(count: int = 2) -> pl.Problem:
     """Least time from a circular orbit to a place: three quarters round with the engine on, then a fall through air.
 
-    The transition, in two legs of equal length, may not come below 120 km, and touches that half way; it ends there
+    The transition, in so many legs of equal length, may not come below 120 km, and touches that half way; it ends there
     with 7.5 km/s, 6 degrees below the horizon. Axes turn with the Earth.
     """
     start, velocity = _orbit(math.radians(39.5), math.radians(16.0))
@@ -260,13 +294,13 @@ def deorbit() -> pl.Problem:
     legs = [
         pl.Phase(
             name=f"leg{j}", states=states, controls=(pl.Direction(names=("a", "b", "c")),), dynamics=burning,
-            duration="leg", typical_end=way(j / LEGS),
-            end=gate if j == LEGS else None,
-            end_conditions=_variables(shell="m", entry_speed="m/s", entry_angle="1") if j == LEGS else (),
+            duration="leg", typical_end=way(j / count),
+            end=gate if j == count else None,
+            end_conditions=_variables(shell="m", entry_speed="m/s", entry_angle="1") if j == count else (),
             path=lambda x, u, p, m: ((x.x * x.x + x.y * x.y + x.z * x.z) / p.gate**2 - 1,),
             path_conditions=_variables(above="1"),
         )
-        for j in range(1, LEGS + 1)
+        for j in range(1, count + 1)
     ]  # fmt: skip
     on = np.cross(normal, ahead)
     fall = pl.Phase(
@@ -285,7 +319,7 @@ def deorbit() -> pl.Problem:
         name="deorbit",
         phases=(*legs, fall),
         start=lambda p, m: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.m0),
-        links=(lambda x, p, m: tuple(x),) * LEGS,
+        links=(lambda x, p, m: tuple(x),) * count,
         given=_given(
             mu=(MU, "m^3/s^2"), radius=(RADIUS, "m"), turns=(TURNS, "rad/s"), j2=(1.08263e-3, "1"),
             thrust=(100.0, "N"), exhaust=(3000.0, "m/s"), m0=(500.0, "kg"), density=(1.225, "kg/m^3"),
@@ -293,10 +327,10 @@ def deorbit() -> pl.Problem:
             orbit=(6678.14e3, "m"), speed=(7500.0, "m/s"), angle=(math.radians(-6.0), "rad"), **at, **going,
         ),
         free=(
-            pl.Free(name="leg", unit="s", lower=500.0 / LEGS, upper=6000.0 / LEGS, typical=4300.0 / LEGS),
+            pl.Free(name="leg", unit="s", lower=500.0 / count, upper=6000.0 / count, typical=4300.0 / count),
             pl.Free(name="fall", unit="s", lower=20.0, upper=900.0, typical=200.0),
         ),
-        objective=lambda x, p, m: LEGS * p.leg + p.fall,
+        objective=lambda x, p, m: count * p.leg + p.fall,
         objective_unit="s",
         scales=pl.Scales(length=RADIUS, time=math.sqrt(RADIUS**3 / MU), mass=500.0),
     )  # fmt: skip

@@ -195,8 +195,10 @@ def canonical_equations(
             z=z, rate=lambda control, *mode, moving=moving: ca.substitute(moving(control, *mode), u, control)
         )
         law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion)
-        for control, found, held, regimes in zip(law.control, law.solved, law.held, law.regimes, strict=True):
+        each = zip(law.control, law.room, law.solved, law.held, law.regimes, strict=True)
+        for control, room, found, held, regimes in each:
             whole = moving(control, held, regimes)
+            whole += _nowhere(whole, u, z, room)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
             if found is None:
@@ -220,6 +222,15 @@ def canonical_equations(
         state_count=n,
         constants=constants,
     )
+
+
+def _nowhere(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
+    """NaN for rates that a control is in where there is no room for one, so that nothing is flown there; else 0."""
+    lost, changing = ca.SX(rate.numel(), 1), [r for r in elements(room) if ca.depends_on(r, z)]
+    for i in range(rate.numel() if changing else 0):
+        if ca.depends_on(rate[i], u):
+            lost[i] = ca.if_else(ca.mmin(ca.vertcat(*changing)) >= 0, 0.0, np.nan)
+    return lost
 
 
 def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX) -> ca.SX:

@@ -25,12 +25,13 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.held import Held, best_direction, demand_held, together, turns
+from perilune.conditions.directions import directions_eliminated
+from perilune.conditions.held import Held, demand_held, together, turns
 from perilune.conditions.riding import riding_control
 from perilune.conditions.scalars import FREE, Scalar, combinations, keeps, least_between, no_law
 from perilune.conditions.singular import Motion, singular_control
 from perilune.conditions.transitions import Mode, Transition, Ways
-from perilune.problem.controls import Regime, directions, scalars
+from perilune.problem.controls import Regime, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 
@@ -47,6 +48,8 @@ class ControlLaw:
         For each mode the conditions of the path that are held, by name.
     control
         For each mode the whole control, a column of expressions.
+    room
+        For each mode a column of expressions: where one is negative, nothing holds what it should.
     solved
         For each mode None, or what is found by Newton's method: the control as an expression of w, the symbols w, and
         the values of w. The control is one more step from w, so that its derivative at fixed w is the whole one.
@@ -59,6 +62,7 @@ class ControlLaw:
     regimes: tuple[tuple[Regime, ...], ...]
     held: tuple[Held, ...]
     control: tuple[ca.SX, ...]
+    room: tuple[ca.SX, ...]
     solved: tuple[tuple[ca.SX, ca.SX, ca.SX] | None, ...]
     transitions: tuple[Transition, ...]
     mode: ca.SX
@@ -98,11 +102,12 @@ def minimising_control(
     for name, condition in always.items():
         demand_held(phase, name, condition, u)
     none, modes, solved = ca.SX(0, 1), list[Mode](), list[tuple[ca.SX, ca.SX, ca.SX] | None]()
+    rooms, values = list[ca.SX](), list[ca.SX]()
     for held in together(phase, u, kept):
         here = {**always, **{name: kept[name] for name in held}}
         turning = {name: c for name, c in here.items() if turns(phase, c, u)}
         own = {name: c for name, c in here.items() if name not in turning}
-        reduced, law = _directions_eliminated(phase, hamiltonian, u, limits, turning)
+        reduced, law, room = directions_eliminated(phase, hamiltonian, u, limits, turning)
         kinds = [
             Scalar(phase, at, control, reduced, u, limits[control.name],
                    acts=any(ca.depends_on(c, u[at]) for c in own.values()))
@@ -111,59 +116,24 @@ def minimising_control(
         for regimes in combinations(kinds, [*own.values()]):
             ridden = riding_control(phase, hamiltonian, u, turning) if regimes == ("interior",) else None
             mode = Mode(held=held, regimes=regimes, kinds=kinds, own=own, H=reduced, control=none)
-            step = _control(phase, law, u, mode) if ridden is None else (ridden, none, none)
+            step = _control(phase, law, u, mode) if ridden is None else (ridden[0], none, none)
             if "singular" in regimes:
                 step = _without_singular(phase, hamiltonian, u, mode, step, motion)
             mode.control = ca.substitute(*step)
             modes.append(mode)
+            rooms.append(ca.substitute(room, u, mode.control) if ridden is None else ridden[1])
             solved.append(step if step[1].numel() else None)
-    values = [_value(hamiltonian, u, mode, [c for name, c in kept.items() if name not in mode.held]) for mode in modes]
+            others = [c for name, c in kept.items() if name not in held]
+            values.append(_value(hamiltonian, u, mode, [*others, *elements(rooms[-1])]))
     return ControlLaw(
         regimes=tuple(mode.regimes for mode in modes),
         held=tuple(mode.held for mode in modes),
         control=tuple(mode.control for mode in modes),
+        room=tuple(rooms),
         solved=tuple(solved),
         transitions=tuple(Ways(phase=phase, u=u, modes=modes, kept=kept).transitions()),
         mode=_least(values),
     )
-
-
-def _directions_eliminated(
-    phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
-) -> tuple[ca.SX, list[ca.SX]]:
-    """H with the best directions that hold these conditions in place, and u with them."""
-    law = elements(u)
-    for first, last in directions(phase.controls):
-        names, part = phase.control_names[first:last], u[first:last]
-        gradient = ca.gradient(hamiltonian, part)
-        if ca.depends_on(gradient, part):
-            raise no_law(phase, names, "a Hamiltonian that is not linear in it")
-        for at, control in scalars(phase.controls):
-            if ca.depends_on(gradient, u[at]):
-                # Thrust carries its throttle as a factor, which is not negative and leaves the direction as it is.
-                upper = limits[control.name][1]
-                reference = ca.SX(1.0) if upper.is_constant() and np.isinf(float(upper)) else upper
-                if (isinstance(control.lower, float | int) and control.lower < 0) or not _factor(gradient, u[at]):
-                    raise no_law(phase, names, f"a direction that depends on {control.name}")
-                gradient = ca.substitute(gradient, u[at], reference)
-        own = [c for c in held.values() if ca.depends_on(c, part)]
-        law[first:last] = elements(best_direction(gradient, part, own))
-    places = [i for first, last in directions(phase.controls) for i in range(first, last)]
-    best = ca.vertcat(ca.SX(0, 1), *(law[i] for i in places))
-    return ca.substitute(hamiltonian, ca.vertcat(ca.SX(0, 1), *(u[i] for i in places)), best), law
-
-
-def _factor(gradient: ca.SX, scalar: ca.SX) -> bool:
-    """Whether the scalar only scales the gradient: seen at a few points."""
-    others = [s for s in ca.symvar(gradient) if not ca.is_equal(s, scalar)]
-    evaluate = ca.Function("gradient", [scalar, ca.vertcat(ca.SX(0, 1), *others)], [gradient])
-    rng = np.random.default_rng(0)
-    for _ in range(3):
-        point = rng.uniform(0.5, 1.5, len(others))
-        a, b = (np.array(evaluate(value, point)).ravel() for value in (0.3, 0.8))
-        if not np.allclose(a * np.linalg.norm(b), b * np.linalg.norm(a), rtol=1e-9, atol=1e-12):
-            return False
-    return True
 
 
 def _control(phase: Phase, law: list[ca.SX], u: ca.SX, mode: Mode) -> tuple[ca.SX, ca.SX, ca.SX]:

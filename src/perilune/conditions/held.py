@@ -132,20 +132,30 @@ def demand_held(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> None:
     )
 
 
-def best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> ca.SX:
-    """Where gradient . d is least on the sphere, with up to two linear conditions held."""
+def best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Where gradient . d is least on the sphere, with up to two linear conditions held; and what is >= 0 if any is."""
     if not held:
-        return -gradient / ca.norm_2(gradient)
+        return -gradient / ca.norm_2(gradient), ca.SX(0, 1)
     if len(held) == 1:
         axis, share = unit_share(held[0], d)
-        across = gradient - ca.dot(gradient, axis) * axis
-        return share * axis - ca.sqrt(1 - share * share) * across / ca.norm_2(across)
+        across, room = gradient - ca.dot(gradient, axis) * axis, 1 - share * share
+        return share * axis - real_root(room) * across / ca.norm_2(across), room
     axes = [ca.gradient(c, d) for c in held]
     shares = ca.vertcat(*(-ca.substitute(c, d, ca.SX.zeros(d.numel(), 1)) for c in held))
     A = ca.horzcat(*axes)
     base, normal = ca.mtimes(A, ca.solve(ca.mtimes(A.T, A), shares)), ca.cross(axes[0], axes[1])
     down = ca.if_else(ca.dot(gradient, normal) > 0, -normal, normal) / ca.norm_2(normal)
-    return base + ca.sqrt(1 - ca.sumsqr(base)) * down
+    room = 1 - ca.sumsqr(base)
+    return base + real_root(room) * down, room
+
+
+def real_root(square: ca.SX) -> ca.SX:
+    """The root of what is not negative, and a number of what is.
+
+    Of several laws the best one is chosen. Derivatives are taken of all, and those of the others multiplied by zero:
+    that a NaN among them would not stand.
+    """
+    return ca.sqrt(ca.if_else(square >= 0, square, 1.0))
 
 
 def unit_share(condition: ca.SX, d: ca.SX) -> tuple[ca.SX, ca.SX]:

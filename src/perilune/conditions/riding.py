@@ -18,13 +18,13 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.held import unit_share
+from perilune.conditions.held import real_root, unit_share
 from perilune.problem.controls import directions, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 
 
-def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str, ca.SX]) -> ca.SX | None:
+def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX] | None:
     """The control of a phase whose one scalar, between its bounds, holds a condition with its one direction.
 
     Parameters
@@ -36,7 +36,7 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
 
     Returns
     -------
-    Column of expressions, or None
+    (control, room) or None
         As of `riding`.
     """
     both, sizes = [*directions(phase.controls)], [*scalars(phase.controls)]
@@ -49,13 +49,14 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
     if found is None:
         return None
     whole = elements(u)
-    whole[first:last], whole[at] = elements(found[0]), found[1]
-    return ca.vertcat(*whole)
+    direction, whole[at], room = found
+    whole[first:last] = elements(direction)
+    return ca.vertcat(*whole), room
 
 
 def riding(
     hamiltonian: ca.SX, d: ca.SX, size: ca.SX, condition: ca.SX, held: Sequence[ca.SX]
-) -> tuple[ca.SX, ca.SX] | None:
+) -> tuple[ca.SX, ca.SX, ca.SX] | None:
     """The best direction and size that hold a condition.
 
     Parameters
@@ -71,8 +72,9 @@ def riding(
 
     Returns
     -------
-    (direction, size) or None
-        NaN where no size does it; None where the condition or H have another form than that above.
+    (direction, size, room) or None
+        No size does it where the room, a column, has a negative number; None where the condition or H have another
+        form than that above.
     """
     none = ca.SX.zeros(d.numel(), 1)
     a = ca.substitute(condition, d, none)
@@ -90,16 +92,18 @@ def riding(
     e, c, radius = none, ca.SX(0.0), ca.SX(1.0)
     if held:
         e, c = unit_share(held[0], d)
-        radius = ca.sqrt(1 - c * c)
+        radius = real_root(1 - c * c)
     more, less = k + c * ca.dot(g, e), c * ca.dot(b, e)
     g, b = radius * (g - ca.dot(g, e) * e), radius * (b - ca.dot(b, e) * e)
     square, half, rest = ca.dot(b, b) - less**2, ca.dot(g, b) - more * less, ca.dot(g, g) - more**2
-    root = ca.sqrt(half**2 - square * rest)
+    inside = half**2 - square * rest
+    root = real_root(inside)
     # Of the two forms of a root the one in which nothing cancels.
     rho = ca.if_else(half > 0, (half + root) / square, rest / (half - root))
     across = g - rho * b
-    size_there = ca.if_else(more - rho * less > 0, -a * sign / (less - ca.dot(b, across) / ca.norm_2(across)), np.nan)
-    return c * e - radius * across / ca.norm_2(across), size_there
+    size_there = -a * sign / (less - ca.dot(b, across) / ca.norm_2(across))
+    room = ca.vertcat(inside, 1 - c * c, more - rho * less)
+    return c * e - radius * across / ca.norm_2(across), size_there, room
 
 
 def _scaled(expressions: Sequence[ca.SX], d: ca.SX, size: ca.SX) -> bool:

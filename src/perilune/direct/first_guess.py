@@ -1,8 +1,8 @@
 """Where a direct method starts: straight lines from nothing, or the trajectories of any solution.
 
-The straight line runs from the start to `Phase.typical_end`; its control is the one whose rates come nearest
-to the line's slope in the least-squares sense, with the dynamics linearised in u (exact for a thrust
-direction).
+The straight line runs from the start to `Phase.typical_end`, or along the `Problem.rough_flight`; its control is the
+one whose rates come nearest to its slope in the least-squares sense, with the dynamics linearised in u (exact for a
+thrust direction).
 """
 
 from __future__ import annotations
@@ -145,33 +145,41 @@ def begin_of(problem: Problem, k: int, before: Vector | None, p: Any) -> Vector:
 
 def _straight_lines(problem: Problem, free: dict[str, float]) -> list[Sampler]:
     p = problem.parameters(free)
+    if problem.rough_flight is not None:
+        pictures = problem.rough_flight(p)
+        return [_along(problem, k, np.asarray(states, dtype=float), free) for k, states in enumerate(pictures)]
     samplers: list[Sampler] = []
     before: Vector | None = None
     for k, phase in enumerate(problem.phases):
         start = begin_of(problem, k, before, p)
         before = _rough_end(phase, start, p)
-        samplers.append(_line(problem, phase, start, before, free))
+        samplers.append(_along(problem, k, np.array([start, before]), free))
     return samplers
 
 
-def _line(problem: Problem, phase: Phase, start: Vector, end: Vector, free: dict[str, float]) -> Sampler:
-    knots = np.linspace(0.0, 1.0, FITTED)
-    states = start + knots[:, None] * (end - start)
-    slope = (end - start) / getattr(problem.parameters(free), phase.duration)
-    controls = _fitted_controls(problem, phase, states, slope, free)
+def _along(problem: Problem, k: int, states: Matrix, free: dict[str, float]) -> Sampler:
+    """Straight lines between states [SI] evenly apart along a phase, and the controls that fit them best."""
+    phase, knots, times = problem.phases[k], np.linspace(0.0, 1.0, FITTED), np.linspace(0.0, 1.0, len(states))
+    slopes = np.gradient(states, times, axis=0) / getattr(problem.parameters(free), phase.duration)
+    controls = _fitted_controls(problem, phase, _between(knots, times, states), _between(knots, times, slopes), free)
 
     def sample(fraction: Vector) -> tuple[Matrix, Matrix]:
         at = np.asarray(fraction)
-        u = np.empty((len(at), controls.shape[1]))
-        for j, values in enumerate(controls.T):
-            u[:, j] = np.interp(at, knots, values)
-        return start + at[:, None] * (end - start), u
+        return _between(at, times, states), _between(at, knots, controls)
 
     return sample
 
 
-def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Vector, free: dict[str, float]) -> Matrix:
-    """Controls (points, nu) in SI whose rates come nearest to the slope (states in canonical units)."""
+def _between(at: Vector, times: Vector, values: Matrix) -> Matrix:
+    """Columns of values at times, interpolated linearly."""
+    found = np.empty((len(at), values.shape[1]))
+    for j, column in enumerate(values.T):
+        found[:, j] = np.interp(at, times, column)
+    return found
+
+
+def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Matrix, free: dict[str, float]) -> Matrix:
+    """Controls (points, nu) in SI whose rates come nearest to the slopes at the states, both (points, nx) in SI."""
     x_scale, u_scale = state_scales(problem, phase), control_scales(phase.controls, problem.scales)
     middle, reach = _control_middle(problem, phase)
     if not len(middle):

@@ -23,7 +23,7 @@ from perilune.words.types import Matrix, Vector
 FAITHFUL = 1e-5  # relative accuracy of a flight that only has to look like one
 LOOKS = 400  # points of a phase at which its swings are counted
 WINDING = 2.5  # there and back is 2; a flight that goes through more of its range than this winds
-SEGMENTS, NODES = 2.0, 8  # for each time that a winding flight goes through its range, and of each segment
+SEGMENTS, NODES = 2.0, 8  # for each time that a flight goes through its range, and of each segment
 
 
 def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> list[Sampler] | None:
@@ -52,14 +52,21 @@ def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> lis
     return found
 
 
-def winding(guess: Sequence[Sampler]) -> tuple[int, ...] | None:
-    """Segments for each phase of a guess that winds; None for one that does not.
-
-    What counts is how many times a state goes through all that it goes through.
-    """
+def swings(guess: Sequence[Sampler]) -> tuple[float, ...]:
+    """How many times, at most, a state goes through all that it goes through, for each phase of a guess."""
     times = []
     for sample in guess:
         x = sample(np.linspace(0.0, 1.0, LOOKS))[0]
         ways, ranges = np.abs(np.diff(x, axis=0)).sum(axis=0), np.ptp(x, axis=0)
         times.append(float(np.max(ways / np.where(ranges > 0, ranges, math.inf))))
-    return tuple(max(1, math.ceil(SEGMENTS * t)) for t in times) if max(times) > WINDING else None
+    return tuple(times)
+
+
+def fitting_segments(guess: Sequence[Sampler]) -> tuple[int, ...]:
+    """Segments for each phase that follow a guess."""
+    return tuple(max(1, math.ceil(SEGMENTS * t)) for t in swings(guess))
+
+
+def winds(guess: Sequence[Sampler]) -> bool:
+    """Whether a guess goes through its range more often than there and back."""
+    return max(swings(guess)) > WINDING

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from perilune.io.reading import number, part, refuse, text
+from perilune.models.bodies import Body, recognised
 from perilune.models.kinds import KINDS, Section
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given
@@ -53,6 +54,8 @@ def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Proble
         section: _record(stated, sections.get(section), f"made.sections.{section}")
         for section, stated in kind.sections.items()
     }
+    if isinstance(body := records.get("body"), Body):
+        records["body"] = recognised(body)
     problem = kind.make(**records)
     known = {name: g.value for name, g in problem.given.items()}
     changed = {name: g.value for name, g in given.items() if known.get(name) != g.value}  # what is free is not known

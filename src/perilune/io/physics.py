@@ -26,7 +26,10 @@ from perilune.words.units import Scales
 _CONTROLS = {kind.kind: kind for kind in (Direction, Bounded)}
 # Of a phase and of a problem, the fields that are tuples of variables.
 _VARIABLES = [f.name for f in fields(Phase) if f.name == "states" or f.name.endswith(("_conditions", "_variables"))]
-_ALWAYS = set(_VARIABLES) - {"held_conditions"}  # that every file names; what came later is left out where it is empty
+_ALWAYS = set(_VARIABLES) - {
+    "held_conditions",
+    "mark_variables",
+}  # that every file names; what came later is left out where it is empty
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,80}", re.ASCII)  # what becomes part of a file's name
 _SPEC = re.compile(r"(\.\d{1,2})?[efg]?", re.ASCII)
 

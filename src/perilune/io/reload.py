@@ -84,6 +84,11 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
     free = numbers(document, "free")
     if set(free) != set(problem.free_names):
         refuse("free", ", ".join(sorted(free)) or "none", ", ".join(problem.free_names) or "none")
+    multipliers = numbers(document, "multipliers")
+    conditions = {f"{phase.name}.{condition.name}" for phase in problem.phases for condition in phase.end_conditions}
+    for name in multipliers:
+        if name not in conditions:
+            refuse(f"multipliers.{name}"[:80], "a condition that is not known", ", ".join(sorted(conditions)) or "none")
     outcome = member(Outcome, Outcome.__members__.get(text(part(document, "outcome", dict), "name")), "outcome")
     return Solution(
         problem=problem,
@@ -92,7 +97,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         objective=number(part(document, "objective", dict), "value", "objective"),
         free=free,
         trajectories=trajectories,
-        multipliers=numbers(document, "multipliers"),
+        multipliers=multipliers,
         listed=_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),

@@ -35,12 +35,13 @@ def composed(
         Of the run; `rung` says whether a guess led to the root. The residual is added.
     """
     ranked = listed_once(conditions, sorted(found, key=lambda f: (not f.minimum, f.root.cost)))
-    unit, guessed = objective_scale(problem), statistics.rung == "guess"
+    # Beside what is locally worst something better is near: none that it outdoes is the best.
+    unit, guessed, least = objective_scale(problem), statistics.rung == "guess", min(f.root.cost for f in ranked)
     extremals = tuple(
         Extremal(
             free=free_values(problem, conditions, f.root.y),
             objective=float(f.root.cost * unit),
-            nature=_nature(f, len(problem.free), best=place == 0, guessed=guessed),
+            nature=_nature(f, len(problem.free), best=place == 0 and f.root.cost <= least, guessed=guessed),
             unknowns=tuple(f.root.y.tolist()),
         )
         for place, f in enumerate(ranked)

@@ -71,7 +71,8 @@ class Coarse:
         if self.solution is not None or self.refusal is not None:
             return self.solution
         # Phases are segments already: of several the mesh of one would be too fine to be found from straight lines.
-        few = max(2, _SEGMENTS // len(self.problem.phases)) if self.settings.transcription is None else _SEGMENTS
+        lines = self.settings.transcription is None and self.problem.rough_flight is None
+        few = max(2, _SEGMENTS // len(self.problem.phases)) if lines else _SEGMENTS
         for segments in dict.fromkeys((few, _SEGMENTS)):
             try:
                 self.solution = self._run(segments=segments, guess=self.solution or guess)
@@ -81,12 +82,17 @@ class Coarse:
                 break
         return self.solution
 
+    @property
+    def lost(self) -> bool:
+        """Whether its answer is one of many arcs that the mesh has not followed."""
+        known = self.solution
+        return known is not None and known.statistics.residual > _FOLLOWED and _often_switched(known)
+
     def resolved(self) -> Iterator[Solution]:
         """Its answer, and of a flight of many arcs that no mesh has followed yet those on finer ones, one by one."""
-        known = self.solve()
-        if known is not None:
+        if (known := self.solve()) is not None:
             yield known
-        while known is not None and self.finer and known.statistics.residual > _FOLLOWED and _often_switched(known):
+        while known is not None and self.finer and self.lost:
             with suppress(PeriluneError):
                 self.solution = known = self._run(segments=self.finer.pop(0), iterations=_FINER, guess=known)
                 yield known

@@ -4,9 +4,10 @@ Most problems are solved from the first start in a few iterations. For the other
 anything to find: from each start the flight that misses the path and the ends by the least. One that misses nothing is
 the better start. Where all of them miss something, there is nothing to solve.
 
-A flight that winds round a body several times is no straight line, and more than a few nodes can follow. Where the
-first start leads nowhere, or to an answer that is none between the nodes, the flight under the same controls is looked
-at: if it winds, it is the next start, on a mesh that has segments for each swing.
+A flight that goes round a body is no straight line, and one that does so several times is more than a few nodes can
+follow. Where the first start leads nowhere the flight under the same controls is a start as well, on a mesh that has
+segments for each swing; where it winds it is the next one, also if the first led to an answer that is none between the
+nodes.
 """
 
 from __future__ import annotations
@@ -37,12 +38,13 @@ ROUGHEST = 0.05
 
 
 class Start(NamedTuple):
-    """A program, first values of its unknowns in canonical units, and what they are called."""
+    """A program, first values of its unknowns in canonical units, what they are called, and whether its miss counts."""
 
     program: Program
     free: Vector
     values: tuple[PhaseValues, ...]
     name: str
+    counts: bool = True
 
 
 class FirstMesh:
@@ -72,11 +74,13 @@ class FirstMesh:
             return begin.program, first
         if self.near:
             self.fail(begin.program, first)
-        wound = self.wound()
+        flown = self.flown()
+        winding = flown is not None and flown.counts
         if first.converged:
-            better = None if wound is None else self.from_least_miss(wound)[1]
-            return (begin.program, first) if wound is None or better is None else (wound.program, better)
-        return self.any_answer([*([wound] if wound else []), begin, *every], (begin.program, first))
+            better = self.from_least_miss(flown)[1] if flown is not None and winding else None
+            return (begin.program, first) if flown is None or better is None else (flown.program, better)
+        starts = [begin] if flown is None else [flown, begin] if winding else [begin, flown]
+        return self.any_answer([*starts, *every], (begin.program, first))
 
     def any_answer(self, starts: list[Start], first: tuple[Program, Answer]) -> tuple[Program, Answer]:
         """The answer from one of the starts, of which the first attempt has failed."""
@@ -89,10 +93,11 @@ class FirstMesh:
                 tries.append((start.program, found))
                 if found.converged:
                     return tries[-1]
-            elif nearest.converged and nearest.violation > MISSED:
+            elif nearest.converged and nearest.violation > MISSED and start.counts:
                 (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
         # One start alone may owe its miss to the mesh.
-        self.all_missed = CONVINCED <= len(starts) == len(misses) + len(vanished) and self.guess is None
+        counted = sum(start.counts for start in starts)
+        self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
             self.refuse(*min(misses, key=_violation), len(misses))
         if not misses:
@@ -104,11 +109,11 @@ class FirstMesh:
 
     def attempt(self, start: Start, most: int | None = None) -> Answer:
         """The program from its start."""
-        return self.run.attempt(*start, most=most)
+        return self.run.attempt(start.program, start.free, start.values, start.name, most=most)
 
     def from_least_miss(self, start: Start) -> tuple[Answer, Answer | None]:
         """The flight near a start that misses least, and what is reached from there if it misses nothing."""
-        program, free, values, name = start
+        program, free, values, name, _ = start
         nearest = self.run.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
         if nearest.violation > MISSED:
             return nearest, None
@@ -125,22 +130,26 @@ class FirstMesh:
             self.first = self.first or (free, by)
             yield Start(program, free, sampled(program, by), name)
 
-    def wound(self) -> Start | None:
-        """The flight under the controls of the first straight line, where it winds."""
-        from perilune.direct.flown_guess import NODES, flown_guess, winding
+    def flown(self) -> Start | None:
+        """The flight under the controls of the first straight line; None where there is none.
+
+        Its miss counts where it winds, as no straight line does. Else it is one more way to an answer, on a mesh that
+        may be too coarse for more.
+        """
+        from perilune.direct.flown_guess import NODES, fitting_segments, flown_guess, winds
         from perilune.direct.segments import sampled
 
         if self.guess is not None or self.first is None:
             return None
         s, (free, lines) = self.run.settings, self.first
         flown = flown_guess(self.problem, free, lines)
-        swings = None if flown is None else winding(flown)
-        if flown is None or swings is None:
+        if flown is None:
             return None
         # Who asks for no refinement has chosen the mesh.
-        meshes = [Mesh.uniform(count, NODES) if s.refine else Mesh.uniform(s.segments, s.nodes) for count in swings]
+        counts = fitting_segments(flown)
+        meshes = [Mesh.uniform(count, NODES) if s.refine else Mesh.uniform(s.segments, s.nodes) for count in counts]
         program = self.run.program(tuple(meshes))
-        return Start(program, free, sampled(program, flown), "flown under its controls")
+        return Start(program, free, sampled(program, flown), "flown under its controls", winds(flown))
 
     def rough(self, program: Program, answer: Answer) -> bool:
         """Whether what is between the nodes is another flight."""

@@ -22,6 +22,7 @@ from perilune.methods.flown import may_be_cut
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
+from perilune.methods.smoothing import Smoothing
 from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, known, on_the_sphere
 from perilune.methods.trials import Trials
 from perilune.problem.neighbours import is_neighbour
@@ -38,6 +39,7 @@ from perilune.words.watch import Watch
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _DURATION = "continuation in the duration"
+_SMOOTH = "smoothed controls"
 _AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
 
 
@@ -166,7 +168,7 @@ class Search:
         found, members = scan(self._family(), first, trials.bounds(trials.scanned), self.settings.scan_points)
         scale = free_scales(self.problem.free, self.problem)[trials.scanned]
         low, high = (members[end].value * scale for end in (0, -1))
-        count = f"{len(found)} extremal{'' if len(found) == 1 else 's'}"
+        count = _extremals(len(found))
         self.tried.append(f"a family along {free.name} from {low:.6g} to {high:.6g} {free.unit}: {count}")
         return found, members
 
@@ -282,15 +284,19 @@ class Search:
                 breaking.append(member)
                 self.broken.append(breach)
                 self.breaking.append(member.root)
-        self.tried.append(f"{tried}, {met} extremals, {len(breaking)} of them break a condition")
+        breaks = f"{len(breaking)} of them break{'s' if len(breaking) == 1 else ''} a condition" if met else ""
+        self.tried.append(", ".join(filter(None, (tried, _extremals(met), breaks))))
         if any(open_directions(member.root) for member in members):
             self.tried.append(NOT_ISOLATED)
         if self.base is None:
             yield from ((member, name) for member in breaking)
 
     def _transcription(self) -> Iterator[tuple[Member, str]]:
-        """An extremal from a direct solution, in one piece or by multiple shooting; from finer ones in more pieces."""
-        trials, some = self.trials, self.settings.segments
+        """An extremal from a direct solution, in one piece or by multiple shooting.
+
+        Of a flight of many switches by way of smooth controls, or from finer meshes in more pieces.
+        """
+        trials, some, smoothing = self.trials, self.settings.segments, None
         pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
         for rough, counts in zip(self.coarse.resolved(), pieces, strict=False):
             y = unknowns_from(self.problem, trials.conditions, rough)
@@ -307,6 +313,14 @@ class Search:
                     yield Member(value=value, root=root), rung
                     return
                 self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
+            if smoothing is None and self.coarse.lost and not self.keep:
+                self.watch(f"start: {_SMOOTH}")
+                smoothing = Smoothing(trials=trials, segments=some)
+                root = smoothing.root(choice)
+                self.tried.append(smoothing.told)
+                if root is not None:
+                    yield Member(value=value, root=root), _SMOOTH
+                    return
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
@@ -328,3 +342,7 @@ class Search:
     def _failure(self) -> NotConvergedError:
         trials = self.trials
         return not_converged(trials.conditions, self.coarse, trials.shooting.iterations, trials.best_failure)
+
+
+def _extremals(count: int) -> str:
+    return f"{count} extremal{'' if count == 1 else 's'}"

@@ -7,6 +7,7 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
 
 - a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
 - an arc of no length is a touch, or none where its condition cannot be touched;
+- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.leaving`);
 - an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
 - a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
 """
@@ -23,6 +24,7 @@ from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
+from perilune.structures.leaving import worth_riding
 from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, restate
@@ -66,7 +68,7 @@ class Polish:
             structures = readings(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
             for structure in few or structures:
-                if (found := self._followed(known, structure, seen)) is not None:
+                if (found := self.followed(known, structure, seen)) is not None:
                     return found
         return None
 
@@ -79,7 +81,7 @@ class Polish:
             with suppress(PeriluneError):
                 yield Pseudospectral(nodes=6, segments=32, refine=0).near(rough)
 
-    def _followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
+    def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
         """From the first structure that an answer has to the one that its extremal keeps to."""
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
             if structure.count > MOST_ARCS:
@@ -162,18 +164,19 @@ class Polish:
         return structure if same else None if revised.plain else revised
 
     def _borne_out(self, structure: Structure, solved: Solution, k: int, known: list[Contact]) -> Iterator[Contact]:
-        """Those that have a length, or a multiplier of the right sign."""
+        """Those that have a length, or a multiplier of the right sign, as far as they have."""
         phase, arcs = self.problem.phases[k], structure.phases[k]
+        first = sum(len(before) for before in structure.phases[:k])
         conditions = conditions_of(self.problem, k, [contact.name for contact in known])
         for contact in known:
             condition = conditions[contact.name]
+            j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
             if contact.ridden:
                 if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
-                    yield contact
+                    yield from _while_it_pays(contact, worth_riding(solved, first + j, condition))
                 elif condition.order > 1:
                     yield replace(contact, end=contact.begin, ridden=False)
                 continue
-            j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
             at = f"{part_name(phase.name, j, len(arcs))}.{condition.rated(0, 'touch_', 1.0).name}"
             if solved.multipliers[at] <= 0:  # J falls where the condition gives way
                 yield contact
@@ -192,6 +195,14 @@ class Polish:
                     found.remove(contact)
                 found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
         return found
+
+
+def _while_it_pays(contact: Contact, worth: list[tuple[float, float]] | None) -> Iterator[Contact]:
+    """The parts of an arc between these times [s of the arc], whose ends are exact; itself where nothing is told."""
+    length = contact.end - contact.begin
+    for begin, end in [(0.0, length)] if worth is None else worth:
+        first = contact.begin + begin
+        yield replace(contact, begin=first, end=contact.end if end >= length else contact.begin + end)
 
 
 def _contacts(structure: Structure, k: int) -> Iterator[Contact]:

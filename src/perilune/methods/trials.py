@@ -81,11 +81,16 @@ class Trials:
 
     def by_pieces(self, rough: Solution, y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
         """Newton from a rough solution with so many segments for each phase, then in one piece."""
-        shooting = Shooting(self.conditions, segments=segments)
         Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
+        return self.from_pieces(Y, choice, segments, limits)
+
+    def from_pieces(self, Y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
+        """Newton from unknowns and states at the joints of so many segments for each phase, then in one piece."""
+        shooting = Shooting(self.conditions, segments=segments)
         root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
         if root.converged and segments > 1:  # one piece again, for what follows
-            one = self.settled(root.y[None, : len(y)], root.choice, limits=limits, accuracy=FINEST)[0]
+            y = root.y[None, : len(self.conditions.unknowns)]
+            one = self.settled(y, root.choice, limits=limits, accuracy=FINEST)[0]
             root = self.shooting.in_one(one, root)
         return root
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from perilune.words.declared import quantity, record, words
+
+LIKE = 0.02  # of its radius and of its pull: constants of a body differ by less, from paper to paper
 
 
 @record("body")
@@ -26,9 +28,20 @@ class Body:
 
     @property
     def spoken(self) -> str:
-        """How it is called in a sentence: the Moon, Mars; the body where it has no name of its own."""
+        """How it is called in a sentence: the Moon, Mars; the body where it has no name of its own.
+
+        The name of a known body with the size or the pull of another is told as a name and no more.
+        """
+        known = BODIES.get(self.name.lower())
+        if known is not None and not self.resembles(known):
+            return f"a body called {self.name}"
         name = self.name[:1].upper() + self.name[1:]
         return {"Moon": "the Moon", "Body": "the body"}.get(name, name)
+
+    def resembles(self, other: Body) -> bool:
+        """Whether size and pull are those of another: Callisto is as large as Mercury, with a third of its mass."""
+        pairs = (self.radius, other.radius), (self.gravitational_parameter, other.gravitational_parameter)
+        return all(abs(own - its) <= LIKE * abs(its) for own, its in pairs)
 
     @property
     def titled(self) -> str:
@@ -43,6 +56,30 @@ class OblateBody(Body):
     j2: float = quantity(
         "1", "2.03e-4", above=-1.0, most=1.0, default=0.0, hint="unnormalised; 0 for a sphere",
         about="second zonal harmonic, unnormalised; 0 for a sphere",
+    )  # fmt: skip
+
+
+@record("body")
+class Planet(OblateBody):
+    """A body with further zonal harmonics, and an ellipsoid for its surface where it has a flattening."""
+
+    name: str = words("earth", about="earth, in place of the quantities")
+    gravitational_parameter: float = quantity("m^3/s^2", "398600.4418 km^3/s^2", above=0.0, about="mu")
+    radius: float = quantity("m", "6378.137 km", above=0.0, about="altitudes are above it; that of the equator")
+    rotation_rate: float = quantity("rad/s", "7.292115e-5 rad/s", about="inertial (sidereal); negative is retrograde")
+    j2: float = quantity(
+        "1", "1.0826e-3", above=-1.0, most=1.0, default=0.0, about="second zonal harmonic, unnormalised"
+    )  # fmt: skip
+    j3: float | None = quantity(
+        "1", "-2.53e-6", above=-1.0, most=1.0, default=None, about="third zonal harmonic, unnormalised"
+    )  # fmt: skip
+    j4: float | None = quantity(
+        "1", "-1.62e-6", above=-1.0, most=1.0, default=None, about="fourth zonal harmonic, unnormalised"
+    )  # fmt: skip
+    flattening: float | None = quantity(
+        "1", "3.353e-3", above=0.0, below=0.5, default=None,
+        hint="1/298.257 of the Earth; leave it out for a sphere",
+        about="of the ellipsoid whose equatorial radius is body.radius: altitudes and latitudes are geodetic then",
     )  # fmt: skip
 
 
@@ -82,3 +119,21 @@ EUROPA = Body(name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3
 CERES = Body(name="ceres", gravitational_parameter=6.26274e10, radius=470.0e3, rotation_rate=1.923e-4)
 
 BODIES = {body.name: body for body in (MOON, MERCURY, MARS, EUROPA, CERES)}
+
+# WGS 84 and EGM 2008 (tide-free). Its air is that of the model that flies through it.
+EARTH = Planet(
+    name="earth", gravitational_parameter=3.986004418e14, radius=6378137.0, rotation_rate=7.292115e-5,
+    j2=1.08262617e-3, j3=-2.5324105e-6, j4=-1.6198976e-6, flattening=1 / 298.257223563,
+)  # fmt: skip
+PLANETS = {EARTH.name: EARTH}
+
+
+def known_like(body: Body) -> Body | None:
+    """The known body of this size and pull."""
+    return next((known for known in BODIES.values() if body.resembles(known)), None)
+
+
+def recognised(body: Body) -> Body:
+    """The body with the name and the air of the known one of its size and pull, if there is one."""
+    like = known_like(body)
+    return replace(body, name=like.name, air=like.air) if like else body

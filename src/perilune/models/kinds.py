@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from perilune.models.bodies import BODIES, Body, OblateBody, UniformGravity
+from perilune.models.bodies import BODIES, PLANETS, Body, OblateBody, Planet, UniformGravity
+from perilune.models.deorbit import records as deorbit
+from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.descent import Choices, Ignition, Site, Steering, powered_descent
 from perilune.models.final_descent import FinalDescent
 from perilune.models.landing import LandingSite, Orbit, hybrid_landing
@@ -138,6 +140,24 @@ def _precision(
     return precision_landing(vehicle, approach, site, corridor, shares, body, final=final, j2=j2)
 
 
+def _deorbit(
+    problem: deorbit.Aim,
+    body: Planet,
+    orbit: deorbit.Orbit,
+    manoeuvre: deorbit.Manoeuvre | None,
+    vehicle: deorbit.Returner,
+    transition: deorbit.Transition,
+    interface: deorbit.Interface,
+    atmosphere: deorbit.Atmosphere | None,
+    heating: deorbit.Heating | None,
+    site: deorbit.Landing | None,
+) -> Problem:
+    return deorbit_entry(
+        vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
+        heating=heating, minimise=problem.minimise,
+    )  # fmt: skip
+
+
 _ANY = Section(record=Undecided, required=False, otherwise=Undecided())
 HYBRID = Kind(
     name="hybrid_landing",
@@ -201,4 +221,41 @@ PRECISION = Kind(
         "corridor.slope": "20 deg",
     },
 )
-KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION)}
+DEORBIT = Kind(
+    name="deorbit_entry",
+    about="From an orbit through a finite burn to the entry interface, and through the air to a place.",
+    sections={
+        "problem": Section(record=deorbit.Aim),
+        "body": Section(record=Planet, known=PLANETS),
+        "orbit": Section(record=deorbit.Orbit),
+        "manoeuvre": Section(record=deorbit.Manoeuvre, required=False, absent="left out where [orbit] says it"),
+        "vehicle": Section(record=deorbit.Returner),
+        "transition": Section(record=deorbit.Transition, required=False, otherwise=deorbit.Transition()),
+        "interface": Section(record=deorbit.Interface),
+        "atmosphere": Section(
+            record=deorbit.Atmosphere, required=False, absent="without it the flight ends at the interface"
+        ),
+        "heating": Section(record=deorbit.Heating, required=False),
+        "site": Section(record=deorbit.Landing, required=False, absent="left out, any place will do"),
+    },
+    make=_deorbit,
+    example={
+        "problem.minimise": "propellant",
+        "body.name": "earth",
+        "orbit.radius": "6778.14 km",
+        "orbit.inclination": "51.6 deg",
+        "manoeuvre.longitude": "16 deg",
+        "manoeuvre.latitude": "39.5 deg",
+        "vehicle.mass": "500 kg",
+        "vehicle.thrust": "200 N",
+        "vehicle.exhaust_velocity": "3000 m/s",
+        "vehicle.drag_area": "0.6 m^2",
+        "vehicle.nose_radius": "0.3 m",
+        "transition.longest_coast": "3000 s",
+        "interface.altitude": "120 km",
+        "interface.angle": "-1.5 deg",
+        "atmosphere.model": "us1976",
+        "site.altitude": "10 km",
+    },
+)
+KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION, DEORBIT)}

@@ -1,13 +1,14 @@
-"""Mechanics beside a rotating body: gravity with J2, apparent accelerations, places on the sphere.
+"""Mechanics beside a rotating body: gravity with zonal harmonics, apparent accelerations, places on the sphere.
 
 Vectors are triples of whatever the caller computes with (numbers, arrays, symbols), in any Cartesian frame
 that turns with the body; `axis` is the unit vector of the rotation, Omega = omega axis, in that frame:
 
     r'' = g(r) + thrust/m - 2 Omega x r' - Omega x (Omega x r)
-    U   = -(mu/r) (1 - J2 (R/r)^2 (3 s^2 - 1)/2),   s = r.axis/r,   g = -grad U
+    U   = -(mu/r) (1 - sum of J_n (R/r)^n P_n(s)),   s = r.axis/r,   g = -grad U
 
-(Vallado, Fundamentals of Astrodynamics, 2013, section 8.7). The gradient stands in closed form in `gravity`,
-because the numeric namespace cannot differentiate; the tests differentiate `potential` and compare.
+with J2, and J3 and J4 where a body has them (Vallado, Fundamentals of Astrodynamics, 2013, section 8.7). The gradient
+stands in closed form in `gravity`, because the numeric namespace cannot differentiate; the tests differentiate
+`potential` and compare.
 """
 
 from __future__ import annotations
@@ -35,19 +36,34 @@ def combine(*terms: tuple[Any, Sequence[Any]]) -> Triple:
 
 
 def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
-    """Gravity potential U [m^2/s^2]; `p` holds body_gravitational_parameter, body_radius, body_j2."""
+    """Gravity potential U [m^2/s^2]; `p` holds the body's gravitational_parameter, radius, j2, perhaps j3, j4."""
     r = m.sqrt(dot(position, position))
     s = dot(position, axis) / r
-    return -p.body_gravitational_parameter / r * (1 - p.body_j2 * (p.body_radius / r) ** 2 * (3 * s * s - 1) / 2)
+    ratio = p.body_radius / r
+    zonal = p.body_j2 * ratio**2 * (3 * s * s - 1) / 2
+    if hasattr(p, "body_j3"):
+        zonal += p.body_j3 * ratio**3 * (5 * s * s - 3) * s / 2
+    if hasattr(p, "body_j4"):
+        zonal += p.body_j4 * ratio**4 * ((35 * s * s - 30) * s * s + 3) / 8
+    return -p.body_gravitational_parameter / r * (1 - zonal)
 
 
 def gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
-    """-grad U: a part along the position and, from J2, a part along the axis."""
+    """-grad U: along the position with J_n (R/r)^n P'_n+1, and along the axis with -P'_n."""
     r = m.sqrt(dot(position, position))
     s = dot(position, axis) / r
-    oblate = 1.5 * p.body_j2 * (p.body_radius / r) ** 2
+    ratio = p.body_radius / r
+    oblate = 1.5 * p.body_j2 * ratio**2
     strength = -p.body_gravitational_parameter / (r * r)
-    return combine((strength * (1 + oblate * (1 - 5 * s * s)) / r, position), (strength * 2 * oblate * s, axis))
+    inward, along = 1 + oblate * (1 - 5 * s * s), 2 * oblate * s
+    if hasattr(p, "body_j3"):
+        pear = 0.5 * p.body_j3 * ratio**3
+        inward, along = inward - pear * (35 * s * s - 15) * s, along + pear * (15 * s * s - 3)
+    if hasattr(p, "body_j4"):
+        square = 0.125 * p.body_j4 * ratio**4
+        inward -= square * ((315 * s * s - 210) * s * s + 15)
+        along += square * (140 * s * s - 60) * s
+    return combine((strength * inward / r, position), (strength * along, axis))
 
 
 def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:

@@ -80,7 +80,8 @@ def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:
 
 def _check_scales(problem: Any) -> None:
     """Refuse scales of what no method computes with; they would be without effect."""
-    told = [v for phase in problem.phases for v in (*phase.output_variables, *phase.integral_variables)]
+    told = [v for phase in problem.phases for v in
+            (*phase.output_variables, *phase.integral_variables, *phase.mark_variables)]  # fmt: skip
     for variable in (*told, *problem.result_variables):
         if variable.scale is not None:
             raise PeriluneError(

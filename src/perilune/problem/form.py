@@ -34,6 +34,7 @@ PHASE_FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "held": (("x", "u", "p"), "held_conditions"),
     "outputs": (("x", "u", "p"), "output_variables"),
     "integrals": (("x", "u", "p"), "integral_variables"),
+    "marks": (("x", "p"), "mark_variables"),
     "inertial": (("x", "u", "t", "p"), ""),
     "track": (("x", "p"), ""),
     "typical_end": (("p",), "states"),

@@ -41,6 +41,8 @@ class Phase:
     integrals, integral_variables
         ``integrals(x, u, p, m)`` returns rates; their integrals along the flight are results, named with the unit of
         the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
+    marks, mark_variables
+        ``marks(x, p, m)`` of the end state of the phase returns further results (speed where the air begins).
     inertial
         ``inertial(x, u, t, p, m)`` returns nine values in inertial axes with the body at their origin, t seconds after
         the first ignition: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
@@ -66,6 +68,8 @@ class Phase:
     output_variables: tuple[Variable, ...] = ()
     integrals: Physics | None = None
     integral_variables: tuple[Variable, ...] = ()
+    marks: Physics | None = None
+    mark_variables: tuple[Variable, ...] = ()
     inertial: Physics | None = None
     track: Physics | None = None
     typical_end: Physics | None = None
@@ -103,14 +107,14 @@ class Phase:
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``path``, ``held``, ``outputs``, ``integrals``, or of ``end`` and ``track``, which take no control.
+        """Values of ``path``, ``held``, ``outputs``, ``integrals``; of ``end``, ``marks``, ``track`` without control.
 
         Empty where the phase has none.
         """
         physics = getattr(self, function)
         if physics is None:
             return ()
-        control = () if function in ("end", "track") else (self.control_record(*u),)
+        control = () if function in ("end", "marks", "track") else (self.control_record(*u),)
         return physics(self.state_record(*x), *control, p, m)
 
     def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:

@@ -31,6 +31,7 @@ import numpy as np
 
 from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
 from perilune.problem.controls import Control, scalars
+from perilune.problem.declared import given_of
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
 from perilune.problem.phase import Phase
 from perilune.problem.tape import Expression
@@ -43,8 +44,10 @@ from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics, Vector
 from perilune.words.units import Scales
 
+_HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
 _NOTHING = 1e-18  # of a canonical unit
 STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
+MOST_TOLD = 4  # values that were given later, in a heading
 BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
 # Of what a state reaches: so much rounds, some hundred times the last digit, beside limits of 3e-10 of a size.
 ROUNDS = 1e-4
@@ -76,8 +79,8 @@ class Problem:
     """Phases, links, parameters and the objective.
 
     Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process
-    (pickle) carries its formulas as expressions; `ranges`, `preflight` and `bookkeeping` go along where they are found
-    by name, as functions of a module are, and are left behind otherwise.
+    (pickle) carries its formulas as expressions; `ranges`, `preflight`, `bookkeeping` and `rough_flight` go along where
+    they are found by name, as functions of a module are, and are left behind otherwise.
 
     Parameters
     ----------
@@ -114,6 +117,10 @@ class Problem:
         but not on their values, which may be arrays or symbols; ``inf`` is no limit.
     bookkeeping
         ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
+    rough_flight
+        ``rough_flight(p)`` of all parameters, durations included, returns a picture of the flight where straight lines
+        are none: for each phase rough states in SI at times evenly apart, shape (times, states). A direct method starts
+        there in place of `Phase.typical_end`.
     views
         What figures show of it.
     scales
@@ -138,6 +145,7 @@ class Problem:
     ranges: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
+    rough_flight: Callable[[Any], Sequence[Matrix]] | None = None
     views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
     title: str = ""
@@ -185,8 +193,18 @@ class Problem:
 
     @property
     def heading(self) -> str:
-        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger."""
-        return one_line(self.title or self.name)
+        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger.
+
+        A title tells the records that the problem was made of; values that were given later are told behind it.
+        """
+        made = given_of(*self.declared)
+        later = [
+            f"{name} {one_line(f'{g.value:.10g} {g.unit}').removesuffix(' 1')}"
+            for name, g in self.given.items()
+            if name in made and made[name].value != g.value
+        ]
+        told = ", ".join([*later[:MOST_TOLD], *([f"{len(later) - MOST_TOLD} more"] if later[MOST_TOLD:] else [])])
+        return one_line(self.title or self.name) + (f", but with {told}" if told else "")
 
     @property
     def text(self) -> str:
@@ -230,7 +248,7 @@ class Problem:
     def __getstate__(self) -> dict[str, Any]:
         own = self.expressed
         state = {f.name: getattr(own, f.name) for f in fields(own)}
-        hooks = {name: _by_name(state[name]) for name in ("ranges", "preflight", "bookkeeping")}
+        hooks = {name: _by_name(state[name]) for name in _HOOKS}
         hooks["declared"] = _by_name(self.declared) or ()
         return {**state, "given": dict(self.given), "form": self.form, **hooks}
 

@@ -58,6 +58,9 @@ class Views:
         How a solution is called in a legend; ``{name:format}`` stands for the value of a result.
     beside
         What to draw with it, or None.
+    peaks
+        Names of outputs whose largest value along the flight is a result, ``peak_load``, with its time from the first
+        ignition, ``peak_load_time``.
     floor
         What the fourth value of `Phase.track` is, the least height there [m]; "" where there is none.
     """
@@ -68,6 +71,7 @@ class Views:
     frame: str = ""
     label: str = ""
     beside: Beside | None = None
+    peaks: tuple[str, ...] = ()
     floor: str = ""
 
 
@@ -81,7 +85,7 @@ def check_views(views: Views, quantities: Iterable[str], parameters: Iterable[st
     """
     fixed = views.beside.given if views.beside else ()
     asked = (
-        ("quantity", [views.height], quantities),
+        ("quantity", [views.height, *views.peaks], quantities),
         ("parameter", [views.radius, *(name for name, _ in fixed)], parameters),
         ("result", [name for _, name, _, _ in Formatter().parse(views.label) if name], results),
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
-from perilune.problem.problem import BEYOND, ROUNDS, Problem, borne_out, likely
+from perilune.problem.problem import BEYOND, ROUNDS, STILL, Problem, borne_out, likely
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Variable
 from perilune.proof.allowed import ON_BOUND, Allowed
@@ -89,6 +89,11 @@ class Arc:
         return self.problem.reached_sizes(self.phase, self.trajectory.state.values.T, others)
 
     @cached_property
+    def units(self) -> Vector:
+        """Canonical units of the states [SI]."""
+        return np.array([self.problem.scales.of(state.unit) for state in self.phase.states])
+
+    @cached_property
     def end_scale(self) -> Vector:
         """Sizes of the end conditions [SI]."""
         return self._condition_sizes("end", self.phase.end_conditions)
@@ -113,7 +118,8 @@ class Arc:
     def _condition_sizes(self, function: str, conditions: Sequence[Variable], least: Any = 0.0) -> Vector:
         """Of conditions that go through `least` at least; no less than states and free parameters round in them.
 
-        Metres over the ground are a difference of radii; durations with a given sum go through nothing.
+        Metres over the ground are a difference of radii; durations with a given sum go through nothing. What vanishes
+        all along, as what an arc to the end says already, goes through what its states do.
         """
         t = self.trajectory.state.time
 
@@ -126,6 +132,8 @@ class Arc:
         x = self.state(some)
         slopes = jacobian(lambda z: conditions_at(z, some), x, np.ones(len(x)))
         terms = np.abs(slopes * x).sum(axis=1)
+        by_states = np.median((np.abs(slopes) * self.state_scale[:, None]).sum(axis=1), axis=1)
+        reached = np.where(reached <= STILL * by_states, by_states, reached)
         for name, value in self.solution.free.items():
             p = SimpleNamespace(**{**vars(self.p), name: value * (1 + 1j * STEP)})
             terms = terms + np.abs(conditions_at(x, some, p).imag) / STEP

@@ -29,10 +29,17 @@ import numpy as np
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Free
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, end_slopes, free_size, objective_scale, objective_slope, slopes_at_end
+from perilune.proof.arc import (
+    Arc,
+    end_slopes,
+    free_size,
+    objective_scale,
+    objective_slope,
+    slopes_at_end,
+)
 from perilune.proof.flight import MOST_GROWTH, Flight, costate_deviation
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import COMPLEX, STEP
+from perilune.proof.numerics import COMPLEX, STEP, telling
 from perilune.proof.pieces import just_before
 from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality, with_limits
 from perilune.words.types import Matrix, Vector
@@ -72,7 +79,7 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         yield _hamiltonian_constant(arc)
     yield from _multipliers(solution, arcs, nu)
     for free in solution.problem.free:
-        yield _stationary(arcs[0], free, parameter_gradient(arcs, nu, free.name))
+        yield _stationary(arcs[0], free, list(_gradient_parts(arcs, nu, free.name)))
     for arc in arcs:
         if arc.phase.controls:
             yield from minimality(arc)
@@ -196,9 +203,13 @@ def _transversality(arc: Arc) -> Check:
         scaled = psi[met].T / size[met]
         left = left - scaled @ np.linalg.pinv(scaled)
     sizes = np.maximum(1.0, np.abs(left) @ _sizes_at_end(arc))
+    missed = np.abs(end_multipliers(arc)[1])
+    lam = arc.costate(np.array([arc.duration]))[:, 0] / arc.costate_scale
+    # What the missing part would have to be counts too where lam itself says that a state does not tell.
+    missed = missed * telling(arc.units / arc.state_scale, np.abs(lam) + missed)
     return Check(
         name=f"{arc.prefix}transversality", level=2, limit=STATIONARY_LIMIT, unit="1",
-        value=float((np.abs(end_multipliers(arc)[1]) / sizes).max()),
+        value=float((missed / sizes).max()),
         meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain, by what errors of "
         "lam(t_f) make of it (scaled); the bound of a state that is reached there is none of them",
     )  # fmt: skip
@@ -236,34 +247,37 @@ def _hamiltonian_constant(arc: Arc) -> Check:
 
 def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> float:
     """dJ/dp at an extremal, p a free parameter: J per unit of p, from costates and multipliers (above)."""
+    return float(sum(float(np.sum(part)) for part in _gradient_parts(arcs, nu, name)))
+
+
+def _gradient_parts(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> Iterator[Any]:
+    """What adds up to dJ/dp, some terms or times at a time."""
     problem, p = arcs[0].problem, arcs[0].p
     unit = problem.scales.of(problem.unit_of(name))
     stepped = SimpleNamespace(**{**vars(p), name: getattr(p, name) + 1j * STEP * unit})
 
-    def slope(weights: Any, values: Sequence[Any]) -> float:
-        return sum(float(w * np.imag(v)) for w, v in zip(weights, values, strict=True)) / (STEP * unit)
+    def slopes(weights: Any, values: Sequence[Any]) -> Any:
+        return np.array([float(w * np.imag(v)) for w, v in zip(weights, values, strict=True)]) / (STEP * unit)
 
-    total = slope(arcs[0].costate(np.zeros(1))[:, 0], problem.start(stepped, COMPLEX))
+    yield slopes(arcs[0].costate(np.zeros(1))[:, 0], problem.start(stepped, COMPLEX))
     for arc, multipliers in zip(arcs, nu, strict=True):
         end = arc.state(np.array([arc.duration]))[:, 0].tolist()
-        total += slope(multipliers, arc.phase.evaluate("end", end, (), stepped, COMPLEX))
+        yield slopes(multipliers, arc.phase.evaluate("end", end, (), stepped, COMPLEX))
         if arc.index < len(problem.links):
             ahead = arcs[arc.index + 1].costate(np.zeros(1))[:, 0]
-            total += slope(ahead, problem.links[arc.index](arc.phase.state_record(*end), stepped, COMPLEX))
+            yield slopes(ahead, problem.links[arc.index](arc.phase.state_record(*end), stepped, COMPLEX))
         else:
-            total += slope([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
-        total += sum(nu * slope([1.0], [s]) for nu, s in _guards(arc, stepped))
+            yield slopes([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
+        yield [nu * slopes([1.0], [s]) for nu, s in _guards(arc, stepped)]
         inside = arc.sampled
         u = inside.u + 1j * STEP * unit * with_limits(arc, inside.u, name)
         f = arc.rates(inside.x, u, stepped)
-        changes = (inside.lam * f.imag).sum(axis=0)
+        yield inside.lam * f.imag * inside.weights / (STEP * unit)
         if arc.allowed:
             mu = arc.allowed.multipliers(inside.x, inside.u, inside.lam).mu
-            changes = changes - (mu * arc.allowed.values(inside.x, u, stepped).imag).sum(axis=0)
-        total += float(changes @ inside.weights) / (STEP * unit)
+            yield -mu * arc.allowed.values(inside.x, u, stepped).imag * inside.weights / (STEP * unit)
         if arc.phase.duration == name:
-            total += float((inside.lam * f.real).sum(axis=0) @ inside.weights) / arc.duration
-    return total
+            yield (inside.lam * f.real).sum(axis=0) * inside.weights / arc.duration
 
 
 def _guards(arc: Arc, p: Any) -> Iterator[tuple[float, Any]]:
@@ -294,10 +308,12 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
     ]
 
 
-def _stationary(arc: Arc, free: Free, gradient: float) -> Check:
+def _stationary(arc: Arc, free: Free, parts: Sequence[Any]) -> Check:
     solution, problem = arc.solution, arc.problem
-    timed = free.name in problem.duration_names
-    scaled = gradient / arc.rate_scale if timed else gradient * free_size(solution, free) / arc.objective_scale
+    timed, size = free.name in problem.duration_names, free_size(solution, free)
+    gradient, most = (float(sum(np.sum(function(part)) for part in parts)) for function in (np.asarray, np.abs))
+    more = telling(problem.scales.of(free.unit) / size, most * size / arc.objective_scale)
+    scaled = gradient / arc.rate_scale if timed else gradient * more * size / arc.objective_scale
     lower, upper = at_bound(solution, free)
     limit, meaning = (
         STATIONARY_LIMIT,

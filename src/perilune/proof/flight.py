@@ -28,7 +28,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.solution import Curve, Solution
 from perilune.proof.arc import Arc, slopes_at_end
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import COMPLEX
+from perilune.proof.numerics import COMPLEX, telling
 from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, just_before
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
@@ -173,10 +173,22 @@ def costate_deviation(arc: Arc) -> Deviation:
         joint = np.searchsorted(pieces.left, crossing.time) - 1
         over[joint] = crossing.adjoint
         jumps[:, joint] = crossing.adjoint @ ends[:, joint, 1] - ends[:, joint + 1, 0]
-    joints = Joints(np.zeros(n), jumps, over)
-    # A state is scaled by what it reaches; what its costate reaches is that of J, or more where J is a difference.
-    sizes = np.maximum(1.0, np.abs(ends).max(axis=(1, 2)))
-    return carried(pieces, at, ends, slopes.costate, -slopes.matrix.swapaxes(2, 3), joints, still[n:], sizes)
+    most = np.abs(ends).max(axis=(1, 2))
+    # A state is scaled by what it reaches, unless it hardly moves.
+    many = telling(arc.units / arc.state_scale, most + np.abs(slopes.costate @ WEIGHTS) @ pieces.width)
+    joints = Joints(np.zeros(n), many[:, None] * jumps, {k: _rescaled(each, many) for k, each in over.items()})
+    # What its costate reaches is that of J, or more where J is a difference.
+    sizes, at, ends, slope = (
+        np.maximum(1.0, many * most),
+        *(many[:, None, None] * v for v in (at, ends, slopes.costate)),
+    )
+    matrix = -_rescaled(slopes.matrix.swapaxes(2, 3), many)
+    return carried(pieces, at, ends, slope, matrix, joints, many * still[n:], sizes)
+
+
+def _rescaled(matrix: Any, many: Vector) -> Any:
+    """A matrix (..., n, n) for vectors whose components are so many times as large."""
+    return many[:, None] * matrix / many
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ class Watched(np.lib.mixins.NDArrayOperatorsMixin):
             return NotImplemented
         if ufunc is np.absolute:
             return _fabs(self)
+        keywords.pop("out", None)  # of ``a -= b``: a name that is bound to another array
         plain = [_plain(value) for value in inputs]
         if ufunc in _COMPARISONS:
             return self.watch.decide(plain[0] - plain[1], ufunc(np.real(plain[0]), np.real(plain[1])))

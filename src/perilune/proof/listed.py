@@ -3,7 +3,7 @@
 Newton's method starts from the unknowns that the file holds of an extremal. What it reaches must have the objective and
 the free parameters that are listed, and must pass levels 1 and 2 as any solution does. The numbers that remain are
 those reached; what each extremal *is* follows from them alone: its curvature, the bounds that it sits on, and its place
-among those that were found again. Of one alone there is no best.
+among those that were found again. Of one optimum alone there is no best.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def found_again(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, .
     if left := len(solution.listed) - 1 - len(others):
         total = len(solution.listed)
         notes.append(f"{left} of the {total} extremals that the file lists {_are(left)} not confirmed, and left out")
-    if any(e.objective < itself.objective for e in others if e.nature is not Nature.WORST):
+    if any(e.objective < itself.objective for e in others):
         notes.append("a better extremal than this solution is known; it is listed below it")
-    elif others:
+    elif any(e.nature is not Nature.WORST for e in others):
         itself = replace(itself, nature=_BEST.get(itself.nature, itself.nature))
     return (itself, *others), tuple(notes)
 

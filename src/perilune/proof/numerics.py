@@ -88,3 +88,19 @@ def hessian(function: Callable[[Any], Any], z: Matrix, scale: Vector) -> Any:
     gradient = jacobian(lambda w: function(w)[None], z[:, None, :] + moves[:, :, None], scale)[0]
     out = (gradient[:, :size] - gradient[:, size:]) / (2 * DIFFERENCE)
     return 0.5 * (out + out.transpose(1, 0, 2))
+
+
+def telling(unit: Any, weight: Any) -> Any:
+    """How many of its sizes a quantity has to change by to tell in J, where the flight hardly moves in it; at least 1.
+
+    What stands still, or drifts by a billionth of its unit, says nothing of how far it could go: by its own size no
+    slope would be seen in it. So it is judged by what changes J by all of itself, and by its unit at most.
+
+    Parameters
+    ----------
+    unit
+        Its canonical unit, in sizes: more than 1 only where the flight reaches less than a thousandth of that.
+    weight
+        By how much of J each size changes it.
+    """
+    return np.clip(1.0 / np.maximum(weight, 1e-300), 1.0, np.maximum(unit, 1.0))

@@ -43,7 +43,7 @@ from perilune.proof.arc import Arc, end_slopes, free_size, slopes_at_end
 from perilune.proof.extremal import end_multipliers, varied
 from perilune.proof.numerics import COMPLEX, STEP, stacked
 from perilune.proof.ridden import ALONG, Ridden
-from perilune.proof.switching import gain, product_of
+from perilune.proof.switching import control_sizes, gain, product_of
 from perilune.proof.touched import MET, SIDEWAYS, STRICT
 from perilune.proof.variations import Kept
 from perilune.structures.restate import sums_of, with_sums
@@ -315,8 +315,9 @@ def _lowered(along: Sequence[Ridden]) -> float:
         lam = lam - ridden.eta * ridden.slope(ridden.condition.order - 1, inside.x) / part.state_scale[:, None]
     few = np.unique(np.linspace(0, len(inside.t) - 1, _LOOKS).astype(int))
     x, u, lam = inside.x[:, few], inside.u[:, few], lam[:, few]
+    sizes = control_sizes(part)
     parts = [
-        np.stack(control.samples(u[here], float(part.control_scale[here.start]), part.p), axis=1)
+        np.stack(control.samples(u[here], float(sizes[here.start]), part.p), axis=1)
         for here, control in placed(part.phase.controls)
     ]
     lowered = gain(part, x[:, None], u[:, None], product_of(parts), lam[:, None], leaving=True)

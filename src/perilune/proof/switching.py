@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, Direction, normalised, placed, scalars, tangents
+from perilune.problem.controls import Bounded, Direction, control_scales, normalised, placed, scalars, tangents
 from perilune.problem.verification import Check
 from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
 from perilune.proof.arc import Arc
-from perilune.proof.numerics import STEP, jacobian
+from perilune.proof.numerics import STEP, jacobian, telling
 from perilune.proof.pieces import just_before
 from perilune.proof.singular import Singular, slopes_beside
 from perilune.words.types import Matrix, Vector
@@ -37,6 +37,8 @@ HAMILTONIAN_LIMIT = 1e-9
 SLOPE_LIMIT = 1e-9
 STRICT_LIMIT = -1e-4
 _AT_ONCE = 100_000  # samples of the control, so that they stay in the processor's cache
+_NO_EFFECT = 1e-300
+_LOOKS = 100  # pieces at which slopes of H are sized
 _EVERY = 4  # of the samples, moved onto each condition that is active
 ADMISSIBLE = 1e-9  # by how much, in canonical units, a sampled control may leave a path condition
 
@@ -75,7 +77,7 @@ def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
             continue
         yield Check(
             name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
-            value=float(np.maximum(-falls, 0.0).max()) / arc.rate_scale,
+            value=float(np.maximum(-falls, 0.0).max() * _more(arc).max()) / arc.rate_scale,
             meaning=f"most that the Hamiltonian falls as the control leaves {condition.name} = 0 for the inside: a "
             "multiplier of the wrong sign (scaled)",
         )  # fmt: skip
@@ -176,7 +178,7 @@ def _minimum(arc: Arc) -> Check:
     count = len(pieces)
     worst = gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
     parts = [
-        control.samples(u[here, :, 0], float(arc.control_scale[here.start]), arc.p)
+        control.samples(u[here, :, 0], float(control_sizes(arc)[here.start]), arc.p)
         for here, control in placed(arc.phase.controls)
     ]
     if arc.allowed:
@@ -250,6 +252,45 @@ def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving:
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 
+def control_sizes(arc: Arc) -> Vector:
+    """By what slopes of H in the control components are judged [SI].
+
+    `Arc.control_scale`, unless a component reaches less than its unit: then what is `telling`, between these two.
+    """
+    scale, reached = arc.control_scale, _reached(arc)
+    units, least = _control_units(arc), np.where(reached > 0, np.minimum(scale, reached), scale)
+    return scale if (units <= least).all() else least * telling(units / least, _weights(arc) * least / scale)
+
+
+def varied_sizes(arc: Arc) -> Vector:
+    """What in the control components changes H by as much as J over the time of the flight [SI].
+
+    At most their unit, or what they reach. So the curvatures of H in controls of several units, and in those that
+    hardly move, can be compared.
+    """
+    told = arc.control_scale / np.maximum(_weights(arc), _NO_EFFECT)
+    return np.minimum(told, np.maximum(_control_units(arc), _reached(arc)))
+
+
+def _reached(arc: Arc) -> Vector:
+    return np.abs(arc.trajectory.control.values).max(axis=0)
+
+
+def _control_units(arc: Arc) -> Vector:
+    """Canonical units of the control components, at least the size of any of the same unit [SI]."""
+    units = control_scales(arc.phase.controls, arc.problem.scales)
+    names = np.array([control.unit for control in arc.phase.controls for _ in control.names])
+    alike = [arc.control_scale[names == name].max() for name in names]
+    return np.maximum(units, alike) if len(alike) else units
+
+
+def _weights(arc: Arc) -> Vector:
+    """The terms of the slope of H in each control component, by their amounts, over J and the time of the flight."""
+    scale, t = arc.control_scale, arc.cut.left[:: len(arc.cut) // _LOOKS + 1]
+    f_u = control_rates(arc, arc.state(t), arc.control(t), np.repeat(np.diag(scale)[:, :, None], len(t), axis=2))
+    return np.abs(arc.costate(t)[:, None] * f_u).sum(axis=0).max(axis=1) / arc.rate_scale
+
+
 def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
     """Derivatives of the dynamics as the control moves along `tangents`, (n, k, N), in SI."""
     moved = u[:, None, :] + 1j * STEP * moves
@@ -264,7 +305,14 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matri
     if arc.allowed:
         found = arc.allowed.multipliers(x, u, lam)
         gradient = gradient - found.pull
-    return gradient / arc.rate_scale, found
+    return gradient * _more(arc)[:, None] / arc.rate_scale, found
+
+
+def _more(arc: Arc) -> Vector:
+    """By how much more than `Arc.control_scale` each tangent is judged, (k,): a direction by no more."""
+    more = control_sizes(arc) / arc.control_scale
+    rows = [more[here] if control.scalar else np.ones(control.freedom) for here, control in placed(arc.phase.controls)]
+    return np.concatenate(rows)
 
 
 def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:

@@ -61,9 +61,11 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
         return solution, structure
     if any(arcs[-1].along for arcs in structure.phases):
         # The costates may be those of end conditions that the arc says again, or of a statement without: both are one.
+        # Where multipliers are claimed of these it is the first, in which they can be compared.
         fewer = split(solution, structure, restate(solution.problem, structure, repeated=False))
+        stated = {f"{phase.name}.{c.name}" for phase in fewer.problem.phases for c in phase.end_conditions}
         arcs = (Arc(solution=fewer, index=k) for k in range(len(fewer.trajectories)))
-        if all(np.abs(end_multipliers(arc)[1]).max() <= _SAID for arc in arcs):
+        if fewer.multipliers.keys() <= stated and all(np.abs(end_multipliers(arc)[1]).max() <= _SAID for arc in arcs):
             return fewer, structure
     return split(solution, structure), structure
 

@@ -19,8 +19,8 @@ from perilune.proof.arc import Arc
 from perilune.proof.held import held_along
 from perilune.proof.numerics import hessian, jacobian
 from perilune.proof.singular import Singular, goh
-from perilune.proof.switching import control_rates, crossings, on_bounds, with_limits
-from perilune.words.types import Matrix
+from perilune.proof.switching import control_rates, crossings, on_bounds, varied_sizes, with_limits
+from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
 _WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
@@ -94,7 +94,8 @@ class Piece:
     """First and second derivatives of an arc between breaks, at the middles of equal steps.
 
     Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
-    the length times L; d counts states, the parameters `names` and the tangent directions of the control that may
+    the length times L; `yields` (d, N): those of the length times mu.c, of
+    what variations leave; d counts states, the parameters `names` and the tangent directions of the control that may
     vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
     numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do. On a singular piece
     (`perilune.proof.singular`) the integral of the singular control has its place, `kelley` is its curvature, and
@@ -133,6 +134,9 @@ class Piece:
             [x, np.repeat(self.parameter_values[:, None], self.steps, axis=1), np.zeros((k, self.steps))]
         )
         self.F = jacobian(self._rates, z, self.scale)
+        self.yields = np.zeros(self.F.shape[1:])
+        if self.held and kept.released:
+            self.yields = jacobian(self._work, z, self.scale)[0]
         self.W = hessian(self._lagrangian, z, self.scale)
         self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
         self.bends, self.kelley, self.leap = self.H_uu, np.zeros(0), None
@@ -193,6 +197,11 @@ class Piece:
         (length, u, p), scale = self._flown(z), self.arc.state_scale.reshape(-1, *(1,) * (z.ndim - 1))
         return length * self.arc.rates(z[: self.sizes[0]], u, p) / scale
 
+    def _work(self, z: Any) -> Any:
+        length, u, p = self._flown(z)
+        assert self.held is not None, "asked for where conditions hold"
+        return (length * self.held.work(z[: self.sizes[0]], u, p) / self.arc.objective_scale)[None]
+
     def _lagrangian(self, z: Any) -> Any:
         lam, x = self.lam.reshape(len(self.lam), *(1,) * (z.ndim - 2), self.steps), z[: self.sizes[0]]
         length, u, p = self._flown(z)
@@ -200,9 +209,17 @@ class Piece:
         return length * (H - self.held.work(x, u, p) if self.held else H) / self.arc.objective_scale
 
 
+def _sizes(arc: Arc) -> Vector:
+    """Of the control components in variations [SI]; a direction turns by radians."""
+    return np.concatenate([
+        varied_sizes(arc)[here] if control.scalar else arc.control_scale[here]
+        for here, control in placed(arc.phase.controls)
+    ])  # fmt: skip
+
+
 def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
     """Tangents along which the control may vary, (components, k, N), and whether a bound holds a scalar for a part."""
-    basis = tangents(arc.phase.controls, arc.control_scale, u) if len(u) else np.zeros((0, 0, u.shape[1]))
+    basis = tangents(arc.phase.controls, _sizes(arc), u) if len(u) else np.zeros((0, 0, u.shape[1]))
     varying, partly, row = [], False, 0
     f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
     effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, NoReturn
 
-from perilune.models.bodies import BODIES, Body, UniformGravity
+from perilune.models.bodies import Body, UniformGravity, known_like
 from perilune.models.descent import Ignition
 from perilune.models.landing import LandingSite, Orbit
 from perilune.models.precision import Approach
@@ -43,25 +42,9 @@ def refuse_slips(records: Mapping[str, Any]) -> None:
     _check_vehicle(records["vehicle"])
 
 
-def _like(body: Body) -> Body | None:
-    """The known body of this size and pull: Callisto is as large as Mercury, and has a third of its mass."""
-    for known in BODIES.values():
-        if _close(known.radius, body.radius, 0.02) and _close(
-            known.gravitational_parameter, body.gravitational_parameter, 0.02
-        ):
-            return known
-    return None
-
-
-def recognised(body: Body) -> Body:
-    """The body with the name and the air of the known one of its size, if there is one."""
-    like = _like(body)
-    return replace(body, name=like.name, air=like.air) if like else body
-
-
 def _check_body(body: Body) -> None:
     """Density and rotation that no body has are slips of units."""
-    like = _like(body)
+    like = known_like(body)
     density = body.gravitational_parameter / GRAVITATIONAL_CONSTANT / (4 / 3 * math.pi * body.radius**3)
     if not DENSITIES[0] < density < DENSITIES[1]:
         _refuse(

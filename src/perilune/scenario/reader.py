@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from perilune.models.bodies import Body
+from perilune.models.bodies import Body, recognised
 from perilune.models.kinds import HYBRID, KINDS, PROOF, Kind, Section
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
-from perilune.scenario.plausible import recognised, refuse_slips
+from perilune.scenario.plausible import refuse_slips
 from perilune.words.declared import Key, Quantity, Words, keys_of, made_of, named
 from perilune.words.outcome import PeriluneError, unknown_name
 

@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from perilune.problem.controls import Bounded, Settled, scalars
+from perilune.problem.problem import Problem
 from perilune.problem.rates import acts_linearly
 from perilune.problem.solution import Solution
 from perilune.structures.structure import Regimes, Structure
@@ -47,9 +48,9 @@ class Stay:
     end: float
 
 
-def linear_scalars(solution: Solution, k: int) -> list[tuple[int, Bounded]]:
+def linear_scalars(problem: Problem, k: int) -> list[tuple[int, Bounded]]:
     """Scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path."""
-    problem, phase = solution.problem, solution.problem.phases[k]
+    phase = problem.phases[k]
     functions = [problem.form.expressions.get((k, name)) for name in ("path", "held")]
     return [
         (at, control)
@@ -63,7 +64,7 @@ def linear_scalars(solution: Solution, k: int) -> list[tuple[int, Bounded]]:
 def wavering(solution: Solution) -> bool:
     """Whether a scalar that enters linearly stays between its bounds for longer than a switch on a mesh."""
     for k in range(len(solution.trajectories)):
-        for at, control in linear_scalars(solution, k):
+        for at, control in linear_scalars(solution.problem, k):
             flown = solution.trajectories[k].control
             share = control.share(flown(np.linspace(0.0, flown.time[-1], POINTS))[:, at], solution.parameters)
             if float(((share > BETWEEN) & (share < 1 - BETWEEN)).mean()) > BETWEEN:
@@ -76,7 +77,7 @@ def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]
     found: dict[tuple[int, float], list[Stay]] = {level: [] for level in (EXACT, *LEVELS)}
     if solution.trajectories[k].costate is None:
         return found
-    for at, control in linear_scalars(solution, k):
+    for at, control in linear_scalars(solution.problem, k):
         t, gain, share = gain_along(solution, k, at, control)
         found[EXACT] += _between_breaks(control.name, solution.trajectories[k].control.time, t, gain, share)
         sizes = _sizes(gain, share)
@@ -229,7 +230,7 @@ def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: floa
         Of the phase: an arc that is shorter is none.
     """
     found, least = list[Stay](), shortest * whole.trajectories[k].duration
-    for at, control in linear_scalars(whole, k):
+    for at, control in linear_scalars(whole.problem, k):
         own = [s for s in known if s.control == control.name]
         if not own:
             continue

@@ -138,6 +138,7 @@ class _Restated:
             given=MappingProxyType({**user.given, **bounds}),
             free=tuple(self._free()),
             bookkeeping=None,
+            rough_flight=None,
             form=None,
         )
 
@@ -190,6 +191,7 @@ class _Restated:
                 "controls": _settled(phase, arc),
                 "states": without_bounds(phase, [c.bound for c in conditions.values() if c.bound is not None]),
                 "typical_end": rough[j],
+                **({} if j + 1 == count else {"marks": None, "mark_variables": ()}),
                 **_stated("end", "end_conditions", ends),
                 **_stated("path", "path_conditions", self._kept(k, arc, conditions)),
                 **_stated("held", "held_conditions", held + self._user_held(k)),

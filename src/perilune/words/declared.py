@@ -255,9 +255,13 @@ def span(unit: str, lower: str, upper: str, *, default: tuple[float, float], nam
     return field(default=default, metadata={"keys": declared, "span": name})
 
 
-def words(example: str, *choices: str, default: Any = MISSING, about: str = "") -> Any:
-    """Field of a record that is a text, one of the choices where there are any."""
-    return field(default=default, metadata={"keys": {"": Words(example=example, choices=choices, about=about)}})
+def words(example: str, *choices: str, default: Any = MISSING, called: str = "", about: str = "") -> Any:
+    """Field of a record that is a text, one of the choices where there are any.
+
+    `called` is its key where Python keeps that word for itself.
+    """
+    declared = Words(example=example, choices=choices, about=about)
+    return field(default=default, metadata={"keys": {"": declared}, "called": called})
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(quantity, span, words))
@@ -315,7 +319,7 @@ def keys_of(kind: type) -> Mapping[str, Key]:
             paired = "span" in f.metadata
             if paired and default is not MISSING:
                 default = default[place]
-            found[f.name + ending] = Key(
+            found[(f.metadata.get("called") or f.name) + ending] = Key(
                 field=f.name, declared=declared, default=default, place=place if paired else None
             )
     return MappingProxyType(found)

@@ -18,7 +18,7 @@ _RECENT = 20  # operations for which an input read stays in a register; 12 to 32
 _COMPARISONS = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
 
-def kernel(name: str, program: Program, arguments: Iterable[int], width: int) -> str:
+def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *, cleared: bool = False) -> str:
     """Return the IR of ``void name(inputs..., result)``, each a pointer to vectors of `width` lanes.
 
     Parameters
@@ -31,14 +31,18 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int) ->
         Which arguments of the program the function takes, in order.
     width
         Number of lanes.
+    cleared
+        Whether the result is handed over as zeros: those of a sparse matrix, most of it, are then not written.
     """
     w = Writer(width)
     fetch = _inputs(w, program)
+    zero = ("const", (0.0).hex())
     names: dict[int, Vec] = {}
     result = Ptr("%out", w.vector)
     places: dict[int, list[int]] = {}
     for index, number in enumerate(program.outputs):
-        places.setdefault(number, []).append(index)
+        if not (cleared and program.instructions[number] == zero):
+            places.setdefault(number, []).append(index)
     for number, (op, *operands) in enumerate(program.instructions):
         if op == "const":
             names[number] = w.const(float.fromhex(operands[0]))

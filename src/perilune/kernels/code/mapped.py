@@ -161,6 +161,8 @@ def _module(function: Any, widths: Sequence[int]) -> str:
     sizes = [function.size1_in(i) for i in range(function.n_in())]
     w, table = Writer(_WIDTH), Ptr("%table", INT)
     inputs, results = [w.buffer(size) for size in sizes], w.buffer(sum(widths))
+    with w.loop(0, sum(widths)) as entry:  # once: no group writes where the function has zeros
+        w.store(w.const(0.0), results, entry)
     lanes = w.load(table, 0)
     with w.loop(Int("%first"), Int("%last")) as group:
         base = w.integer("mul", group, _WIDTH)
@@ -172,7 +174,7 @@ def _module(function: Any, widths: Sequence[int]) -> str:
             held, target = w.at(results, sum(widths[:i])), w.address(table, 1 + i, NUM)
             w.run(f"call void @scatter(ptr {target}, i64 {width}, i64 {width}, i64 {base}, i64 {lanes}, ptr {held})")
     mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
-    code = kernel("kernel", program, range(len(sizes)), _WIDTH)
+    code = kernel("kernel", program, range(len(sizes)), _WIDTH, cleared=True)
     return "\n".join([library([program], _WIDTH), code, _rows("gather"), _rows("scatter"), mapping])
 
 

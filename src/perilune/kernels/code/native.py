@@ -85,13 +85,11 @@ def compile_ir(text: str) -> bytes:
             got=str(error)[:2000],
             advice="backend='scipy'; and report it",
         ) from error
-    # Straight-line kernels leave higher levels nothing to find: measured as quick, compiled a third sooner.
-    options = llvm.create_pipeline_tuning_options(speed_level=1)
-    options.loop_vectorization = options.slp_vectorization = False  # the lanes are the vectors
-    options.loop_unrolling = False
-    llvm.create_pass_builder(machine, options).getModulePassManager().run(
-        module, llvm.create_pass_builder(machine, options)
-    )
+    # Straight-line kernels leave the optimiser nothing to find: only the driver's variables become registers. The
+    # least level of LLVM's own passes measures no quicker in flight, and took three fifths of the time here.
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_sroa_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
     return machine.emit_object(module)
 
 

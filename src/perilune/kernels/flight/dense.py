@@ -21,6 +21,8 @@ from perilune.words.types import Batch, Matrix, Vector
 
 Rates = Callable[[Matrix, Vector], Matrix]
 
+_MOMENT, _TURNED = 1e-12, 1e-3  # of a step, and of a rate
+
 
 def _matrix(rows: tuple[dict[int, float], ...]) -> Matrix:
     result = np.zeros((len(rows), tableau.DENSE_STAGES))
@@ -74,6 +76,18 @@ class DenseArc:
         return values if np.ndim(t) else values[0]
 
 
+def _inside(slopes: Matrix, start: Matrix, after: Matrix, mode: Vector, rates: Rates) -> Matrix:
+    """Slopes at the ends of steps, the last of them a moment before where it is another there.
+
+    Where what points a control vanishes as the arc ends, rounding may turn it.
+    """
+    if not len(slopes):
+        return slopes
+    near = rates(after[-1:] - _MOMENT * (after[-1:] - start[-1:]), mode[-1:])
+    turned = np.abs(near - slopes[-1:]) > _TURNED * (np.abs(near) + np.abs(slopes[-1:]))
+    return np.vstack([slopes[:-1], near]) if turned.any() else slopes
+
+
 def dense_arc(end: Arcs, nodes: Matrix, rates: Rates) -> DenseArc:
     """Build the interpolant.
 
@@ -93,8 +107,9 @@ def dense_arc(end: Arcs, nodes: Matrix, rates: Rates) -> DenseArc:
     slopes[0] = rates(start, mode)
     for stage in range(1, tableau.STAGES):
         slopes[stage] = rates(start + h * (weights[stage] @ flat).reshape(start.shape), mode)
+    slopes[11] = _inside(slopes[11], start, start + h * (weights[11] @ flat).reshape(start.shape), mode, rates)
     after = start + h * (final @ flat).reshape(start.shape)
-    slopes[12] = rates(after, mode)
+    slopes[12] = _inside(rates(after, mode), start, after, mode, rates)
     for stage in range(13, tableau.DENSE_STAGES):
         slopes[stage] = rates(start + h * (weights[stage] @ flat).reshape(start.shape), mode)
     change = after - start

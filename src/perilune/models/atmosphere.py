@@ -1,0 +1,249 @@
+"""Air: density against altitude, as smooth functions that every part of the library flies.
+
+Exponential air is a formula. All other air is a table of the logarithm of the density (`m.table`, four times
+differentiable), so that there is no layer at whose boundary a flight would have to stop:
+
+    rho = rho_ref exp(table(h/h_ref))
+
+`tabulated` chooses its knots: beginning with a few, it adds the sample from which the table is furthest, until it is
+near enough to all. The U.S. Standard Atmosphere, 1976, is followed to 7e-4 of its density from -5 to 1000 km, its kinks
+at layers' boundaries included. Above and below, a table goes on as exponential air does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from perilune.models import standard_atmosphere
+from perilune.problem.variables import Given
+from perilune.words.bounded import bounded_text
+from perilune.words.maths import MOST_KNOTS, Table
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Vector
+
+STANDARD_NEAR = 7e-4  # of the density
+NEAR, ROUGHEST = 1e-3, 1e-2  # of the density: aimed at, and refused
+LARGEST_FILE = 1_000_000  # bytes
+_KILOMETRE = 1e3  # m, by which tables count altitudes
+_SEA_LEVEL = 1.225  # kg/m^3, by which they count densities
+_FIRST_KNOTS = 12
+_DIGITS = 10  # of the logarithm, so that a table is the same on every machine
+
+
+@dataclass(frozen=True, kw_only=True)
+class Air:
+    """Air that turns with its body.
+
+    Parameters
+    ----------
+    name
+        What it is, in words.
+    given
+        Parameters by which it is scaled, as a problem takes them: a density and a height.
+    table
+        Logarithm of the density over that one against the altitude over that height; None for exponential air of them.
+    top
+        Up to which altitude [m] the data go.
+    near
+        How near the table is to them, as a share of the density.
+    """
+
+    name: str
+    given: Mapping[str, Given]
+    table: Table | None = None
+    top: float = float("inf")
+    near: float = 0.0
+
+    def density(self, altitude: Any, p: Any, m: Any) -> Any:
+        """Density [kg/m^3] at an altitude [m], from the parameters of the problem."""
+        density, height = (getattr(p, name) for name in self.given)
+        share = altitude / height
+        return density * m.exp(-share if self.table is None else m.table(self.table, share))
+
+
+def exponential(density: float, scale_height: float) -> Air:
+    """Air whose density [kg/m^3] falls by e with each scale height [m]."""
+    given = _given("atmosphere_density", density, "atmosphere_scale_height", scale_height)
+    return Air(name=f"exponential air of scale height {scale_height / 1e3:g} km", given=given)
+
+
+@cache
+def standard() -> Air:
+    """U.S. Standard Atmosphere, 1976."""
+    low, high = standard_atmosphere.LOWEST, standard_atmosphere.HIGHEST
+    # Finer than its layers, of which the lowest are the sharpest.
+    parts = ((low, 86e3, 50.0), (86e3, 150e3, 100.0), (150e3, high + 1, 2e3))
+    altitude = np.concatenate([np.arange(*part) for part in parts])
+    return tabulated(altitude, standard_atmosphere.density(altitude), "US Standard Atmosphere 1976", STANDARD_NEAR)
+
+
+def from_file(path: str | Path) -> Air:
+    """Air of a file of two columns, altitude [m] and density [kg/m^3], with a line of names or without.
+
+    Parameters
+    ----------
+    path
+        CSV, altitudes in increasing order, at most 1 MB.
+
+    Raises
+    ------
+    PeriluneError
+        If it cannot be read, or is no table of positive densities, or is so rough that no smooth table follows it.
+    """
+    path = Path(path)
+    text = bounded_text(
+        path, "table of air", LARGEST_FILE, expected="a CSV file of altitude [m] and density [kg/m^3]",
+        advice="give the way to it, beside the scenario file",
+    )  # fmt: skip
+    rows = [line.split(",") for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if rows and not _number(rows[0][0]):
+        rows = rows[1:]
+    values = [_row(number, row) for number, row in enumerate(rows, 1)]
+    altitude, density = np.array(values, dtype=float).reshape(-1, 2).T
+    return tabulated(altitude, density, f"air of {path.name}")
+
+
+def thermosphere(
+    epoch: datetime, longitude: float, latitude: float, *, f107: float, f107a: float, ap: float
+) -> Air:  # fmt: skip
+    """Air of NRLMSIS 2.1 above a place, from the ground to 1000 km; needs the extra ``msis``, and no network.
+
+    Parameters
+    ----------
+    epoch
+        Time; without a zone it is UTC.
+    longitude, latitude
+        Of the place [rad].
+    f107, f107a, ap
+        Solar flux of the day before and its mean of 81 days [1e-22 W/m^2/Hz], geomagnetic index.
+
+    Raises
+    ------
+    PeriluneError
+        If pymsis is not installed.
+    """
+    try:
+        import pymsis  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise PeriluneError(
+            "the atmosphere nrlmsis needs pymsis, which is not installed",
+            expected="the extra msis",
+            advice='pip install "perilune[msis]"',
+        ) from None
+    utc = epoch.astimezone(UTC) if epoch.tzinfo else epoch
+    altitude = np.concatenate([np.arange(0.0, 200e3, 500.0), np.arange(200e3, 1001e3, 2e3)])
+    found = pymsis.calculate(
+        np.datetime64(utc.replace(tzinfo=None)), np.degrees(longitude), np.degrees(latitude), altitude / 1e3,
+        f107s=f107, f107as=f107a, aps=[[ap] * 7], version=2.1,
+    )  # fmt: skip
+    density = np.asarray(found, dtype=float)[..., 0].ravel()
+    return tabulated(altitude, density, f"NRLMSIS 2.1 of {utc:%Y-%m-%d %H:%M} UTC")
+
+
+def tabulated(altitude: Vector, density: Vector, name: str, near: float = NEAR) -> Air:
+    """Air of samples of the density.
+
+    Parameters
+    ----------
+    altitude, density
+        Samples [m], [kg/m^3].
+    name
+        What it is, in words.
+    near
+        How near the table should come to all samples, as a share of the density.
+
+    Raises
+    ------
+    PeriluneError
+        If the altitudes do not increase, a density is not positive, or no table of `MOST_KNOTS` knots follows them.
+    """
+    x, y = _checked(altitude, density, name)
+    places = np.unique(np.linspace(0, len(x) - 1, _FIRST_KNOTS).astype(int)).tolist()
+    while True:
+        table = Table(x=tuple(x[places]), y=tuple(y[places]))
+        away = np.abs(np.expm1(table(x) - y))
+        worst = int(away.argmax())
+        if away[worst] <= near or len(places) in (MOST_KNOTS, len(x)):
+            break
+        places = sorted({*places, worst})
+    _refuse_rough(x, y, table, float(away[worst]), name)
+    given = _given("air_density", _SEA_LEVEL, "air_height", _KILOMETRE)
+    return Air(name=name, given=given, table=table, top=float(altitude[-1]), near=float(away[worst]))
+
+
+def _given(name: str, density: float, height_name: str, height: float) -> Mapping[str, Given]:
+    return MappingProxyType({name: Given(value=density, unit="kg/m^3"), height_name: Given(value=height, unit="m")})
+
+
+def _checked(altitude: Vector, density: Vector, name: str) -> tuple[Vector, Vector]:
+    """Altitude in km and the logarithm of the density beside that at sea level."""
+    if len(altitude) < 3:
+        raise PeriluneError(f"{name}: a table needs rows", got=str(len(altitude)), expected="at least 3")
+    wrong = np.flatnonzero(~(np.isfinite(altitude) & np.isfinite(density) & (density > 0)))
+    if len(wrong):
+        k = int(wrong[0])
+        raise PeriluneError(
+            f"{name}: row {k + 1} is no altitude with a density",
+            got=f"{altitude[k]:g} m, {density[k]:g} kg/m^3",
+            expected="finite numbers, and a density above 0",
+            advice="leave the row out: above and below its ends a table goes on as exponential air does",
+        )
+    back = np.flatnonzero(np.diff(altitude) <= 0)
+    if len(back):
+        k = int(back[0])
+        raise PeriluneError(
+            f"{name}: altitudes do not increase at row {k + 2}",
+            got=f"{altitude[k]:g} m, then {altitude[k + 1]:g} m",
+            expected="increasing altitudes, each once",
+            advice="sort the rows by altitude",
+        )
+    return altitude / _KILOMETRE, np.round(np.log(density / _SEA_LEVEL), _DIGITS)
+
+
+def _refuse_rough(x: Vector, y: Vector, table: Table, away: float, name: str) -> None:
+    """Refuse samples that a smooth table misses, or between which it swings."""
+    if away > ROUGHEST:
+        raise PeriluneError(
+            f"{name}: the densities are too rough for a smooth table",
+            got=f"{MOST_KNOTS} knots, and still {100 * away:.2g} % off",
+            expected=f"at most {100 * ROUGHEST:g} %",
+            advice="smooth the data, or leave out what no flight reaches",
+        )
+    middle = table(0.5 * (x[1:] + x[:-1]))
+    low, high = np.minimum(y[1:], y[:-1]), np.maximum(y[1:], y[:-1])
+    swing = np.maximum(low - middle, middle - high) - 0.25 * (high - low)
+    k = int(swing.argmax())
+    if swing[k] > ROUGHEST:
+        raise PeriluneError(
+            f"{name}: a smooth table swings between two rows",
+            got=f"between {x[k]:g} and {x[k + 1]:g} km it leaves the range of both densities",
+            expected="densities that lead from one to the next",
+            advice="add rows there, evenly spaced",
+        )
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _row(number: int, row: list[str]) -> tuple[float, float]:
+    if len(row) != 2 or not all(map(_number, row)):
+        raise PeriluneError(
+            f"row {number} of the table of air is no pair of numbers",
+            got=",".join(row)[:60],
+            expected="altitude [m], density [kg/m^3]",
+            advice="two columns with a comma between, and nothing else; a line that begins with # is a comment",
+        )
+    return float(row[0]), float(row[1])

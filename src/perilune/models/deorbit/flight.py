@@ -1,0 +1,102 @@
+"""What holds along a return: motion in axes that turn with the body, what its phases keep and where they end.
+
+    r'' = g(r) + (T/m) d - 2 Omega x r' - Omega x (Omega x r),   m' = -T/c      above the interface, engine on
+    r'' = g(r) + drag + lift - 2 Omega x r' - Omega x (Omega x r)               below it
+
+z is the rotation axis and x points to longitude 0. Velocities are beside the body, as are the speed V and the path
+angle gamma at the interface, sin gamma = r.V/(|r| |V|).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models import aerodynamics, ellipsoid
+from perilune.models.atmosphere import Air
+from perilune.models.deorbit.orbit import AXIS
+from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.rotating import Triple, combine, dot, free_acceleration, local_axes
+from perilune.problem.controls import Direction
+from perilune.problem.variables import Variable
+
+STEERING = Direction(names=("toward_x", "toward_y", "toward_z"))
+BANK = Direction(names=("lift_up", "lift_right"))
+STATES = (
+    *(Variable(name=name, unit="m") for name in ("x", "y", "z")),
+    *(Variable(name=name, unit="m/s", description="beside the turning body") for name in ("vx", "vy", "vz")),
+)
+HEAT = Variable(name="heat", unit="J/m^2", description="heat load at the stagnation point", scale=1e7)
+
+
+def where(x: Any) -> Triple:
+    """Position [m]."""
+    return x.x, x.y, x.z
+
+
+def how_fast(x: Any) -> Triple:
+    """Velocity beside the body [m/s]."""
+    return x.vx, x.vy, x.vz
+
+
+def speed(x: Any, m: Any) -> Any:
+    """Speed beside the body [m/s]."""
+    return m.sqrt(dot(how_fast(x), how_fast(x)))
+
+
+def path_angle(x: Any, m: Any) -> Any:
+    """Angle of the velocity above the horizon [rad]."""
+    r, v = where(x), how_fast(x)
+    return m.asin(dot(r, v) / m.sqrt(dot(r, r) * dot(v, v)))
+
+
+def coasting(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Rates without thrust, above the air."""
+    return *how_fast(x), *free_acceleration(where(x), how_fast(x), AXIS, p, m), 0.0
+
+
+def burning(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Rates with the engine on."""
+    push = combine(
+        (1, free_acceleration(where(x), how_fast(x), AXIS, p, m)),
+        (p.vehicle_thrust / x.m, (u.toward_x, u.toward_y, u.toward_z)),
+    )
+    return *how_fast(x), *push, -p.vehicle_thrust / exhaust_speed(p)
+
+
+def falling(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Rates in the air: x, y, z, vx, vy, vz, m, and the heat load where it is a state."""
+    r, v = where(x), how_fast(x)
+    density = air.density(ellipsoid.altitude(r, p, m), p, m)
+    felt = aerodynamics.drag(density, v, x.m, p, m)
+    if hasattr(p, "vehicle_lift_to_drag"):
+        upward, right = aerodynamics.lift_axes(r, v, m)
+        lift = p.vehicle_lift_to_drag * aerodynamics.drag_acceleration(density, v, x.m, p, m)
+        felt = combine((1, felt), (lift * u.lift_up, upward), (lift * u.lift_right, right))
+    heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(x, "heat") else ()
+    return *v, *combine((1, free_acceleration(r, v, AXIS, p, m)), (1, felt)), 0.0, *heat
+
+
+def above_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Height above the interface [m], below which there is air."""
+    return (ellipsoid.altitude(where(x), p, m) - p.interface_altitude,)
+
+
+def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """End of the transition: altitude, and speed and path angle where they are stated."""
+    ends = [ellipsoid.altitude(where(x), p, m) - p.interface_altitude]
+    for name, value in (("speed", speed(x, m)), ("angle", path_angle(x, m))):
+        if hasattr(p, f"interface_{name}"):
+            ends.append(value - getattr(p, f"interface_{name}"))
+        elif hasattr(p, f"interface_{name}_lower") or hasattr(p, f"interface_{name}_upper"):
+            ends.append(value)
+    return ends
+
+
+def at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """End of the flight: the height above the site, and how far east and north of it."""
+    if not hasattr(p, "site_longitude"):
+        return (ellipsoid.altitude(where(x), p, m) - p.site_altitude,)
+    site = ellipsoid.at(p.site_longitude, p.site_latitude, p.site_altitude, p, m)
+    away = combine((1, where(x)), (-1, site))
+    return tuple(dot(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m))

@@ -1,0 +1,74 @@
+"""Where a return begins: a state on a Kepler orbit, in axes that turn with the body, as a formula of the orbit.
+
+With the argument of latitude u, counted from the ascending node, i the inclination and W the longitude of the node at
+that time, the unit vectors up and ahead (in the orbit's plane, at right angles to up) are
+
+    up    = R_z(W) (cos u, sin u cos i, sin u sin i),     ahead = R_z(W) (-sin u, cos u cos i, cos u sin i)
+
+A place on the orbit gives them by sin u = sin(latitude)/sin i, with cos u >= 0 on an ascending pass and W from the
+longitude. The orbit's plane does not turn while the body does, and W is counted beside the body.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from perilune.models.rotating import Triple, combine, cross
+from perilune.words.types import Physics
+
+AXIS: Triple = (0.0, 0.0, 1.0)
+
+
+def from_place(going: str) -> Physics:
+    """``angles(p, m)`` of a manoeuvre: argument of latitude and longitude of the node [rad]."""
+    return _ascending if going == "ascending" else _descending
+
+
+def from_node(p: Any, m: Any) -> tuple[Any, Any]:
+    """Angles of an orbit that says where it is at t = 0."""
+    return p.orbit_argument_of_latitude, p.orbit_node_longitude
+
+
+def _ascending(p: Any, m: Any) -> tuple[Any, Any]:
+    return _at_place(p, m, 1.0)
+
+
+def _descending(p: Any, m: Any) -> tuple[Any, Any]:
+    return _at_place(p, m, -1.0)
+
+
+def _at_place(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
+    sine = m.sin(p.manoeuvre_latitude) / m.sin(p.orbit_inclination)
+    cosine = northwards * m.sqrt(1 - sine * sine)
+    node = p.manoeuvre_longitude - m.atan2(m.cos(p.orbit_inclination) * sine, cosine)
+    return m.atan2(sine, cosine), node
+
+
+def plane(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
+    """Unit vectors up and ahead at an argument of latitude, where the node stands beside the body."""
+    sin_i, cos_i = m.sin(p.orbit_inclination), m.cos(p.orbit_inclination)
+    to_node, beyond = (m.cos(node), m.sin(node), 0.0), (-cos_i * m.sin(node), cos_i * m.cos(node), sin_i)
+    return (
+        combine((m.cos(angle), to_node), (m.sin(angle), beyond)),
+        combine((-m.sin(angle), to_node), (m.cos(angle), beyond)),
+    )
+
+
+def shape(angle: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
+    """Distance [m], and inertial speeds upwards and ahead [m/s], at an argument of latitude."""
+    if hasattr(p, "orbit_radius"):
+        return p.orbit_radius, 0.0 * p.orbit_radius, m.sqrt(p.body_gravitational_parameter / p.orbit_radius)
+    low, high = p.body_radius + p.orbit_perigee_altitude, p.body_radius + p.orbit_apogee_altitude
+    parameter, eccentricity = 2 * low * high / (low + high), (high - low) / (high + low)
+    anomaly = angle - p.orbit_argument_of_perigee
+    speed = m.sqrt(p.body_gravitational_parameter / parameter)
+    ahead = 1 + eccentricity * m.cos(anomaly)
+    return parameter / ahead, speed * eccentricity * m.sin(anomaly), speed * ahead
+
+
+def state(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
+    """Position, and velocity beside the turning body."""
+    up, ahead = plane(angle, node, p, m)
+    distance, rise, level = shape(angle, p, m)
+    position = combine((distance, up))
+    return position, combine((rise, up), (level, ahead), (-p.body_rotation_rate, cross(AXIS, position)))

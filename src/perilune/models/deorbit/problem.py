@@ -1,0 +1,292 @@
+"""From orbit to the ground: coast, finite burn, coast to the entry interface, entry; Liu, Liu, Wu 2019, and beyond.
+
+The phases are `coast` (where the orbit has a `longest_coast`: ignition is chosen), `burn`, `drift` (where the
+transition has a `longest_coast`; otherwise the engine burns all the way, as in the paper) and `entry` (where there is
+an atmosphere). There is no air above the interface, and `burn` and `drift` never come below it. `flight_time` counts
+from ignition; a coast before it has a time of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from perilune.models import atmosphere
+from perilune.models.atmosphere import Air
+from perilune.models.bodies import EARTH, Planet
+from perilune.models.budget import SPENT
+from perilune.models.coast import SHORTEST
+from perilune.models.deorbit import flight, orbit, times, told
+from perilune.models.deorbit.records import (
+    Aim,
+    Atmosphere,
+    Heating,
+    Interface,
+    Landing,
+    Manoeuvre,
+    Orbit,
+    Returner,
+    Transition,
+)
+from perilune.models.landing import mass_state
+from perilune.problem.declared import given_of
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Given, Variable
+from perilune.words.asked import demand_records
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Physics
+from perilune.words.units import STANDARD_GRAVITY, Scales
+
+_DURATIONS = {"coast": "coast_time", "burn": "burn_time", "drift": "drift_time", "entry": "entry_time"}
+_CONDITIONS = {"altitude": "m", "speed": "m/s", "angle": "rad"}
+
+
+def _flight_time(x: Any, p: Any, m: Any) -> Any:
+    return sum(getattr(p, name) for name in ("burn_time", "drift_time", "entry_time") if hasattr(p, name))
+
+
+def _transition_time(x: Any, p: Any, m: Any) -> Any:
+    return sum(getattr(p, name) for name in ("burn_time", "drift_time") if hasattr(p, name))
+
+
+def _minus_mass(x: Any, p: Any, m: Any) -> Any:
+    return -x.m
+
+
+def _heat_load(x: Any, p: Any, m: Any) -> Any:
+    return x.heat
+
+
+_OBJECTIVES = {
+    "flight_time": (_flight_time, "s"), "transition_time": (_transition_time, "s"),
+    "propellant": (_minus_mass, "kg"), "heat_load": (_heat_load, "J/m^2"),
+}  # fmt: skip
+
+
+def _start(p: Any, m: Any, *, angles: Physics) -> Sequence[Any]:
+    angle, node = angles(p, m)
+    position, velocity = orbit.state(angle, node, p, m)
+    return *position, *velocity, p.vehicle_mass
+
+
+def _on(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """The next phase begins where one ends."""
+    return tuple(x)
+
+
+def _into_the_air(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """The same, where the next phase counts the heat."""
+    return *x, 0.0
+
+
+def _interface_conditions(interface: Interface) -> tuple[Variable, ...]:
+    found = [Variable(name="interface_altitude", unit="m")]
+    for name in ("speed", "angle"):
+        fixed, lower, upper = (getattr(interface, f"{name}{ending}") for ending in ("", "_lower", "_upper"))
+        if fixed is None and lower is None and upper is None:
+            continue
+        bounds: dict[str, Any] = {}
+        if lower is not None:
+            bounds["lower"] = f"interface_{name}_lower"
+        if upper is not None:
+            bounds["upper"] = f"interface_{name}_upper"
+        found.append(Variable(name=f"interface_{name}", unit=_CONDITIONS[name], **bounds))
+    return tuple(found)
+
+
+def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) -> Phase:
+    """A phase between the orbit and the interface, under thrust or without."""
+    burns = name == "burn"
+    outputs = told.PLACED + ((told.PUSHED,) if burns else ())
+    return Phase(
+        name=name,
+        states=(*flight.STATES, mass_state(dry)),
+        controls=(flight.STEERING,) if burns else (),
+        dynamics=flight.burning if burns else flight.coasting,
+        duration=_DURATIONS[name],
+        end=flight.at_interface if last else None,
+        end_conditions=_interface_conditions(interface) if last else (),
+        path=None if name == "coast" else flight.above_interface,
+        path_conditions=() if name == "coast" else (Variable(name="height_above_interface", unit="m"),),
+        outputs=told.pushed if burns else told.placed,
+        output_variables=outputs,
+        integrals=told.burnt if burns else None,
+        integral_variables=SPENT if burns else (),
+        marks=told.at_interface if last else None,
+        mark_variables=told.AT_INTERFACE if last else (),
+        inertial=told.inertial if burns else told.inertial_without_thrust,
+    )
+
+
+def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, dry: bool) -> Phase:
+    names = ("site_up", "site_north", "site_east") if placed else ("site_up",)
+    return Phase(
+        name="entry",
+        states=(*flight.STATES, mass_state(dry), *((flight.HEAT,) if heat else ())),
+        controls=(flight.BANK,) if lift else (),
+        dynamics=partial(flight.falling, air=air),
+        duration=_DURATIONS["entry"],
+        end=flight.at_site,
+        end_conditions=tuple(Variable(name=name, unit="m") for name in names),
+        outputs=partial(told.felt, air=air),
+        output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
+        integrals=partial(told.heated, air=air) if nose else None,
+        integral_variables=(told.HEAT_LOAD,) if nose else (),
+        inertial=told.inertial_without_thrust,
+    )
+
+
+def _ranges(
+    p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
+) -> dict[str, tuple[float, float, float]]:
+    """Bounds and orders of magnitude of the times."""
+    typical = times.typical_times(p, angles, air, coasts="coast" in names, drifts="drift" in names)
+    burnt = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * times.exhaust_speed(p) / p.vehicle_thrust
+    longest = {
+        "coast_time": getattr(p, "orbit_longest_coast", math.inf),
+        "burn_time": burnt,
+        "drift_time": getattr(p, "transition_longest_coast", math.inf),
+        "entry_time": 10 * typical.get("entry_time", 0.0),
+    }
+    least = {"coast_time": SHORTEST, "drift_time": SHORTEST}
+    return {
+        name: (least.get(name, 0.0), longest[name], min(value, 0.9 * longest[name])) for name, value in typical.items()
+    }
+
+
+def deorbit_entry(
+    vehicle: Returner,
+    orbit_: Orbit,
+    interface: Interface,
+    body: Planet = EARTH,
+    *,
+    manoeuvre: Manoeuvre | None = None,
+    transition: Transition | None = None,
+    air: Atmosphere | Air | None = None,
+    site: Landing | None = None,
+    heating: Heating | None = None,
+    minimise: str = "flight_time",
+) -> Problem:
+    """Return from an orbit to a place, or to the interface where there is no air.
+
+    Parameters
+    ----------
+    vehicle, orbit_, interface, body
+        What returns, from where, where the air begins, and on what body.
+    manoeuvre
+        Where on the orbit the flight begins; None: where the orbit says.
+    transition
+        The way to the interface after the burn; None: the engine burns all the way.
+    air
+        Atmosphere below the interface; None: the flight ends there.
+    site
+        Where the flight ends; None: anywhere at altitude 0.
+    heating
+        Constant of the heat rate, where the vehicle has a nose radius.
+    minimise
+        ``"flight_time"`` from ignition to the end, ``"transition_time"`` to the interface, ``"propellant"`` or
+        ``"heat_load"``.
+
+    Returns
+    -------
+    Problem
+        States x, y, z [m], vx, vy, vz [m/s] beside the turning body, m [kg]; free `burn_time` [s], and `coast_time`,
+        `drift_time`, `entry_time` [s] of the phases that there are.
+
+    Raises
+    ------
+    PeriluneError
+        If the given values make no sense together. What physics forbids, `Problem.preflight` says.
+    """
+    aim, transition = Aim(minimise=minimise), transition or Transition()
+    demand_records((vehicle, Returner), (orbit_, Orbit), (interface, Interface), (body, Planet))
+    flown = _air(air)
+    site = Landing() if site is None and flown is not None else site
+    if heating is None and flown is not None and vehicle.nose_radius is not None:
+        heating = Heating()
+    _refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
+    stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, heating, site)
+    stated = tuple(record for record in (*stated, air if isinstance(air, Atmosphere) else None) if record is not None)
+    given = {**given_of(*stated), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
+    if flown is not None:
+        given = {**flown.given, **given}
+    angles = orbit.from_node if manoeuvre is None else orbit.from_place(manoeuvre.going)
+    names = ("coast",) * (orbit_.longest_coast is not None) + ("burn",)
+    names += ("drift",) * (transition.longest_coast is not None) + ("entry",) * (flown is not None)
+    dry, heat, nose = "vehicle_dry_mass" in given, minimise == "heat_load", vehicle.nose_radius is not None
+    phases = [
+        _above_the_air(name, last=name == names[-1 if flown is None else -2], interface=interface, dry=dry)
+        for name in names if name != "entry"
+    ]  # fmt: skip
+    if flown is not None and site is not None:
+        lift, placed = vehicle.lift_to_drag is not None, site.longitude is not None
+        phases.append(_entry(flown, lift=lift, nose=nose, heat=heat, placed=placed, dry=dry))
+    links = [_into_the_air if heat and name == "entry" else _on for name in names[1:]]
+    objective, unit = _OBJECTIVES[minimise]
+    return Problem(
+        name="deorbit_entry",
+        title=f"{vehicle.mass:g} kg from orbit to the {'interface' if flown is None else 'ground'}",
+        phases=tuple(phases),
+        links=tuple(links),
+        start=partial(_start, angles=angles),
+        given=given,
+        free=tuple(Free(name=_DURATIONS[name], unit="s") for name in names),
+        objective=objective,
+        objective_unit=unit,
+        objective_scale=flight.HEAT.scale if heat else None,
+        results=partial(told.results, names=names),
+        result_variables=told.of_flight(names),
+        views=told.views(air=flown is not None, heat=nose),
+        declared=stated,
+        ranges=partial(_ranges, angles=angles, air=flown, names=names),
+        rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
+        scales=Scales(
+            length=float(body.radius), time=math.sqrt(body.radius**3 / body.gravitational_parameter),
+            mass=float(vehicle.mass),
+        ),
+    )  # fmt: skip
+
+
+def _air(air: Atmosphere | Air | None) -> Air | None:
+    """The air that is flown."""
+    if not isinstance(air, Atmosphere):
+        return air
+    if air.model == "exponential" and air.density is not None and air.scale_height is not None:
+        return atmosphere.exponential(air.density, air.scale_height)
+    for name in ("density", "scale_height"):
+        stated = getattr(air, name) is not None
+        if stated != (air.model == "exponential"):
+            raise PeriluneError(
+                f"atmosphere.{name} belongs to exponential air" if stated else f"atmosphere.{name} is missing",
+                expected='model = "exponential", density and scale_height; or model = "us1976" alone',
+            )
+    return atmosphere.standard()
+
+
+def _refuse_incomplete(
+    aim: Aim, vehicle: Returner, orbit_: Orbit, manoeuvre: Manoeuvre | None, air: Air | None, site: Landing | None
+) -> None:
+    """Refuse what is left out, or stated and of no effect."""
+    if manoeuvre is None and (orbit_.node_longitude is None or orbit_.argument_of_latitude is None):
+        raise PeriluneError(
+            "it is not said where on its orbit the vehicle is",
+            expected="a section [manoeuvre]; or orbit.node_longitude and orbit.argument_of_latitude at t = 0",
+        )
+    if air is not None and not vehicle.flies_through_air:
+        raise PeriluneError(
+            "vehicle.drag_area is missing", got="an atmosphere, and a vehicle without drag",
+            expected="vehicle.drag_area, ballistic_coefficient, or base_radius and cone_angle",
+        )  # fmt: skip
+    if air is None and site is not None:
+        raise PeriluneError(
+            "a site needs air to come down through", got="a section [site], and no [atmosphere]",
+            expected="both of them, or neither: the flight then ends at the interface",
+        )  # fmt: skip
+    if aim.minimise == "heat_load" and (air is None or vehicle.nose_radius is None):
+        raise PeriluneError(
+            "vehicle.nose_radius is missing" if air is not None else "without air there is no heat",
+            expected="an atmosphere and vehicle.nose_radius, for the least heat load",
+        )

@@ -1,0 +1,238 @@
+"""What is stated of a return: the sections of its file, each number with its unit, its range and what it is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from perilune.models.aerodynamics import SUTTON_GRAVES
+from perilune.models.coast import SHORTEST
+from perilune.words.declared import quantity, record, words
+from perilune.words.outcome import PeriluneError
+
+MINIMISED = ("flight_time", "transition_time", "propellant", "heat_load")
+PASSES = ("ascending", "descending")
+_TURNS: dict[str, Any] = {"least": -4 * math.pi, "most": 4 * math.pi}
+_LATITUDE: dict[str, Any] = {
+    "least": -0.5 * math.pi - 1e-12, "most": 0.5 * math.pi + 1e-12, "outside": "lies beyond the pole",
+    "hint": "are longitude and latitude exchanged?",
+}  # fmt: skip
+_SPEED: dict[str, Any] = {"above": 0.0, "most": 1e5, "hint": "look for km/s in place of m/s"}
+_ANGLE: dict[str, Any] = {"least": -0.5 * math.pi, "most": 0.5 * math.pi, "hint": "negative is below the horizon"}
+
+
+def _one_of(section: str, stated: dict[str, Any], *, needed: bool) -> None:
+    """Refuse two ways of saying one thing, and none where one is needed."""
+    found = [name for name, value in stated.items() if value is not None]
+    if len(found) > 1 or (needed and not found):
+        names = [f"{section}.{name}" for name in stated]
+        raise PeriluneError(
+            f"{' and '.join(f'{section}.{n}' for n in found)} say one thing twice"
+            if found
+            else f"{names[0]} is missing",
+            got=f"{len(found)} of them",
+            expected="one of " + ", ".join(names),
+            advice="leave the others out" if found else f"state {' or '.join(names)}",
+        )
+
+
+@record("problem")
+class Aim:
+    """What is best."""
+
+    minimise: str = words(
+        "flight_time", *MINIMISED, default="flight_time",
+        about="flight_time (from ignition to the end), transition_time (to the interface), propellant or heat_load",
+    )  # fmt: skip
+
+
+@record("orbit")
+class Orbit:
+    """Where the flight comes from: a circular orbit by its radius, or an ellipse by its perigee and apogee."""
+
+    radius: float | None = quantity("m", "6678.14 km", default=None, above=0.0, about="of a circular orbit")
+    perigee_altitude: float | None = quantity("m", "350 km", default=None, about="above the body's radius")
+    apogee_altitude: float | None = quantity("m", "400 km", default=None, about="above the body's radius")
+    argument_of_perigee: float | None = quantity(
+        "rad", "30 deg", default=None, **_TURNS, about="from the ascending node to the perigee"
+    )  # fmt: skip
+    inclination: float = quantity("rad", "50 deg", least=0.0, most=math.pi, about="against the equator")
+    node_longitude: float | None = quantity(
+        "rad", "-27 deg", default=None, **_TURNS,
+        about="of the ascending node at t = 0, where no [manoeuvre] says where ignition is",
+    )  # fmt: skip
+    argument_of_latitude: float | None = quantity(
+        "rad", "120 deg", default=None, **_TURNS, about="from the ascending node to the vehicle at t = 0"
+    )  # fmt: skip
+    longest_coast: float | None = quantity(
+        "s", "5600 s", default=None, above=SHORTEST,
+        about="longest coast before ignition, whose length is then chosen; left out, ignition is at the start",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        if self.perigee_altitude is None and self.apogee_altitude is None:
+            _one_of("orbit", {"radius": self.radius, "perigee_altitude": None}, needed=True)
+            return
+        missing = [
+            n for n in ("perigee_altitude", "apogee_altitude", "argument_of_perigee") if getattr(self, n) is None
+        ]
+        _one_of("orbit", {"radius": self.radius, "perigee_altitude": self.perigee_altitude}, needed=True)
+        low, high = self.perigee_altitude, self.apogee_altitude
+        if missing or low is None or high is None or low > high:
+            raise PeriluneError(
+                f"orbit.{missing[0]} is missing"
+                if missing
+                else "orbit.perigee_altitude is above orbit.apogee_altitude",
+                expected="an ellipse: perigee_altitude <= apogee_altitude, and argument_of_perigee",
+                advice="or state orbit.radius alone, of a circular orbit",
+            )
+
+
+@record("manoeuvre")
+class Manoeuvre:
+    """The place on the orbit at which the flight begins, and with it ignition unless there is a coast."""
+
+    longitude: float = quantity("rad", "16 deg", **_TURNS, about="east")
+    latitude: float = quantity("rad", "39.5 deg", **_LATITUDE, about="geocentric, north")
+    going: str = words("descending", *PASSES, called="pass", about="ascending (northwards) or descending there")
+
+
+@record("vehicle")
+class Returner:
+    """A vehicle before its burn, and what the air does to it."""
+
+    mass: float = quantity("kg", "500 kg", above=0.0, about="before the burn", also=("wet_mass", "initial_mass"))
+    thrust: float = quantity("N", "100 N", above=0.0, about="of the engine, which burns at full thrust")
+    exhaust_velocity: float | None = quantity("m/s", "3000 m/s", default=None, **_SPEED, about="of the engine")
+    specific_impulse: float | None = quantity(
+        "s", "306 s", default=None, above=20.0, most=1000.0, hint="an exhaust velocity in m/s has a key of its own",
+        about="of the engine, in place of its exhaust velocity",
+    )  # fmt: skip
+    dry_mass: float | None = quantity(
+        "kg", "300 kg", default=None, above=0.0, about="what must be left after the burn; else any mass will do"
+    )
+    drag_area: float | None = quantity("m^2", "0.6 m^2", default=None, above=0.0, about="drag coefficient times area")
+    ballistic_coefficient: float | None = quantity(
+        "kg/m^2", "300 kg/m^2", default=None, above=0.0, about="mass over drag area, in place of that"
+    )
+    base_radius: float | None = quantity(
+        "m", "0.5 m", default=None, above=0.0, about="of a sphere-cone in Newtonian flow, in place of a drag area"
+    )
+    cone_angle: float | None = quantity(
+        "rad", "20 deg", default=None, least=0.0, below=0.5 * math.pi, about="half angle of the sphere-cone"
+    )
+    nose_radius: float | None = quantity(
+        "m", "0.3 m", default=None, above=0.0, about="at the stagnation point: heat rate and load need it"
+    )
+    lift_to_drag: float | None = quantity(
+        "1", "0.25", default=None, above=0.0, most=10.0, about="with it the lift is turned by a free bank"
+    )
+
+    def __post_init__(self) -> None:
+        engine = {"exhaust_velocity": self.exhaust_velocity, "specific_impulse": self.specific_impulse}
+        _one_of("vehicle", engine, needed=True)
+        names = ("drag_area", "ballistic_coefficient", "base_radius")
+        _one_of("vehicle", {name: getattr(self, name) for name in names}, needed=False)
+        if (self.base_radius is None) != (self.cone_angle is None):
+            raise PeriluneError(
+                "a sphere-cone has a base_radius and a cone_angle", expected="both of them in [vehicle], or neither"
+            )
+        if (
+            self.base_radius is not None
+            and (self.nose_radius or 0.0) * math.cos(self.cone_angle or 0.0) > self.base_radius
+        ):
+            raise PeriluneError(
+                "this is no sphere-cone", got=f"a nose of {self.nose_radius:g} m on a base of {self.base_radius:g} m",
+                expected="nose_radius cos(cone_angle) <= base_radius, where the nose meets the cone",
+            )  # fmt: skip
+        if self.dry_mass is not None and self.dry_mass >= self.mass:
+            raise PeriluneError(
+                "vehicle.dry_mass leaves no propellant", got=f"{self.dry_mass:g} kg of {self.mass:g} kg",
+                expected="vehicle.dry_mass < vehicle.mass",
+            )  # fmt: skip
+
+    @property
+    def flies_through_air(self) -> bool:
+        """Whether it is known what air does to it."""
+        return any(v is not None for v in (self.drag_area, self.ballistic_coefficient, self.base_radius))
+
+
+@record("transition")
+class Transition:
+    """The way from the end of the burn to the interface."""
+
+    longest_coast: float | None = quantity(
+        "s", "3000 s", default=None, above=SHORTEST,
+        about="longest coast from the end of the burn to the interface; left out, the engine burns all the way",
+    )  # fmt: skip
+
+
+@record("interface")
+class Interface:
+    """Where the air begins: above it there is none. Speed and angle are relative to the turning body."""
+
+    altitude: float = quantity("m", "120 km", above=0.0, about="of the entry interface")
+    speed: float | None = quantity("m/s", "7.5 km/s", default=None, **_SPEED, about="fixes the speed there")
+    speed_lower: float | None = quantity("m/s", "7.5 km/s", default=None, **_SPEED, about="least speed there")
+    speed_upper: float | None = quantity("m/s", "8.8 km/s", default=None, **_SPEED, about="greatest speed there")
+    angle: float | None = quantity("rad", "-6 deg", default=None, **_ANGLE, about="fixes the path angle there")
+    angle_lower: float | None = quantity("rad", "-9 deg", default=None, **_ANGLE, about="steepest path angle there")
+    angle_upper: float | None = quantity("rad", "-6 deg", default=None, **_ANGLE, about="flattest path angle there")
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "angle"):
+            fixed, lower, upper = (getattr(self, name + ending) for ending in ("", "_lower", "_upper"))
+            bounds = lower if upper is None else upper
+            _one_of("interface", {name: fixed, f"{name}_lower": bounds}, needed=False)
+            if lower is not None and upper is not None and not lower < upper:
+                raise PeriluneError(
+                    f"bounds of the {name} at the interface are no range", got=f"{lower:g} to {upper:g} in SI",
+                    expected=f"interface.{name}_lower < interface.{name}_upper",
+                )  # fmt: skip
+
+
+@record("atmosphere")
+class Atmosphere:
+    """The air below the interface, which turns with the body."""
+
+    model: str = words(
+        "exponential", "exponential", "us1976", about="exponential, or us1976, the US Standard Atmosphere of 1976"
+    )
+    density: float | None = quantity(
+        "kg/m^3", "1.225 kg/m^3", default=None, above=0.0, about="of exponential air at altitude 0"
+    )
+    scale_height: float | None = quantity(
+        "m", "7.2 km", default=None, above=0.0, about="of exponential air: over it the density falls by e"
+    )
+
+
+@record("heating")
+class Heating:
+    """The heat of the air at the stagnation point."""
+
+    constant: float = quantity(
+        "kg^0.5/m", "1.7415e-4 kg^0.5/m", default=SUTTON_GRAVES, above=0.0,
+        about="of Sutton and Graves: heat rate = constant sqrt(density/nose_radius) V^3; that of air if it is left out",
+    )  # fmt: skip
+
+
+@record("site")
+class Landing:
+    """Where the flight ends."""
+
+    longitude: float | None = quantity("rad", "-98 deg", default=None, **_TURNS, about="east; left out, it is free")
+    latitude: float | None = quantity("rad", "38 deg", default=None, **_LATITUDE, about="north; left out, it is free")
+    altitude: float = quantity(
+        "m", "10 km", default=0.0, about="of the end of the flight, where a parachute takes over"
+    )
+
+    def __post_init__(self) -> None:
+        if (self.longitude is None) != (self.latitude is None):
+            raise PeriluneError("a site has a longitude and a latitude", expected="both of them in [site], or neither")
+
+
+def exhaust_speed(p: Any) -> Any:
+    """Exhaust speed [m/s] of the engine."""
+    if hasattr(p, "vehicle_exhaust_velocity"):
+        return p.vehicle_exhaust_velocity
+    return p.vehicle_specific_impulse * p.standard_gravity

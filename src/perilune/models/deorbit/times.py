@@ -1,0 +1,247 @@
+"""How long the phases of a return last roughly, and a rough picture of it: what methods without a guess start from.
+
+The picture is a flight in the plane of the orbit, about a round body: coast, thrust straight against the velocity for
+as long as the impulsive deorbit needs, coast down to the interface, and a fall through the air without lift. Where that
+does not come down to the interface in the time that there is (a site is further, or the engine burns all the way), the
+picture above the air is the orbit itself, bent down evenly. `perilune.direct.first_guess` makes a flight of it.
+
+The impulsive deorbit leads from a circular orbit of radius r_o to the radius r_a at the angle gamma (Milstead 1966,
+Journal of the Astronautical Sciences XIII(4)); with s = r_o/r_a
+
+    dV = sqrt(mu/r_o) (1 - sqrt(2 (s - 1)/((s/cos gamma)^2 - 1)))
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from perilune.models.aerodynamics import drag_acceleration, heat_rate
+from perilune.models.atmosphere import Air
+from perilune.models.deorbit.orbit import AXIS, plane, shape
+from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.rotating import combine, cross, dot, local_axes
+from perilune.words.maths import NUMERIC
+from perilune.words.types import Matrix, Physics, Vector
+
+_STEEP = math.radians(-2.0)  # a path angle at the interface of no statement
+_FLATTEST = math.radians(-0.2)
+_POINTS = 81  # of a phase's picture
+_LONGEST_FALL = 1500.0  # s; what is flatter skips
+_NEAR = 0.01  # of the distance: an end of the flight in the plane that is an end at the interface
+_SHORTER = 0.1  # of a turn: by so much the way to a site may be shorter than the typical one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deorbit:
+    """An impulsive deorbit: velocity change [m/s], time to the interface [s], angle swept until there [rad]."""
+
+    velocity_change: float
+    time: float
+    swept: float
+
+
+def impulsive(radius: float, interface: float, angle: float, mu: float) -> Deorbit:
+    """Single impulse against the velocity on a circular orbit, to a radius under an (inertial) path angle [rad].
+
+    Milstead's closed form; the rest is Kepler's ellipse from its apogee.
+    """
+    ratio = radius / interface
+    left = math.sqrt(2 * (ratio - 1) / ((ratio / math.cos(angle)) ** 2 - 1))
+    circular = math.sqrt(mu / radius)
+    semi = 1 / (2 / radius - (left * circular) ** 2 / mu)
+    eccentricity = radius / semi - 1
+    # Eccentric anomaly from the perigee; the way down begins at pi and ends before 2 pi.
+    half = math.acos(max(-1.0, min(1.0, (1 - interface / semi) / eccentricity)))
+    there = 2 * math.pi - half
+    time = math.sqrt(semi**3 / mu) * ((there - eccentricity * math.sin(there)) - math.pi)
+    swept = 2 * math.atan(math.sqrt((1 + eccentricity) / (1 - eccentricity)) * math.tan(there / 2)) + math.pi
+    return Deorbit(velocity_change=(1 - left) * circular, time=time, swept=swept)
+
+
+def typical_angle(p: Any) -> float:
+    """A path angle [rad] at the interface within what is stated, below the horizon."""
+    angle = getattr(p, "interface_angle", _STEEP)
+    lower, upper = getattr(p, "interface_angle_lower", -math.inf), getattr(p, "interface_angle_upper", math.inf)
+    return min(max(angle, lower), upper, _FLATTEST)
+
+
+def typical_speed(p: Any, radius: float) -> float:
+    """A speed [m/s] beside the body at the interface, within what is stated, on the way down from a radius."""
+    gate = p.body_radius + p.interface_altitude
+    inertial = math.sqrt(2 * p.body_gravitational_parameter / gate * radius / (radius + gate))
+    speed = getattr(p, "interface_speed", inertial - _carried(p, gate))
+    return min(max(speed, getattr(p, "interface_speed_lower", 0.0)), getattr(p, "interface_speed_upper", math.inf))
+
+
+def _carried(p: Any, distance: float) -> float:
+    """Speed [m/s] of the body's turning along the orbit."""
+    return p.body_rotation_rate * distance * math.cos(p.orbit_inclination)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fall:
+    """A fall through the air in a plane: its time [s], and rows evenly apart in it.
+
+    A row is height [m], angle swept [rad], speed [m/s] and path angle [rad] beside the body, heat load [J/m^2].
+    """
+
+    time: float
+    rows: Matrix
+
+
+def fall(p: Any, air: Air) -> Fall:
+    """From the interface to the altitude of the site."""
+    radius = float(p.body_radius + p.interface_altitude)
+    heats = hasattr(p, "vehicle_nose_radius")
+
+    def slope(_: float, y: Any) -> list[float]:
+        height, _, v, gamma, _ = y
+        r, density = p.body_radius + height, float(air.density(height, p, NUMERIC))
+        pull, velocity = p.body_gravitational_parameter / (r * r), (v, 0.0, 0.0)
+        slowed = drag_acceleration(density, velocity, p.vehicle_mass, p, NUMERIC)
+        level = v + _carried(p, r)
+        return [
+            v * math.sin(gamma), v * math.cos(gamma) / r, -slowed - pull * math.sin(gamma),
+            (level * level / r - pull) / v * math.cos(gamma),
+            heat_rate(density, velocity, p, NUMERIC) if heats else 0.0,
+        ]  # fmt: skip
+
+    def landed(_: float, y: Any) -> float:
+        return y[0] - p.site_altitude
+
+    landed.terminal = True  # type: ignore[attr-defined]
+    start = [p.interface_altitude, 0.0, typical_speed(p, radius + 3e5), typical_angle(p), 0.0]
+    flown = solve_ivp(slope, (0.0, _LONGEST_FALL), start, rtol=1e-6, atol=1e-6, events=landed, dense_output=True)
+    time = float(flown.t[-1])
+    return Fall(time=time, rows=flown.sol(np.linspace(0.0, time, _POINTS)).T)
+
+
+def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tuple[Matrix, Any]:
+    """Flight in the plane of the orbit to the interface, thrust against the velocity.
+
+    Returns
+    -------
+    rows, function
+        The last row, and the rows at times [s]: distance [m], angle swept [rad], speeds upwards and ahead [m/s].
+    """
+    mu, exhaust, gate = p.body_gravitational_parameter, exhaust_speed(p), p.body_radius + p.interface_altitude
+    distance, rise, ahead = (float(v) for v in shape(angle, p, NUMERIC))
+    row, begun, pieces = np.array([distance, 0.0, rise, ahead]), 0.0, []
+
+    def slope(t: float, y: Any, burns: bool) -> list[float]:
+        r, _, up, on = y
+        push = p.vehicle_thrust / (p.vehicle_mass - p.vehicle_thrust / exhaust * t) if burns else 0.0
+        speed = math.hypot(up, on)
+        return [up, on / r, on * on / r - mu / (r * r) - push * up / speed, -up * on / r - push * on / speed]
+
+    def low(_: float, y: Any, burns: bool) -> float:
+        return y[0] - gate if y[2] < 0 else 1.0
+
+    low.terminal = True  # type: ignore[attr-defined]
+    for length, burns in ((coast, False), (burn, True), (drift, False)):
+        if length > 0 and (not pieces or pieces[-1].status == 0):
+            flown = solve_ivp(
+                slope, (0.0, length), row, rtol=1e-8, atol=1e-3, args=(burns,), events=low, dense_output=True
+            )
+            pieces.append(flown)
+            row, begun = flown.y[:, -1], begun + float(flown.t[-1])
+    ends = np.cumsum([piece.t[-1] for piece in pieces])
+
+    def at(t: float) -> Vector:
+        k = min(int(np.searchsorted(ends, t)), len(pieces) - 1)
+        return pieces[k].sol(min(t - (ends[k] - pieces[k].t[-1]), pieces[k].t[-1]))
+
+    return np.array([begun, *row]), at
+
+
+def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, drifts: bool) -> dict[str, float]:
+    """Rough lengths [s] of the phases, by the names of their durations."""
+    angle, node = (float(v) for v in angles(p, NUMERIC))
+    radius, gate = float(shape(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
+    down = impulsive(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
+    exhaust = exhaust_speed(p)
+    burn = p.vehicle_mass * exhaust / p.vehicle_thrust * (1 - math.exp(-down.velocity_change / exhaust))
+    whole = down.time + 0.5 * burn
+    times = {"coast_time": 0.3 * p.orbit_longest_coast} if coasts else {}
+    times["burn_time"] = min(burn, 0.8 * whole) if drifts else whole
+    mean = math.sqrt(p.body_gravitational_parameter / radius**3)
+    swept = mean * whole
+    if drifts:
+        last, _ = descent(p, angle, times.get("coast_time", 0.0), times["burn_time"], 2 * whole)
+        if abs(last[1] / gate - 1) < _NEAR:
+            before = times.get("coast_time", 0.0)
+            whole, swept = float(last[0]) - before, float(last[2]) - mean * before
+        times["drift_time"] = max(whole - times["burn_time"], 0.1 * whole)
+    if air is None:
+        return times
+    entry = fall(p, air)
+    times["entry_time"] = entry.time
+    if hasattr(p, "site_longitude"):
+        more = _to_the_site(p, angle, node, mean, whole + entry.time, swept + float(entry.rows[-1, 1]))
+        if coasts:
+            times["coast_time"] = min(more, p.orbit_longest_coast)
+        else:
+            times["drift_time" if drifts else "burn_time"] += more
+    return times
+
+
+def _to_the_site(p: Any, angle: float, node: float, mean: float, whole: float, swept: float) -> float:
+    """How much later [s] than at once a flight begins that lasts `whole` and sweeps an angle, to end at the site."""
+    up, ahead = plane(angle, node, p, NUMERIC)
+    more = 0.0
+    for _ in range(30):  # the body carries the site along
+        site, _, _ = local_axes(p.site_longitude + p.body_rotation_rate * (whole + more), p.site_latitude, NUMERIC)
+        away = math.atan2(dot(site, ahead), dot(site, up)) - swept
+        more = (away - 2 * math.pi * math.floor(away / (2 * math.pi) + _SHORTER)) / mean
+    return max(more, 0.0)
+
+
+def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
+    """States (points, states) [SI] of each phase, given the durations in `p`."""
+    angle, node = (float(v) for v in angles(p, NUMERIC))
+    gate, rate = p.body_radius + p.interface_altitude, p.vehicle_thrust / exhaust_speed(p)
+    lengths = {name: float(getattr(p, f"{name}_time")) for name in names}
+    parts = [lengths.get(name, 0.0) for name in ("coast", "burn", "drift")]
+    last, at = descent(p, angle, *parts)
+    flies = last[0] >= (1 - _NEAR) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
+    found, time, mass = list[Matrix](), 0.0, p.vehicle_mass
+    turned = 0.0
+    for name in (name for name in names if name != "entry"):
+        rows = []
+        for since in np.linspace(0.0, lengths[name], _POINTS):
+            row = at(time + since) if flies else _bent(p, angle, time + since, parts, gate)
+            rows.append([*_state(p, angle, node, time + since, row), mass - (rate * since if name == "burn" else 0.0)])
+            turned = row[1]
+        time, mass = time + lengths[name], rows[-1][-1]
+        found.append(np.array(rows, dtype=float))
+    if air is not None:
+        fallen, rows = fall(p, air), []
+        for share, (height, swept, speed, gamma, load) in zip(np.linspace(0, 1, _POINTS), fallen.rows, strict=True):
+            distance = p.body_radius + height
+            level = speed * math.cos(gamma) + _carried(p, distance)
+            row = distance, turned + swept, speed * math.sin(gamma), level
+            moved = _state(p, angle, node, time + share * fallen.time, row)
+            rows.append([*moved, mass, *((load,) if heat else ())])
+        found.append(np.array(rows, dtype=float))
+    return found
+
+
+def _bent(p: Any, angle: float, time: float, parts: list[float], gate: float) -> Any:
+    """A row of the orbit, bent down evenly from the end of the coast on."""
+    radius = float(shape(angle, p, NUMERIC)[0])
+    mean = math.sqrt(p.body_gravitational_parameter / radius**3)
+    share = max(time - parts[0], 0.0) / sum(parts[1:])
+    return radius + share * (gate - radius), mean * time, 0.0, mean * radius
+
+
+def _state(p: Any, angle: float, node: float, time: float, row: Any) -> list[float]:
+    """Position, and velocity beside the body, of a row in the plane of the orbit."""
+    distance, swept, rise, level = row
+    up, ahead = plane(angle + swept, node - p.body_rotation_rate * time, p, NUMERIC)
+    position = combine((distance, up))
+    return [*position, *combine((rise, up), (level, ahead), (-p.body_rotation_rate, cross(AXIS, position)))]

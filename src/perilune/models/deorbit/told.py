@@ -1,0 +1,160 @@
+"""What engineers read of a return: quantities along the way, at the interface and at the end, and their figures.
+
+Where both exist, a speed or an angle is beside the turning body, and the inertial one says so in its name. Longitude
+and latitude are those of the point below, geodetic above an ellipsoid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models import aerodynamics, ellipsoid
+from perilune.models.atmosphere import Air
+from perilune.models.budget import spent
+from perilune.models.deorbit.flight import how_fast, path_angle, speed, where
+from perilune.models.deorbit.orbit import AXIS
+from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.rotating import INERTIAL_AXES, Triple, combine, cross, dot, gravity, seen_inertially
+from perilune.problem.variables import Variable
+from perilune.problem.views import History, Views
+
+PLACED = (
+    Variable(name="altitude", unit="m"),
+    Variable(name="longitude", unit="rad", description="of the point below"),
+    Variable(name="latitude", unit="rad", description="of the point below"),
+    Variable(name="speed", unit="m/s", description="beside the turning body"),
+    Variable(name="path_angle", unit="rad", description="of the velocity beside the body above the horizon"),
+)
+PUSHED = Variable(name="thrust_acceleration", unit="m/s^2")
+FELT = (
+    Variable(name="dynamic_pressure", unit="Pa"),
+    Variable(name="load", unit="1", description="drag and lift in units of g0", label="load (g0)"),
+)
+HEATED = Variable(name="heat_rate", unit="W/m^2", description="of convection at the stagnation point")
+HEAT_LOAD = Variable(name="heat_load", unit="J/m^2", description="heat rate over the flight")
+AT_INTERFACE = (
+    Variable(name="interface_speed", unit="m/s", description="beside the turning body, where the air begins"),
+    Variable(name="interface_angle", unit="rad", description="of that velocity above the horizon"),
+    Variable(name="interface_inertial_speed", unit="m/s", description="in axes that do not turn"),
+    Variable(name="interface_inertial_angle", unit="rad", description="in axes that do not turn"),
+    Variable(name="interface_longitude", unit="rad"),
+    Variable(name="interface_latitude", unit="rad"),
+    Variable(name="mass_at_interface", unit="kg"),
+)
+_TIMES = {
+    "flight_time": "from ignition to the end",
+    "transition_time": "from ignition to the interface",
+    "coast_time": "on the orbit, before ignition",
+    "burn_time": "engine on",
+    "drift_time": "from the end of the burn to the interface",
+    "entry_time": "from the interface to the end",
+}
+
+
+def of_flight(names: Sequence[str]) -> tuple[Variable, ...]:
+    """The results of a flight of these phases."""
+    known = {"transition_time", "flight_time", *(f"{name}_time" for name in names)}
+    landed = (
+        Variable(name="landing_speed", unit="m/s", description="at the end, beside the turning body"),
+        Variable(name="landing_longitude", unit="rad"),
+        Variable(name="landing_latitude", unit="rad"),
+    )
+    return (
+        *(Variable(name=name, unit="s", description=text) for name, text in _TIMES.items() if name in known),
+        Variable(name="propellant", unit="kg"),
+        Variable(name="delta_v", unit="m/s", description="by the rocket equation"),
+        *(landed if "entry" in names else ()),
+    )
+
+
+def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> Sequence[Any]:
+    """Values of `of_flight`."""
+    lengths = {name: getattr(p, f"{name}_time") for name in names}
+    to_interface = sum(lengths.get(name, 0.0) for name in ("burn", "drift"))
+    times = {"flight_time": to_interface + lengths.get("entry", 0.0), "transition_time": to_interface}
+    times |= {f"{name}_time": length for name, length in lengths.items()}
+    burnt = p.vehicle_thrust / exhaust_speed(p) * p.burn_time
+    change = exhaust_speed(p) * m.log(p.vehicle_mass / (p.vehicle_mass - burnt))
+    landed = (speed(last, m), *_below(last, p, m)) if "entry" in names else ()
+    return *(times[name] for name in _TIMES if name in times), burnt, change, *landed
+
+
+def _below(x: Any, p: Any, m: Any) -> tuple[Any, Any]:
+    return m.atan2(x.y, x.x), ellipsoid.latitude(where(x), p, m)
+
+
+def placed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Values of `PLACED`."""
+    return ellipsoid.altitude(where(x), p, m), *_below(x, p, m), speed(x, m), path_angle(x, m)
+
+
+def pushed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """The same with the acceleration by thrust."""
+    return *placed(x, u, p, m), p.vehicle_thrust / x.m
+
+
+def felt(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Values of `PLACED` and `FELT`, and of the heat rate of a vehicle with a nose radius."""
+    density, v = air.density(ellipsoid.altitude(where(x), p, m), p, m), how_fast(x)
+    load = aerodynamics.load(density, v, x.m, p, m) / p.standard_gravity
+    heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(p, "vehicle_nose_radius") else ()
+    return *placed(x, u, p, m), aerodynamics.dynamic_pressure(density, v), load, *heat
+
+
+def heated(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Rate of the heat load."""
+    density = air.density(ellipsoid.altitude(where(x), p, m), p, m)
+    return (aerodynamics.heat_rate(density, how_fast(x), p, m),)
+
+
+def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Values of `AT_INTERFACE`."""
+    r, v = where(x), _inertial_velocity(x, p)
+    fast = m.sqrt(dot(v, v))
+    steep = m.asin(dot(r, v) / (m.sqrt(dot(r, r)) * fast))
+    return speed(x, m), path_angle(x, m), fast, steep, *_below(x, p, m), x.m
+
+
+def _inertial_velocity(x: Any, p: Any) -> Triple:
+    return combine((1, how_fast(x)), (p.body_rotation_rate, cross(AXIS, where(x))))
+
+
+def burnt(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Rates of what the burn spends, of the inertial velocity."""
+    pull = gravity(where(x), AXIS, p, m)
+    return spent(_inertial_velocity(x, p), p.vehicle_thrust / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
+
+
+def inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    """`perilune.problem.phase.Phase.inertial` of a burn."""
+    push = combine((p.vehicle_thrust / x.m, (u.toward_x, u.toward_y, u.toward_z)))
+    return seen_inertially(where(x), how_fast(x), push, t, p, m)
+
+
+def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    """The same of a coast or an entry."""
+    none = 0.0 * p.vehicle_thrust / x.m
+    return seen_inertially(where(x), how_fast(x), (none, none, none), t, p, m)
+
+
+def views(*, air: bool, heat: bool) -> Views:
+    """Figures of a return, with air or without, with heat or without."""
+    peaks = (("dynamic_pressure", "load") if air else ()) + (("heat_rate",) if air and heat else ())
+    return Views(
+        histories=(
+            History(name="altitude", quantities=("altitude",), caption="Altitude"),
+            History(
+                name="speed_and_angle", quantities=("speed", "path_angle"),
+                caption="Speed beside the turning body, and its angle above the horizon",
+            ),
+            *((History(name="air", quantities=peaks, caption="What the air does"),) if air else ()),
+            History(name="ground_track", quantities=("longitude", "latitude"), caption="Point below the vehicle"),
+            History(name="mass", quantities=("m",), caption="Mass"),
+            History(
+                name="steering", quantities=("toward_x", "toward_y", "toward_z", "lift_up", "lift_right"),
+                caption="Thrust direction in axes that turn with the body, and lift in the air",
+            ),
+        ),
+        height="altitude", radius="body_radius", frame=INERTIAL_AXES, peaks=peaks,
+    )  # fmt: skip

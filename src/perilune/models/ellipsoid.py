@@ -1,0 +1,62 @@
+"""Altitude above an ellipsoid of revolution, and places on it, smooth in Cartesian coordinates.
+
+Bowring's second formula (Survey Review 28, 1985) gives the parametric latitude of a point closely enough that its
+altitude, whose error is of second order in it, is exact to rounding up to some thousand kilometres:
+
+    tan beta = (b z/(a rho)) (1 + e'^2 b/r),   tan phi = (z + e'^2 b sin^3 beta)/(rho - e^2 a cos^3 beta)
+    h = rho cos phi + z sin phi - a sqrt(1 - e^2 sin^2 phi)
+
+Written in rho^2 alone it has no corner at the poles. A body without a flattening is a sphere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models.rotating import Triple, combine, dot, local_axes
+
+
+def altitude(position: Sequence[Any], p: Any, m: Any) -> Any:
+    """Altitude [m] above the ellipsoid of ``body_radius`` (equatorial) and ``body_flattening``, or above the sphere."""
+    if not hasattr(p, "body_flattening"):
+        return m.sqrt(dot(position, position)) - p.body_radius
+    _, _, height = _vertical(position, p, m)
+    return height
+
+
+def latitude(position: Sequence[Any], p: Any, m: Any) -> Any:
+    """Geodetic latitude [rad]; geocentric above a sphere."""
+    x, y, z = position
+    across = m.sqrt(x * x + y * y)
+    if not hasattr(p, "body_flattening"):
+        return m.atan2(z, across)
+    level, along, _ = _vertical(position, p, m)
+    return m.atan2(along, across * level)
+
+
+def at(longitude: Any, latitude: Any, height: Any, p: Any, m: Any) -> Triple:
+    """Position [m] of a place by its geodetic latitude [rad] and its altitude [m]."""
+    up, _, _ = local_axes(longitude, latitude, m)
+    if not hasattr(p, "body_flattening"):
+        return combine((p.body_radius + height, up))
+    squared = p.body_flattening * (2 - p.body_flattening)
+    normal = p.body_radius / m.sqrt(1 - squared * up[2] * up[2])
+    return combine((normal + height, up), (-squared * normal * up[2], (0.0, 0.0, 1.0)))
+
+
+def _vertical(position: Sequence[Any], p: Any, m: Any) -> tuple[Any, Any, Any]:
+    """The tangent of the geodetic latitude as n and Z, cos phi : sin phi = rho n : Z; and the altitude."""
+    x, y, z = position
+    a, squared = p.body_radius, p.body_flattening * (2 - p.body_flattening)  # e^2
+    b = a * (1 - p.body_flattening)
+    second = squared / (1 - squared)  # e'^2
+    across = x * x + y * y
+    steep = b * z * (1 + second * b / m.sqrt(across + z * z))
+    length = m.sqrt(a * a * across + steep * steep)
+    level = 1 - squared * a * a * a * a * across / (length * length * length)
+    along = z + second * b * (steep / length) * (steep / length) * (steep / length)
+    normal = m.sqrt(across * level * level + along * along)
+    sine = along / normal
+    height = (across * level + z * along) / normal - a * m.sqrt(1 - squared * sine * sine)
+    return level, along, height

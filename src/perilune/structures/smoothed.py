@@ -1,0 +1,142 @@
+"""The same problem with controls that do not jump: a scalar that is switched becomes the height of a point on a circle.
+
+A scalar u in which the Hamiltonian is linear jumps from bound to bound wherever its slope S = dH/du changes its sign.
+Written as u = middle + half c, with (s, c) a unit vector, and with J less by the integral of rate s,
+
+    H = ... + S half c - rate s     is least at     (s, c) = (rate, -S half) / sqrt(rate^2 + S^2 half^2):
+
+it follows S smoothly, and goes over into the switched one as the rate goes to zero. With a large rate a flight of many
+revolutions burns gently all along, which a coarse mesh follows and Newton's method finds; then the rate is made small.
+
+Sources: Bertrand, Epénoy, *New smoothing techniques for solving bang-bang optimal control problems*, Optimal Control
+Applications and Methods 23 (4), 2002; for the circle Mall, Grant, Taheri, *Uniform trigonometrization method for
+optimal control problems with control and state constraints*, J. Spacecraft and Rockets 57 (5), 2020.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+from perilune.problem.controls import Bounded, Control, Direction, limit_value
+from perilune.problem.form import PHASE_FUNCTIONS
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.rates import run
+from perilune.problem.tape import Expression, Recorder
+from perilune.problem.variables import Given, Variable
+from perilune.structures.regimes import linear_scalars
+
+RATE = "smoothing_rate"  # the given parameter that goes to zero
+_GAINED = "smoothing"  # the state that counts what is taken from J
+
+
+def smoothed(problem: Problem, share: float) -> Problem | None:
+    """The problem with smooth controls; None where no control is switched.
+
+    Parameters
+    ----------
+    problem
+        As the user states it.
+    share
+        Of the size of J that a flight of the typical duration could gain by s = 1 all along: the given parameter `RATE`
+        is this by the duration.
+
+    Returns
+    -------
+    Problem
+        With a state more in each phase, which is the last, and without outputs and results.
+    """
+    turned = [_turned(problem, k) for k in range(len(problem.phases))]
+    if not any(turned):
+        return None
+    own, unit = problem.form.expressions, problem.objective_unit
+    p = problem.parameters({f.name: f.typical for f in problem.free})
+    whole = sum(float(getattr(p, phase.duration)) for phase in problem.phases)
+    given = {
+        name: Given(value=float(limit_value(limit, p)), unit=c.unit)
+        for k, scalars in enumerate(turned)
+        for c in scalars
+        for name, limit in zip(_limits(k, c), (c.lower, c.upper), strict=True)
+    }
+    given[RATE] = Given(value=share * problem.objective_size / whole, unit=f"{unit}/s")
+    return problem.changed(
+        phases=tuple(_phase(problem, k, scalars) for k, scalars in enumerate(turned)),
+        start=_extended(own["start"], lambda recorder: 0.0),
+        links=tuple(
+            _extended(own["links", k], lambda recorder: recorder.input("x", _GAINED))
+            for k in range(len(problem.links))
+        ),
+        objective=_less(own["objective"]),
+        given=MappingProxyType({**problem.given, **given}),
+        results=None, result_variables=(), maximised="", preflight=None, bookkeeping=None, form=None,
+    )  # fmt: skip
+
+
+def _turned(problem: Problem, k: int) -> list[Bounded]:
+    """Scalars of phase k that are switched: those whose limits are numbers or given."""
+    return [
+        control
+        for _, control in linear_scalars(problem, k)
+        if type(control) is Bounded and not {control.lower, control.upper} & {*problem.free_names}
+    ]
+
+
+def _limits(k: int, control: Bounded) -> tuple[str, str]:
+    """Names of the given parameters that hold the limits of a scalar."""
+    return f"least_{control.name}_{k}", f"greatest_{control.name}_{k}"
+
+
+def _axes(control: Bounded) -> tuple[str, str]:
+    """Names of s and c. Where nothing is known of a direction its first component is 1: the middle of the range."""
+    return f"{control.name}_smooth", f"{control.name}_height"
+
+
+def _phase(problem: Problem, k: int, scalars: list[Bounded]) -> Phase:
+    phase, own = problem.phases[k], problem.form.expressions
+    controls: list[Control] = [Direction(names=_axes(c)) if c in scalars else c for c in phase.controls]
+    functions: dict[str, Any] = {name: None for name in PHASE_FUNCTIONS}
+    for name in ("dynamics", "end", "path", "held", "typical_end"):
+        if (k, name) in own:
+            functions[name] = _written(own[k, name], k, scalars, name, phase.duration)
+    return replace(
+        phase, controls=tuple(controls), output_variables=(), integral_variables=(), **functions,
+        states=(*phase.states, Variable(name=_GAINED, unit=problem.objective_unit, scale=problem.objective_scale)),
+    )  # fmt: skip
+
+
+def _written(expression: Expression, k: int, scalars: list[Bounded], name: str, duration: str) -> Expression:
+    """A function of a phase with the scalars on their circles, and with a rate or a value of what is gained."""
+    recorder = Recorder()
+    inputs = dict(_heights(recorder, k, scalars)) if "u" in expression.roles else {}
+    values = run(expression, recorder, inputs)
+    if name == "dynamics":
+        gained: Any = 0.0
+        for control in scalars:
+            gained = gained + recorder.input("u", _axes(control)[0])
+        values.append(recorder.input("p", RATE) * gained)
+    if name == "typical_end":  # so that a straight line leads through the middle of the ranges
+        rate: Any = recorder.input("p", RATE)
+        values.append(rate * recorder.input("p", duration) * float(len(scalars)))
+    return Expression(recorder.tape(values), expression.roles, origin=expression.origin)
+
+
+def _heights(recorder: Any, k: int, scalars: list[Bounded]) -> Iterator[tuple[tuple[str, str], Any]]:
+    for control in scalars:
+        least, greatest = (recorder.input("p", name) for name in _limits(k, control))
+        height = recorder.input("u", _axes(control)[1])
+        yield ("u", control.name), 0.5 * (greatest + least) + 0.5 * (greatest - least) * height
+
+
+def _extended(expression: Expression, more: Any) -> Expression:
+    recorder = Recorder()
+    values = run(expression, recorder)
+    return Expression(recorder.tape([*values, more(recorder)]), expression.roles, origin=expression.origin)
+
+
+def _less(objective: Expression) -> Expression:
+    recorder = Recorder()
+    (value,) = run(objective, recorder)
+    return Expression(recorder.tape([value - recorder.input("x", _GAINED)]), objective.roles, True, objective.origin)

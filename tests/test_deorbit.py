@@ -1,0 +1,143 @@
+"""Returns from orbit: the cases with a printed or a closed-form truth, solved without a guess and proved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.models.bodies import Planet
+from perilune.models.deorbit.problem import deorbit_entry
+from perilune.models.deorbit.records import (
+    Atmosphere,
+    Interface,
+    Landing,
+    Manoeuvre,
+    Orbit,
+    Returner,
+    Transition,
+)
+from perilune.models.deorbit.times import impulsive
+from perilune.words.outcome import PeriluneError
+
+# Liu, Liu, Wu 2019, and what it leaves open: a blunt capsule, exponential air, and a site in the orbit's plane.
+BODY = Planet(
+    name="earth", gravitational_parameter=3.986005e14, radius=6371e3, rotation_rate=7.2921159e-5, j2=1.08263e-3
+)
+VEHICLE = Returner(mass=500.0, thrust=100.0, exhaust_velocity=3000.0, drag_area=0.6)
+ORBIT = Orbit(radius=6678.14e3, inclination=math.radians(50.0))
+PLACE = Manoeuvre(longitude=math.radians(16.0), latitude=math.radians(39.5), going="descending")
+STEEP = Interface(altitude=120e3, angle=math.radians(-6.0))
+BOUNDED = Interface(
+    altitude=120e3,
+    speed_lower=7500.0,
+    speed_upper=8800.0,
+    angle_lower=math.radians(-9.0),
+    angle_upper=math.radians(-6.0),
+)
+AIR = Atmosphere(model="exponential", density=1.225, scale_height=7200.0)
+SITE = Landing(longitude=math.radians(-98.0), latitude=math.radians(38.0), altitude=10e3)
+
+
+def returning(vehicle: Returner = VEHICLE, **more: Any) -> pl.Problem:
+    return deorbit_entry(vehicle, ORBIT, STEEP, BODY, **{"manoeuvre": PLACE, "air": AIR, **more})
+
+
+@pytest.mark.parametrize(
+    ("going", "time", "mass", "speed"), [("descending", 2631.72, 412.28, 7348.2), ("ascending", 2609.31, 413.02, None)]
+)
+def test_the_least_time_to_the_interface(going: str, time: float, mass: float, speed: float | None) -> None:
+    """Neighbour A: anywhere, 6 degrees down; found by another program to these digits."""
+    problem = deorbit_entry(
+        VEHICLE, ORBIT, STEEP, BODY, manoeuvre=replace(PLACE, going=going), minimise="transition_time"
+    )
+    solution = pl.solve(problem)
+    assert solution.verification.passed and solution.verification.level == 3
+    assert solution.objective == pytest.approx(time, abs=0.01)
+    end = solution.trajectories[-1].state.values[-1]
+    assert end[6] == pytest.approx(mass, abs=0.01)
+    if speed is not None:
+        assert np.linalg.norm(end[3:6]) == pytest.approx(speed, abs=0.1)
+
+
+def test_a_return_to_a_place_touches_the_air_on_its_way() -> None:
+    """Neighbour B: speed and angle on their bounds, and the way up between two visits at 120 km.
+
+    The truth is `problems.constrained.deorbit`, another text of the same flight.
+    """
+    solution = pl.solve(deorbit_entry(VEHICLE, ORBIT, BOUNDED, BODY, manoeuvre=PLACE, air=AIR, site=SITE))
+    assert solution.verification.passed and solution.verification.level == 3
+    assert solution.objective == pytest.approx(4443.8964813, rel=1e-9)
+    arc = next(arc for arc in solution.structure if arc.words == "height above interface touched")
+    assert arc.begin == pytest.approx(1652.255, abs=1e-2)
+    burn = solution.trajectories[0]
+    x = burn.state(np.linspace(0.0, burn.duration, 4001))
+    height = np.linalg.norm(x[:, :3], axis=1) - BODY.radius
+    assert height.min() > 120e3 - 1e-3 and height.max() > 500e3
+    assert np.linalg.norm(x[-1, 3:6]) == pytest.approx(7500.0, abs=1e-6)
+    down = x[-1, :3] @ x[-1, 3:6] / (np.linalg.norm(x[-1, :3]) * 7500.0)
+    assert math.degrees(math.asin(down)) == pytest.approx(-6.0, abs=1e-6)
+
+
+MILSTEAD = Planet(name="earth", gravitational_parameter=3.986004418e14, radius=6378137.0, rotation_rate=0.0)
+
+
+def test_an_impulsive_deorbit_is_milsteads() -> None:
+    for angle, change, time, swept in ((-1.5, 113.244, 1747.11, 115.26), (-6.0, 551.596, 693.21, 42.91)):
+        found = impulsive(6778137.0, 6498137.0, math.radians(angle), MILSTEAD.gravitational_parameter)
+        assert found.velocity_change == pytest.approx(change, abs=1e-3)
+        assert found.time == pytest.approx(time, abs=1e-2)
+        assert math.degrees(found.swept) == pytest.approx(swept, abs=1e-2)
+
+
+def test_a_finite_burn_becomes_an_impulse() -> None:
+    """Thrust rising to 1000x: the time differs by half of the burn, the velocity change by its square."""
+    truth = impulsive(6778137.0, 6498137.0, math.radians(-1.5), MILSTEAD.gravitational_parameter)
+    errors = []
+    for thrust in (1e2, 1e3, 1e4, 1e5):
+        problem = deorbit_entry(
+            Returner(mass=500.0, thrust=thrust, exhaust_velocity=3000.0),
+            Orbit(radius=6778137.0, inclination=math.radians(50.0)),
+            Interface(altitude=120e3, angle=math.radians(-1.5)),
+            MILSTEAD,
+            manoeuvre=PLACE,
+            transition=Transition(longest_coast=4000.0),
+            minimise="propellant",
+        )
+        solution = pl.solve(problem)
+        assert solution.verification.passed and solution.verification.level == 3
+        change, whole = 3000.0 * math.log(500.0 / -solution.objective), sum(solution.free.values())
+        errors.append((change / truth.velocity_change - 1, (whole - truth.time) / solution.free["burn_time"]))
+    relative, shares = zip(*errors, strict=True)
+    assert relative[-1] == pytest.approx(0.0, abs=2e-8)
+    assert relative[1] / relative[2] == pytest.approx(100.0, rel=0.01)
+    np.testing.assert_allclose(shares[1:], 0.5, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: replace(ORBIT, radius=None), "orbit.radius is missing"),
+        (lambda: replace(ORBIT, perigee_altitude=3e5), "say one thing twice"),
+        (lambda: replace(ORBIT, radius=None, perigee_altitude=3e5, apogee_altitude=4e5), "argument_of_perigee is"),
+        (lambda: replace(VEHICLE, specific_impulse=300.0), "say one thing twice"),
+        (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0), "a base_radius and a cone_angle"),
+        (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0, cone_angle=0.2, nose_radius=2.0), "no sphere-cone"),
+        (lambda: replace(STEEP, angle_lower=-0.2), "say one thing twice"),
+        (lambda: replace(BOUNDED, speed_lower=9000.0), "are no range"),
+        (lambda: returning(air=replace(AIR, density=None)), "atmosphere.density is missing"),
+        (lambda: returning(air=replace(AIR, model="us1976")), "belongs to exponential air"),
+        (lambda: replace(SITE, latitude=None), "a longitude and a latitude"),
+        (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "where on its orbit"),
+        (lambda: returning(replace(VEHICLE, drag_area=None)), "drag_area is missing"),
+        (lambda: returning(air=None, site=SITE), "a site needs air"),
+        (lambda: returning(minimise="heat_load"), "nose_radius is missing"),
+    ],
+)  # fmt: skip
+def test_what_is_stated_twice_or_not_at_all_is_refused(make: Any, said: str) -> None:
+    with pytest.raises(PeriluneError, match=said):
+        make()

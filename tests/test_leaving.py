@@ -1,0 +1,55 @@
+"""Where a flight leaves what it rides along: against a closed form, and from a structure that rides on too far."""
+
+from __future__ import annotations
+
+import pytest
+
+import perilune as pl
+from perilune.methods.indirect import Indirect
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.search import Search
+from perilune.methods.structured import Polish
+from perilune.problem.solution import Solution
+from perilune.structures.carry import split
+from perilune.structures.leaving import worth_riding
+from perilune.structures.restate import restate
+from perilune.structures.structure import Arc, Structure, conditions_of
+from perilune.words.watch import silent
+from problems.constrained import FROM, UNTIL, drawn_off
+
+TOO_FAR = Structure(((Arc(until=FROM), Arc(along=("height",), until=2.9)),))
+
+
+@pytest.fixture(scope="module")
+def rough() -> Solution:
+    return Pseudospectral(nodes=5, segments=8, refine=0, polish=False).run(drawn_off())
+
+
+def test_an_arc_pays_until_its_multiplier_changes_sign(rough: Solution) -> None:
+    """mu = 6 (2 - t): worth it for 1.5 s from where it is met, and not to the end."""
+    restated = restate(drawn_off(), TOO_FAR, repeated=False)
+    ridden = Search(Indirect(), restated, silent).solve(split(rough, TOO_FAR, restated))
+    assert ridden.trajectories[0].duration == pytest.approx(FROM, abs=1e-9)
+    condition = conditions_of(drawn_off(), 0, ("height",))["height"]
+    [(begin, end)] = worth_riding(ridden, 1, condition) or []
+    assert begin == 0.0
+    assert end == pytest.approx(2.0 - FROM, abs=0.01)
+
+
+def test_the_structure_is_revised_to_one_that_leaves(rough: Solution) -> None:
+    tried = list[str]()
+    run = Polish(settings=Indirect(), problem=drawn_off(), watch=silent, tried=tried)
+    found = run.followed(rough, TOO_FAR, set())
+    assert found is not None
+    assert tried == [
+        "structure free, along height: an extremal of another one",
+        "structure free, along height, free: an extremal",
+    ]
+
+
+def test_what_leaves_before_its_end_is_found_and_proved() -> None:
+    solution = pl.solve(drawn_off())
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    [arc] = [arc for arc in solution.structure if arc.words == "along height"]
+    assert arc.begin == pytest.approx(FROM, abs=1e-8)
+    assert arc.end == pytest.approx(UNTIL, abs=1e-8)
