@@ -7,14 +7,15 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
 
 - a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
 - an arc of no length is a touch, or none where its condition cannot be touched;
-- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.leaving`);
+- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.leaving`); where it is so
+  all along, the condition is touched where the arc begins and ends;
 - an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
 - a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -28,7 +29,7 @@ from perilune.structures.leaving import worth_riding
 from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, restate
-from perilune.structures.structure import Structure, conditions_of
+from perilune.structures.structure import Arc, Condition, Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
 
@@ -173,7 +174,8 @@ class Polish:
             j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
             if contact.ridden:
                 if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
-                    yield from _while_it_pays(contact, worth_riding(solved, first + j, condition))
+                    worth = worth_riding(solved, first + j, condition)
+                    yield from _while_it_pays(contact, worth) if worth != [] else _at_its_ends(contact, condition, arcs)
                 elif condition.order > 1:
                     yield replace(contact, end=contact.begin, ridden=False)
                 continue
@@ -203,6 +205,13 @@ def _while_it_pays(contact: Contact, worth: list[tuple[float, float]] | None) ->
     for begin, end in [(0.0, length)] if worth is None else worth:
         first = contact.begin + begin
         yield replace(contact, begin=first, end=contact.end if end >= length else contact.begin + end)
+
+
+def _at_its_ends(contact: Contact, condition: Condition, arcs: Sequence[Arc]) -> Iterator[Contact]:
+    """Touches in place of an arc; where the phase begins or ends there is none."""
+    for at in (contact.begin, contact.end):
+        if condition.order > 1 and 0.0 < at < arcs[-1].until:
+            yield replace(contact, begin=at, end=at, ridden=False)
 
 
 def _contacts(structure: Structure, k: int) -> Iterator[Contact]:
