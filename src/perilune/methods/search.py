@@ -106,6 +106,8 @@ class Search:
         for i, rung in enumerate(rungs):
             if self._answers(found) and (i == 3 or (i == 2 and (base is not None or self.agreed))):
                 continue  # the last rung is for those that the others left without an answer
+            if i == 3 and not found and (met := self._met_by_coarse()):
+                return self._keeping(met).all_extremals()
             for first, name in rung:
                 if not self._walked_through(first):
                     new, members = self._all_extremals(first)
@@ -120,6 +122,12 @@ class Search:
                     answers = [f for f in found if self.judge.breach(f.root) is None]
                     return search, [*kept, *new_among(answers, kept)]
         return self, found
+
+    def _met_by_coarse(self) -> Held:
+        """Conditions that the control could keep, and the direct solution meets: where no extremal tells of any."""
+        rough = self.coarse.solve() if self.keepable else None
+        near = set[str]() if rough is None else touched(rough)
+        return tuple(name for name in self.keepable if name in near)
 
     def _worth_keeping(self, found: list[Found]) -> Held:
         """Conditions that the control could keep, broken by extremals that are better than every answer."""
@@ -141,7 +149,7 @@ class Search:
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""
-        self.watch(f"extremals break {', '.join(more)}: the control keeps to it")
+        self.watch(f"the flight is held back by {', '.join(more)}: the control keeps to it")
         keep = tuple(name for name in keepable_conditions(self.problem) if name in {*self.keep, *more})
         search = Search(self.settings, self.problem, self.watch, keep, self.tried)
         search.coarse, search.trials.history = self.coarse, self.trials.history

@@ -15,7 +15,7 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -29,7 +29,7 @@ from perilune.structures.leaving import worth_riding
 from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, restate
-from perilune.structures.structure import Arc, Condition, Structure, conditions_of
+from perilune.structures.structure import Condition, Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
 
@@ -175,7 +175,7 @@ class Polish:
             if contact.ridden:
                 if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
                     worth = worth_riding(solved, first + j, condition)
-                    yield from _while_it_pays(contact, worth) if worth != [] else _at_its_ends(contact, condition, arcs)
+                    yield from _as_it_pays(contact, condition, arcs[-1].until, worth)
                 elif condition.order > 1:
                     yield replace(contact, end=contact.begin, ridden=False)
                 continue
@@ -199,19 +199,28 @@ class Polish:
         return found
 
 
-def _while_it_pays(contact: Contact, worth: list[tuple[float, float]] | None) -> Iterator[Contact]:
-    """The parts of an arc between these times [s of the arc], whose ends are exact; itself where nothing is told."""
-    length = contact.end - contact.begin
-    for begin, end in [(0.0, length)] if worth is None else worth:
-        first = contact.begin + begin
-        yield replace(contact, begin=first, end=contact.end if end >= length else contact.begin + end)
+def _as_it_pays(
+    contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
+) -> Iterator[Contact]:
+    """The parts of an arc that pay [s of the arc], or touches in place of it; itself where nothing is told.
 
-
-def _at_its_ends(contact: Contact, condition: Condition, arcs: Sequence[Arc]) -> Iterator[Contact]:
-    """Touches in place of an arc; where the phase begins or ends there is none."""
-    for at in (contact.begin, contact.end):
-        if condition.order > 1 and 0.0 < at < arcs[-1].until:
+    Who rides to the end of the phase and gains by leaving for a time g before, returns there: with mu linear in time
+    the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a touch is left.
+    """
+    length, order = contact.end - contact.begin, condition.order
+    parts = [(0.0, length)] if worth is None else list(worth)
+    if parts and contact.end == last and parts[-1][1] < length:
+        begin, end = parts.pop()
+        parts.append((begin, max(begin, end - order / (order + 1) * (length - end))))
+    ends = [0.0, length] if not parts else [begin for begin, end in parts if end == begin]
+    for at in (contact.begin + share for share in ends):
+        if order > 1 and 0.0 < at < last:
             yield replace(contact, begin=at, end=at, ridden=False)
+    for begin, end in parts:
+        if end > begin:
+            yield replace(
+                contact, begin=contact.begin + begin, end=contact.end if end >= length else contact.begin + end
+            )
 
 
 def _contacts(structure: Structure, k: int) -> Iterator[Contact]:
