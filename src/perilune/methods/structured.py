@@ -35,6 +35,7 @@ from perilune.words.watch import Watch
 
 ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
+_EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is not
 _BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
@@ -65,6 +66,7 @@ class Polish:
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
         seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
+        least = _EXACT if is_neighbour(self.problem) else least
         for known in self._known(rough):
             structures = readings(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
