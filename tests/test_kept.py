@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 from perilune.conditions.pontryagin import derive, keepable_conditions
 from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.search import Search
 from perilune.models.descent_frames import variables
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
@@ -91,6 +92,18 @@ def test_linear_tangent_steering_under_a_limit_is_its_closed_form() -> None:
     assert breaks == pytest.approx([leaves], abs=1e-9)
     held = flown.control(np.linspace(0.0, 0.999 * leaves, 50))[:, 1]
     assert held == pytest.approx(STEEPEST, abs=1e-10)
+
+
+def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As random costates without the limit may find nothing."""
+    found = Search._sphere_members
+    monkeypatch.setattr(Search, "_sphere_members", lambda self: found(self) if self.keep else iter(()))
+    problem = _steered(path=lambda x, u, p, m: (p.steepest - u.up,), names=("below_steepest",))
+    solution = solve(problem, level=0)
+    assert solution.objective == pytest.approx(_clipped()[0], abs=1e-11)
+    assert any(line.startswith("random costates keeping below_steepest") for line in solution.statistics.tried)
 
 
 def test_a_limit_that_does_not_bind_changes_nothing() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 import perilune as pl
@@ -9,13 +12,13 @@ from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.methods.search import Search
 from perilune.methods.structured import Polish
-from perilune.problem.solution import Solution
+from perilune.problem.solution import Curve, Solution
 from perilune.structures.carry import split
 from perilune.structures.leaving import worth_riding
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Structure, conditions_of
 from perilune.words.watch import silent
-from problems.constrained import FROM, UNTIL, drawn_off
+from problems.constrained import FROM, HOP, UNTIL, drawn_off, hopping
 
 TOO_FAR = Structure(((Arc(until=FROM), Arc(along=("height",), until=2.9)),))
 
@@ -53,3 +56,33 @@ def test_what_leaves_before_its_end_is_found_and_proved() -> None:
     [arc] = [arc for arc in solution.structure if arc.words == "along height"]
     assert arc.begin == pytest.approx(FROM, abs=1e-8)
     assert arc.end == pytest.approx(UNTIL, abs=1e-8)
+
+
+@pytest.fixture(scope="module")
+def hop() -> Solution:
+    return pl.solve(hopping())
+
+
+def test_an_arc_that_pays_nowhere_is_a_touch(hop: Solution) -> None:
+    """The touch, the hop behind it and the jump of the costate in closed form, though S'' is 4e-7 of its largest."""
+    assert "structure free, along height: an extremal of another one" in hop.statistics.tried
+    assert hop.outcome is pl.Outcome.PROVED and hop.verification.level == 3
+    [touch] = [arc for arc in hop.structure if "height" in arc.words]
+    assert touch.words == "height touched" and touch.begin == touch.end == pytest.approx(0.5, abs=1e-9)
+    s = np.linspace(0.01, 0.49, 25)
+    assert hop.trajectories[0].state(0.5 + s)[:, 0] == pytest.approx(HOP * (s * (0.5 - s)) ** 2 / 24, abs=1e-14)
+    costate = hop.trajectories[0].costate
+    assert costate is not None
+    before, behind = costate.values[np.abs(costate.time - 0.5) < 1e-9][:, 0]
+    assert behind - before == pytest.approx(10.0 - 0.25 * HOP, rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [-1.0, 1e-4])
+def test_another_jump_of_a_costate_is_refused(hop: Solution, share: float) -> None:
+    """None at all, and a little more."""
+    flown = hop.trajectories[0]
+    assert flown.costate is not None
+    values = flown.costate.values.copy()
+    values[: int(np.searchsorted(flown.costate.time, 0.5, "right")) - 1, 0] -= 10.0 * share
+    wrong = replace(flown, costate=Curve(time=flown.costate.time, values=values, rates=flown.costate.rates))
+    assert not pl.verify(replace(hop, trajectories=(wrong,))).passed

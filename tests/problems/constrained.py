@@ -104,6 +104,40 @@ def drawn_off() -> pl.Problem:
     )
 
 
+HOP = 1e-4  # m/s^4, of which the hop of `hopping` is 0.5^4/384
+
+
+def hopping() -> pl.Problem:
+    """To rest on the floor x >= 0 after 1 s with the least int (u - a)^2/2, a = k t^2/2: a touch at 0.5 s, and a hop.
+
+    mu = -a'' = -k along the floor, where nothing rides therefore. From its touch at rest to rest after L = 0.5 s it
+    hops over x = k s^2 (L - s)^2/24, which is 1.6e-8 m at most. Before, with r to go to the touch and u as it is
+    behind, u = k (L^2/12 + r^2/2) + 10 m/s^3 r: the costate of x jumps by 10 m/s^3 - k L/2.
+    """
+    phase = pl.Phase(
+        name="flight",
+        states=_variables(x="m", v="m/s", t="s", c="m^2/s^3"),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 1.0, 0.5 * (u.u - 0.5 * p.k * x.t**2) ** 2),
+        duration="T",
+        end=lambda x, p, m: (x.x, x.v),
+        end_conditions=_variables(down="m", still="m/s"),
+        path=lambda x, u, p, m: (x.x,),
+        path_conditions=_variables(height="m"),
+    )
+    r, bend = 0.5, HOP * 0.5**2 / 12
+    x0 = bend * r**2 / 2 + 10.0 * r**3 / 6 + HOP * r**4 / 24
+    v0 = -(bend * r + 10.0 * r**2 / 2 + HOP * r**3 / 6)
+    return pl.Problem(
+        name="hopping",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, p.v0, 0.0, 0.0),
+        given=_given(T=(1.0, "s"), k=(HOP, "m/s^4"), x0=(x0, "m"), v0=(v0, "m/s")),
+        objective=lambda x, p, m: x.c,
+        objective_unit="m^2/s^3",
+    )
+
+
 SLOPE, OFFSET = 0.5, 0.1
 
 

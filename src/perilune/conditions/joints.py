@@ -9,6 +9,11 @@ jump. So
 
 stands in the place of the row of that duration: a simple root (Jacobson, Lele, Speyer 1971, on junction conditions). A
 scalar that jumps there from its bound has a simple root in H and keeps its row.
+
+Where a condition S(x) >= 0 of the path on both sides is *touched*, by S = 0 and S' = 0 as conditions at the end of a
+phase, the costates jump by nu dS/dx alone. With a multiplier nu' of S' = 0 they jump by nu' dS'/dx as well, and H by
+nu' S'': the row of H tells nu' the worse the less S'' is, and has another root, at which u and -u of S'' change over.
+nu' = 0 stands in its place.
 """
 
 from __future__ import annotations
@@ -17,6 +22,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import casadi as ca
+import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal, control_at
 from perilune.problem.controls import placed
@@ -44,19 +50,14 @@ def smooth_joints(
     slopes
         dJ/dq of every free parameter but for H: where two durations have the same, their rows say that H is the same.
     """
-    free = problem.free_names
-    for k, (before, behind) in enumerate(pairwise(problem.phases)):
-        if not all(problem.duration_names.count(d) == 1 and d in free for d in (before.duration, behind.duration)):
-            continue
-        first, second = (free.index(phase.duration) for phase in (before, behind))
+    for k, first in _free_joints(problem, slopes):
+        before, behind = problem.phases[k : k + 2]
         entered, left = _only(behind, before), _only(before, behind)
         if entered is not None and left is None:
             held, row, beside = behind, entered, 0
         elif left is not None and entered is None:
             held, row, beside = before, left, 1
         else:
-            continue
-        if not _alike(slopes[first], slopes[second]):
             continue
         z, extremal, phase = sides[k][beside], extremals[k + beside], (before, behind)[beside]
         u = control_at(extremal, z, numbers)
@@ -71,6 +72,54 @@ def smooth_joints(
             f"{phase.name}: {name} as it is {'met' if beside == 0 else 'left'}",
             ca.substitute(value, symbol, u),
         )
+
+
+def touches(
+    problem: Problem, p: Parameters, ends: list[tuple[ca.SX, ca.SX, ca.SX]], slopes: ca.SX
+) -> Iterator[tuple[int, str, ca.SX]]:
+    """Rows of free durations that end with a touch, as `smooth_joints` has them.
+
+    Parameters
+    ----------
+    problem, p, slopes
+        As for `smooth_joints`.
+    ends
+        For each phase the states at its end, its end conditions there, and their multipliers.
+    """
+    for k, first in _free_joints(problem, slopes):
+        before, behind = problem.phases[k : k + 2]
+        kept = {c.name for c in before.path_conditions} & {c.name for c in behind.path_conditions}
+        if not kept or len(before.end_conditions) < 2:
+            continue
+        (x, psi, nu), u = ends[k], ca.SX.sym("u", len(before.control_names))
+        rates = column(before.evaluate("dynamics", elements(x), elements(u), p.record, SYMBOLIC))
+        path = column(before.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
+        for i, condition in enumerate(before.path_conditions):
+            S, rate = path[i], ca.jtimes(path[i], x, rates)
+            if condition.name not in kept or ca.depends_on(ca.vertcat(S, rate), u):
+                continue
+            met, still = (next((j for j in range(psi.numel()) if _same(psi[j], e)), None) for e in (S, rate))
+            if met is not None and still is not None:
+                yield first, f"{before.name}: jump along the rate of {condition.name}", nu[still]
+
+
+def _free_joints(problem: Problem, slopes: ca.SX) -> Iterator[tuple[int, int]]:
+    """Number of the phase before each joint whose time is free and nothing else, and of the free parameter."""
+    free = problem.free_names
+    for k, pair in enumerate(pairwise(problem.phases)):
+        if all(problem.duration_names.count(phase.duration) == 1 and phase.duration in free for phase in pair):
+            first, second = (free.index(phase.duration) for phase in pair)
+            if _alike(slopes[first], slopes[second]):
+                yield k, first
+
+
+def _same(one: ca.SX, other: ca.SX) -> bool:
+    """Whether two expressions have the same values: seen at a few points."""
+    both = ca.vertcat(one, other)
+    symbols, rng = ca.symvar(both), np.random.default_rng(0)
+    evaluate = ca.Function("both", [ca.vertcat(ca.SX(0, 1), *symbols)], [both])
+    values = [np.array(evaluate(rng.uniform(0.5, 1.5, len(symbols)))).ravel() for _ in range(3)]
+    return all(np.isclose(a, b, rtol=1e-9, atol=1e-12) for a, b in values)
 
 
 def _only(phase: Phase, other: Phase) -> int | None:

@@ -29,7 +29,7 @@ import casadi as ca
 
 from perilune.conditions.canonical import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
 from perilune.conditions.held import Held, keepable
-from perilune.conditions.joints import smooth_joints
+from perilune.conditions.joints import smooth_joints, touches
 from perilune.problem.neighbours import unmoved
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
@@ -162,7 +162,9 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
         lagrangian += ca.dot(nu[k], psi) + ca.dot(lam0[k], initial_states[k](ends[k - 1] if k else ca.SX(0, 1)))
     stationarity = ca.gradient(lagrangian, p.free)
     sides = [(zf, ca.vertcat(initial_states[k + 1](zf), lam0[k + 1])) for k, zf in enumerate(ends[:-1])]
-    joints = list(smooth_joints(problem, p, phases, sides, numbers, ca.SX(stationarity)))
+    met = [(zf[: e.state_count], psi, nu_k) for e, zf, psi, nu_k in zip(phases, ends, conditions, nu, strict=True)]
+    slopes = ca.SX(stationarity)
+    joints = [*smooth_joints(problem, p, phases, sides, numbers, slopes), *touches(problem, p, met, slopes)]
     for phase, extremal, zf in zip(problem.phases, phases, ends, strict=True):
         if phase.duration in problem.free_names:
             stationarity[problem.free_names.index(phase.duration)] += hamiltonian_at(extremal, zf, numbers)
@@ -282,7 +284,7 @@ Names = tuple[tuple[str, str], ...]
 
 
 def _names(problem: Problem, phases: tuple[PhaseExtremal, ...], joints: dict[int, str]) -> tuple[Names, Names]:
-    """(name, unit) of each unknown and of each residual; `joints` are the rows of `smooth_joints` by parameter."""
+    """(name, unit) of each unknown and of each residual; `joints` names the rows that joints have, by parameter."""
     cost = problem.objective_unit
     lam, nu, psi, transversality = [], [], [], []
     for phase, extremal in zip(problem.phases, phases, strict=True):

@@ -21,6 +21,7 @@ from perilune.words.types import Vector
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
 _BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
+_NOT_KEPT = 0.02  # the same beyond which a flight is not said to keep it
 _TOUCHING = 1e-3  # of its range
 _FEW = 3  # switches that a mesh of eight segments follows
 _FINER = 100  # most iterations of an attempt on the finer mesh
@@ -103,14 +104,14 @@ class Coarse:
         known = self.solution
         if known is None:
             return None
-        if not _fair(known) or self._broken(known):
+        if not _fair(known) or self._broken(known, _BROKEN):
             with suppress(PeriluneError):  # then the first is all there is
                 finer = self._run(segments=16, iterations=_FINER, guess=known)
                 known = finer if _fair(finer) else known
-        return known if _fair(known) else None
+        return known if _fair(known) and not self._broken(known, _NOT_KEPT) else None
 
-    def _broken(self, flight: Solution) -> bool:
-        return any(-values.min() > _BROKEN * np.ptp(values) for _, values in along_path(self.problem, flight))
+    def _broken(self, flight: Solution, share: float) -> bool:
+        return any(-values.min() > share * np.ptp(values) for _, values in along_path(self.problem, flight))
 
     def _run(self, segments: int, iterations: int = 300, guess: Solution | None = None) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy

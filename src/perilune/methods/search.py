@@ -153,7 +153,7 @@ class Search:
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""
-        self.watch(f"{', '.join(more)} would be broken: the control keeps to it")
+        self.watch(f"the flight is held back by {', '.join(more)}: the control keeps to it")
         keep = tuple(name for name in keepable_conditions(self.problem) if name in {*self.keep, *more})
         search = Search(self.settings, self.problem, self.watch, keep, self.tried)
         search.coarse, search.trials.history = self.coarse, self.trials.history

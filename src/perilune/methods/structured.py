@@ -7,7 +7,8 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
 
 - a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
 - an arc of no length is a touch, or none where its condition cannot be touched;
-- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.leaving`);
+- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.leaving`); where it is so
+  all along, the condition is touched where the arc begins and ends;
 - an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
 - a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
 """
@@ -28,12 +29,13 @@ from perilune.structures.leaving import worth_riding
 from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, restate
-from perilune.structures.structure import Structure, conditions_of
+from perilune.structures.structure import Condition, Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
 
 ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
+_EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is not
 _BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
@@ -64,6 +66,7 @@ class Polish:
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
         seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
+        least = _EXACT if is_neighbour(self.problem) else least
         for known in self._known(rough):
             structures = readings(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
@@ -173,7 +176,8 @@ class Polish:
             j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
             if contact.ridden:
                 if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
-                    yield from _while_it_pays(contact, worth_riding(solved, first + j, condition))
+                    worth = worth_riding(solved, first + j, condition)
+                    yield from _as_it_pays(contact, condition, arcs[-1].until, worth)
                 elif condition.order > 1:
                     yield replace(contact, end=contact.begin, ridden=False)
                 continue
@@ -197,12 +201,28 @@ class Polish:
         return found
 
 
-def _while_it_pays(contact: Contact, worth: list[tuple[float, float]] | None) -> Iterator[Contact]:
-    """The parts of an arc between these times [s of the arc], whose ends are exact; itself where nothing is told."""
-    length = contact.end - contact.begin
-    for begin, end in [(0.0, length)] if worth is None else worth:
-        first = contact.begin + begin
-        yield replace(contact, begin=first, end=contact.end if end >= length else contact.begin + end)
+def _as_it_pays(
+    contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
+) -> Iterator[Contact]:
+    """The parts of an arc that pay [s of the arc], or touches in place of it; itself where nothing is told.
+
+    Who rides to the end of the phase and gains by leaving for a time g before, returns there: with mu linear in time
+    the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a touch is left.
+    """
+    length, order = contact.end - contact.begin, condition.order
+    parts = [(0.0, length)] if worth is None else list(worth)
+    if parts and contact.end == last and parts[-1][1] < length:
+        begin, end = parts.pop()
+        parts.append((begin, max(begin, end - order / (order + 1) * (length - end))))
+    ends = [0.0, length] if not parts else [begin for begin, end in parts if end == begin]
+    for at in (contact.begin + share for share in ends):
+        if order > 1 and 0.0 < at < last:
+            yield replace(contact, begin=at, end=at, ridden=False)
+    for begin, end in parts:
+        if end > begin:
+            yield replace(
+                contact, begin=contact.begin + begin, end=contact.end if end >= length else contact.begin + end
+            )
 
 
 def _contacts(structure: Structure, k: int) -> Iterator[Contact]:

@@ -16,6 +16,9 @@ variation like others. What keeps S^(q) = 0 along an arc and S = ... = S^(q-1) =
 there d2L is the second variation of the flight restated. Where mu is not strictly positive dS is left open, but for
 times of a strict jump: Bryson and Denham's arc has mu = 0 and two jumps.
 
+So it is at a touch where S'' is next to nothing: to let its time vary gains what S'' takes, nu (dS')^2/S'', and where
+that is most of a variation nothing is left to be told from rounding.
+
 Where H is linear in a scalar control, and S of order 1, that convexity fails, and another order of things holds: as
 S' determines the control, all of the second variation is in S, and mu > 0 up to both ends of the arc makes every S > 0
 pay to first order. What is left are the times, at which the control jumps: the restated flight's second variation with
@@ -51,6 +54,7 @@ from perilune.structures.structure import Condition, Structure, conditions_of
 from perilune.words.types import Matrix, Vector
 
 _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
+_TURNS = 1e-3  # of the most that S'' is before a touch: what turns no faster is as near to an arc as to a touch
 _STEADY, _CLEAR = 1e-5, 1e-3  # of the size of a control: a jump that is none, and one that tells when an arc begins
 
 
@@ -203,17 +207,18 @@ class Rides:
         found = {}
         for k, along in enumerate(self.along):
             ahead = self.along[k + 1] if self.inner(k + 1) else ()
-            if along or ahead or self._turns(k):
+            slow = self._slow(k), self._slow(k + 1)
+            if along or ahead or self._turns(k) or any(slow):
                 left = [name for r in ahead for name in self._left(r)]
                 # Where the time of a touch does not vary nor does that of its least value: it is kept in the mean.
-                left += [name for name in self._touch_rates(k) if self._turns(k + 1)]
+                left += [name for name in self._touch_rates(k) if self._turns(k + 1) or slow[1]]
                 found[k] = Kept(
                     rides=tuple(r.rate for r in along),
                     released=tuple(r.rate for r in along if not r.strict),
                     holds=tuple(value for r in along if r.strict for value in r.condition.values[:-1]),
                     end=tuple(r.condition.values[0] for r in along if self._ends(r)),
                     left=tuple(left),
-                    tied=self._turns(k) and not (self._jumps_on(k) or self._jumps_on(k - 1)),
+                    tied=slow[0] or (self._turns(k) and not (self._jumps_on(k) or self._jumps_on(k - 1))),
                     steady=all(self._jump(joint) <= _STEADY for joint in (k, k + 1) if self._turns(joint)),
                     pays=along[0].pays if self._jumps_on(k) else None,
                 )
@@ -225,6 +230,20 @@ class Rides:
             return False
         before, after = ({r.condition.name for r in self.along[k]} for k in (joint - 1, joint))
         return before != after
+
+    def _slow(self, joint: int) -> bool:
+        """Whether what is touched at a joint hardly turns there, so that its time hardly tells: it does not vary."""
+        touches = self.touches[joint - 1] if self.inner(joint) else ()
+        if not touches:
+            return False
+        part = self.arcs[joint - 1]
+        t = np.linspace(0.0, part.duration, _LOOKS)
+        x, u = part.phase.state_record(*part.state(t)), part.phase.control_record(*part.control(t))
+        for condition in touches:
+            turn = np.abs(np.broadcast_to(condition.values[2](x, u, part.p, COMPLEX)[0].real, t.shape))
+            if turn[-1] <= _TURNS * turn.max():
+                return True
+        return False
 
     def _jumps_on(self, k: int) -> bool:
         """Whether the control of a part is linear, and jumps where what it alone rides begins and ends."""

@@ -40,6 +40,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
+_HELD = 1e-7  # of the most that its rate with the control in it is: that vanishes
 _SAID = 1e-6  # of the costates where a phase ends, scaled: what end conditions leave of them is nothing
 _JUMP = 1e-9  # of a costate's size: less is no jump
 MET = 1e-9  # of its size: a condition that is met, or its rate
@@ -76,10 +77,13 @@ def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
     t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
     room = _room(arc, S, t)
     met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
-    if not met.any() or (order := _order(arc, name)) is None:
+    if not met.any() or (condition := _condition(arc, name)) is None:
         return
+    # Between two touches, or a touch and its end, a flight may stay that near and ride along nothing.
+    rate = np.abs(_room(arc, condition.values[-1], t))
+    held, order = met & (rate <= _HELD * rate.max()), condition.order
     ends = [0.0, *edges.tolist(), arc.duration]
-    riding = [bool(met[(t >= a) & (t <= b)].all()) for a, b in pairwise(ends)]
+    riding = [bool(held[(t > a) & (t < b)].all()) and bool(met[(t >= a) & (t <= b)].all()) for a, b in pairwise(ends)]
     begin = None
     for i, rides in enumerate([*riding, False]):
         if rides and begin is None:
@@ -108,10 +112,10 @@ def _size(arc: Arc, name: str) -> float:
     return float(arc.state_scale[arc.phase.state_names.index(name.rpartition(".")[0])])
 
 
-def _order(arc: Arc, name: str) -> int | None:
-    """Of a condition; None where no control moves it."""
+def _condition(arc: Arc, name: str) -> Condition | None:
+    """With its rates; None where no control moves it."""
     try:
-        return conditions_of(arc.problem, arc.index, (name,))[name].order
+        return conditions_of(arc.problem, arc.index, (name,))[name]
     except PeriluneError:
         return None
 

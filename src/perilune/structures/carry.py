@@ -22,6 +22,7 @@ from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Vector
 
 _NEAR = 1e-9  # of a phase: a cut so near to a node is at it
+_NOTHING = 1e-13  # of a phase: nodes of a shorter arc would fall together
 
 
 def split(solution: Solution, structure: Structure, restated: Problem | None = None) -> Solution:
@@ -194,7 +195,8 @@ def _joined(name: str, parts: Sequence[Trajectory]) -> Trajectory:
 
 
 def _chained(curves: Sequence[Curve]) -> Curve:
-    curves = [curve for curve in curves if curve.time[-1] > 0] or curves[:1]  # an arc of no length leaves nothing
+    shortest = _NOTHING * sum(float(curve.time[-1]) for curve in curves)
+    curves = [curve for curve in curves if curve.time[-1] > shortest] or curves[:1]  # one of no length leaves nothing
     begins = np.concatenate([[0.0], np.cumsum([curve.time[-1] for curve in curves])])
     time = [np.append(begin + c.time[:-1], end) for begin, end, c in zip(begins[:-1], begins[1:], curves, strict=True)]
     return Curve(
