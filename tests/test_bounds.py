@@ -23,6 +23,8 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check
+from perilune.proof.arc import Arc
+from perilune.proof.extremal import _signs
 from perilune.scenario import load_text
 from perilune.shooting.function import Shooting
 from perilune.solve import solve, verify
@@ -389,3 +391,11 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
     least = solve(problem.with_given(q=0.1), level=0)
     claim = verify(replace(least, problem=problem, free={**least.free, "q": 0.1}))
     assert [c.name for c in claim.failed if c.level == 2] == ["stationary_q"]
+
+
+def test_a_multiplier_that_is_no_number_has_no_sign() -> None:
+    """Of a range that is met at its bound."""
+    rests = solve(placed_by_choice(0.2, ranged=True), level=0)
+    for nu, passes in ((0.0, True), (-1.0, True), (1.0, False), (math.nan, False)):
+        (sign,) = _signs(Arc(solution=rests, index=0), np.array([nu]))
+        assert sign.passed is passes

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cho import CHO_MOON, cho_landing
+from perilune.methods.indirect import Indirect
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
@@ -93,6 +94,13 @@ def test_the_best_from_a_hand_over_the_site_is_found(landing: Problem, height: f
     assert len(low.extremals) == 3 and all(e.free["flight_time"] > 0 for e in low.extremals)
     if height >= 0.03:
         assert low.outcome is Outcome.PROVED, str(low.verification)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_where_a_walk_begins_does_not_decide_what_is_found(landing: Problem, seed: int) -> None:
+    """From 5 mm over the site costates grow to 1e4 within the last of 33 steps: each start has to come through."""
+    found = solve(landing.with_given(orbit_perilune_altitude=0.005), Indirect(seed=seed), level=0)
+    assert -found.objective == pytest.approx(171.6279, abs=1e-4) and len(found.extremals) == 3
 
 
 def test_a_fixed_burn_that_leaves_a_short_flight_is_no_refusal(landing: Problem) -> None:

@@ -294,3 +294,21 @@ def test_a_bound_that_is_reached_at_the_end_has_a_multiplier_that_is_not_known()
     assert verification.level == 1
     assert {"first_transversality", "second_transversality", "conjugate_point"} <= failed(verification)
     assert "is none of them" in check(verification, "first_transversality").meaning
+
+
+# --- what is no number ------------------------------------------------------------------------------------------------
+
+
+def test_no_control_is_compared_with_one_of_which_nothing_is_known(lander: Solution) -> None:
+    """At thrusts about 0.5 N, which are admissible, the rate is no number: where H is least nobody can say."""
+    problem, phase = lander.problem, lander.problem.phases[0]
+
+    def blind(x, u, p, m):
+        nothing = m.sqrt((u.thrust - p.gap) ** 2 - (0.1 * p.gap) ** 2)
+        return (*phase.dynamics(x, u, p, m)[:3], u.thrust + 0.0 * nothing)
+
+    given = {**problem.given, "gap": Given(value=0.5, unit="N")}
+    stated = replace(problem, phases=(replace(phase, dynamics=blind),), given=given)
+    proof = verify(replace(lander, problem=stated), level=2)
+    assert math.isnan(check(proof, "minimum_of_hamiltonian").value)
+    assert "minimum_of_hamiltonian" in failed(proof)

@@ -40,7 +40,7 @@ def given_durations(trials: Trials) -> list[int]:
 
 @dataclass(kw_only=True)
 class Lengthened:
-    """One walk from short flights to the whole; `told` says what it met.
+    """One walk from short flights to the whole; `told` says what it met, `met` how many families.
 
     Parameters
     ----------
@@ -57,20 +57,21 @@ class Lengthened:
     def __post_init__(self) -> None:
         self.at = given_durations(self.trials)
         self.rng = np.random.default_rng(self.seed)
-        self.told = ""
+        self.told, self.met = "", 0
 
     def extremals(self) -> list[Root]:
         """Those of the whole flight, best first."""
         count = int(np.ceil(np.log(1 / LEAST) / np.log(RATIO)))
-        met = 0
         known: list[Root] = []
         for number, share in enumerate(RATIO ** np.arange(-count, 1.0)):
             carried = self._carried(known, share / RATIO, share)
             Y = [self._anywhere(number), *(self._around(root) for root in (*known, *carried))]
             fresh = self._roots(np.vstack(Y), share, doubt=0.0)
             known = distinct([*carried, *(root for root in fresh if root.converged)])[:_KEPT]
-            met += sum(not any(same_extremal(root, other) for other in carried) for root in known)
-        self.told = f"{count + 1} shares of the duration from {RATIO**-count:.2g} on, where {met} families were met"
+            self.met += sum(not any(same_extremal(root, other) for other in carried) for root in known)
+        self.told = (
+            f"{count + 1} shares of the duration from {RATIO**-count:.2g} on, where {self.met} families were met"
+        )
         return known
 
     def _carried(self, known: list[Root], share: float, target: float, halvings: int = _HALVINGS) -> list[Root]:

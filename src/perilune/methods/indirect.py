@@ -5,7 +5,8 @@ Rungs, in order; the last two are tried only where those before failed:
 1. *costates on the unit sphere*: the conditions are linear in the costates up to a factor, and `Problem.scales` make
    their components comparable, so random directions of length one cover the possibilities;
 2. *continuation in the duration*, where every duration is given and nothing is free: extremals of shorter flights are
-   carried to the whole one (`perilune.methods.durations`), unless most of the random directions led to a single one;
+   carried to the whole one (`perilune.methods.durations`), and those with smoothed controls where there are several,
+   unless most of the random directions led to a single one;
 3. *direct transcription*: a coarse pseudospectral solution and the costates that its multipliers give;
 4. *multiple shooting* from the same, for arcs too unstable to fly in one piece; of a flight of many switches that no
    coarse mesh follows by way of *smoothed controls* (`perilune.methods.smoothing`), and from finer meshes.

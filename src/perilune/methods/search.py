@@ -267,6 +267,12 @@ class Search:
         walk = Lengthened(trials=self.trials, starts=self.settings.starts, seed=self.settings.seed)
         members = [Member(value=0.0, root=root) for root in walk.extremals()]
         yield from self._judged(members, _DURATION, walk.told)
+        if walk.met > 1 and not self.keep:  # where there are several, the best may not have arrived
+            self.watch(f"start: {_DURATION}, {_SMOOTH}")
+            smoothing = Smoothing(trials=self.trials, segments=1)
+            members = [Member(value=0.0, root=root) for root in distinct(smoothing.carried(walk.starts, walk.seed))]
+            if smoothing.told:
+                yield from self._judged(members, f"{_DURATION}, {_SMOOTH}", smoothing.told)
 
     def _judged(self, members: list[Member], name: str, tried: str) -> Iterator[tuple[Member, str]]:
         """Those within the bounds; those that break a condition come last, and only where nothing else was found."""
@@ -317,7 +323,7 @@ class Search:
                 self.watch(f"start: {_SMOOTH}")
                 smoothing = Smoothing(trials=trials, segments=some)
                 root = smoothing.root(choice)
-                self.tried.append(smoothing.told)
+                self.tried += [smoothing.told] if smoothing.told else []
                 if root is not None:
                     yield Member(value=value, root=root), _SMOOTH
                     return

@@ -6,6 +6,9 @@ shooting. Then the smoothing is made less and less, each root predicted from the
 switched problem is reached by one more run of Newton's method.
 
 Multiple shooting, as a flight in one piece hardly converges while each of dozens of burns changes its length.
+
+Where the duration is given there are many extremals, of very different cost. Smoothed ones are carried from short
+flights to the whole like those of the problem itself (`perilune.methods.durations`), and each then made sharp.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import joints_from, unknowns_from
+from perilune.methods.durations import Lengthened
 from perilune.methods.flown import may_be_cut
 from perilune.methods.trials import Trials
 from perilune.problem.problem import Problem
@@ -30,6 +34,7 @@ _SHARE = 0.3  # of J: a burn's thrust then differs little from the middle of its
 _LEVELS = (1e-3, 1e-4, 1e-5)  # of the first smoothing, at which the switched extremal may be in reach
 _NODES, _FINER = 4, 2  # of a segment, and segments for each of those that a flown guess asks for
 _FEW = 8  # the least that it asks for
+_CARRIED = 8  # the best of the smoothed extremals of a given duration
 _REFINE, _FOLLOWED = 2, 1e-3  # a mesh for first values
 _EVALUATIONS = 16  # of Newton's method from one smoothing to the next
 _ROUGHLY = 1e-8  # residual of a root that only leads to the next
@@ -39,7 +44,7 @@ _PROBE = 1e-4  # difference in it for the prediction
 
 @dataclass(kw_only=True)
 class Smoothing:
-    """One way to an extremal of many switches.
+    """Ways to extremals of many switches.
 
     Parameters
     ----------
@@ -85,6 +90,26 @@ class Smoothing:
             if root.converged and (found := self._sharpened(there, shooting, root)) is not None:
                 return found
         return None
+
+    def carried(self, starts: int, seed: int) -> list[Root]:
+        """Extremals that smoothed ones lead to, carried from short flights to the whole; every duration is given.
+
+        Smoothed extremals begin and end less often on the way, and lie farther apart.
+
+        Parameters
+        ----------
+        starts, seed
+            Of the random starts at each share of the duration.
+        """
+        smooth = smoothed(self.trials.problem, _SHARE)
+        if smooth is None:
+            return []
+        there = Trials(smooth, self.trials.watch)
+        walk = Lengthened(trials=there, starts=starts, seed=seed)
+        roots = walk.extremals()[:_CARRIED]
+        found = [root for near in roots if (root := self._sharpened(there, there.shooting, near)) is not None]
+        self.told = f"smoothed controls: {walk.told}, {len(found)} of {len(roots)} with the smoothing taken back"
+        return found
 
     def _rough(self, smooth: Problem) -> Solution | None:
         from perilune.direct.first_guess import first_guesses

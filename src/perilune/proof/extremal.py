@@ -188,7 +188,7 @@ def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
     sizes = arc.end_scale / arc.objective_scale
     for condition, side, value, size in zip(arc.phase.end_conditions, end_sides(arc), nu, sizes, strict=True):
         if condition.ranged:
-            wrong = 0.0 if side == INSIDE else max(0.0, -float(side * value)) * size
+            wrong = 0.0 if side == INSIDE else float(np.maximum(0.0, -side * value)) * size  # a NaN stays one
             yield Check(
                 name=f"{arc.prefix}range_{condition.name}", level=2, unit="1", limit=STATIONARY_LIMIT, value=wrong,
                 meaning=f"multiplier of {condition.name} on the wrong side: what J would gain if it left its bound "

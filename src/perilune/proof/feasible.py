@@ -70,7 +70,7 @@ def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
 def _times(arc: Arc) -> Iterator[Check]:
     yield Check(
         name=f"{arc.prefix}{arc.phase.duration}", level=1, unit="s", exact=True,
-        value=max(abs(float(c.time[-1]) - arc.duration) for c in arc.curves),
+        value=float(np.max([abs(c.time[-1] - arc.duration) for c in arc.curves])),
         limit=1e-12 * arc.time_scale,
         meaning=f"difference between the last time of the exported tables and {arc.phase.duration}",
     )  # fmt: skip

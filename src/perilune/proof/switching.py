@@ -184,16 +184,16 @@ def _minimum(arc: Arc) -> Check:
     if arc.allowed:
         parts, joint = _on_surfaces(arc.allowed, x[:, :, 0], u[:, :, 0], parts)
         for tried in joint:
-            worst = max(worst, gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0]))
+            worst = np.maximum(worst, gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0]))
     samples = math.prod(len(part) for part in parts)
     width = max(1, _AT_ONCE // samples)
     for k in range(0, count, width):
         at = slice(k, k + width)
         tried = product_of([np.stack([value[:, at] for value in part], axis=1) for part in parts])
-        worst = max(worst, gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
+        worst = np.maximum(worst, gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
-        value=worst / arc.rate_scale,
+        value=float(worst) / arc.rate_scale,
         meaning=f"most that any of {samples} controls inside each of {count} pieces lowers the Hamiltonian (scaled)",
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ from perilune.shooting.function import Root, Roots, Shooting
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
-_HALVINGS = 12  # of a step along a family: where a flight becomes short its costates grow a hundredfold in a step
+_HALVINGS = 18  # of a step along a family: where a flight becomes short its costates grow a hundredfold in a step
 _ATTEMPTS = 24  # at an extremal between two members: from 1 mm over the site dJ/dq is a step of some cm/s in 50 m/s
 
 
