@@ -49,13 +49,13 @@ def in_a_shell(redirected: str, *arguments: str) -> subprocess.CompletedProcess[
 
 
 @linux
-def test_a_closed_stream_is_no_fault() -> None:
+def test_a_closed_stream_is_no_fault(tmp_path: Path) -> None:
     refused = in_a_shell("2>&-", "solve", "nowhere.toml", "--json")
     assert refused.returncode == 2
     assert read_json(refused.stdout)["outcome"] == "REFUSED"  # and not the refusal in words before it
     assert in_a_shell("2>&-", "solve", HYBRID, "--level", "0").returncode == 5
     assert in_a_shell(">&- 2>&- <&-", "check", HYBRID).returncode == 0
-    told = in_a_shell(">&-", "new", "nothing_like_it", "--json")
+    told = in_a_shell(">&-", "new", str(tmp_path / "written"), "--json")
     assert "Traceback" not in told.stderr
 
 

@@ -233,7 +233,7 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         _FORCE,
         _NO_CACHE,
     )
-    kinds = "hybrid_landing (unless given), powered_descent or precision_landing."
+    kinds = "hybrid_landing (unless given), powered_descent, precision_landing or deorbit_entry."
     command(
         "new",
         "Write a commented scenario to start from.",

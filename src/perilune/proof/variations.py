@@ -58,10 +58,10 @@ class Kept:
     pays: float | None = None
 
 
-def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept]) -> list[Piece]:
+def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept], finer: int = 1) -> list[Piece]:
     """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters.
 
-    And of singular arcs what is left of their impulses, behind `names`.
+    And of singular arcs what is left of their impulses, behind `names`. `finer` times as many steps as are usual.
     """
     switches = {
         (arc.index, float(time)): float(slope)
@@ -85,7 +85,7 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept
         for k in range(len(edges) - 1):
             varied = (*names, *impulses.values(), *times.values())
             own = kept.get(arc.index, Kept())
-            found.append(Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2], own))
+            found.append(Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2], own, finer))
             found[-1].transform(known[arc.index].places[k], impulses.get((arc.index, k)))
     return found
 
@@ -111,13 +111,14 @@ class Piece:
         index: int,
         edges: Sequence[str | float],
         kept: Kept,
+        finer: int = 1,
     ) -> None:
         self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
         self.index, self.kept = index, kept
         self.first, self.last = index == 0, index == len(arc.edges) - 2
         left, right = self.span = arc.edges[index : index + 2].tolist()
         self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
-        self.steps = max(FEWEST, round(STEPS * (right - left) / arc.duration))
+        self.steps = finer * max(FEWEST, round(STEPS * (right - left) / arc.duration))
         t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
         x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
         basis, partly_held = _moves(arc, x, self.u)
