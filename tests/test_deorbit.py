@@ -22,7 +22,7 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.models.deorbit.times import impulsive
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 # Liu, Liu, Wu 2019, and what it leaves open: a blunt capsule, exponential air, and a site in the orbit's plane.
 BODY = Planet(
@@ -132,6 +132,7 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
         (lambda: returning(air=replace(AIR, density=None)), "atmosphere.density is missing"),
         (lambda: returning(air=replace(AIR, model="us1976")), "belongs to exponential air"),
         (lambda: replace(SITE, latitude=None), "a longitude and a latitude"),
+        (lambda: returning(manoeuvre=replace(PLACE, latitude=0.95)), "never comes to the latitude"),
         (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "where on its orbit"),
         (lambda: returning(replace(VEHICLE, drag_area=None)), "drag_area is missing"),
         (lambda: returning(air=None, site=SITE), "a site needs air"),
@@ -141,3 +142,34 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
 def test_what_is_stated_twice_or_not_at_all_is_refused(make: Any, said: str) -> None:
     with pytest.raises(PeriluneError, match=said):
         make()
+
+
+def refused(**more: Any) -> PeriluneError:
+    problem = deorbit_entry(**{
+        "vehicle": VEHICLE, "orbit_": ORBIT, "interface": BOUNDED, "body": BODY, "manoeuvre": PLACE, "air": AIR,
+        "site": SITE, **more,
+    })  # fmt: skip
+    with pytest.raises(InfeasibleError) as error:
+        pl.solve(problem)
+    return error.value
+
+
+def test_what_physics_forbids_is_refused_before_it_is_solved() -> None:
+    assert "into the air by itself" in refused(orbit_=replace(ORBIT, radius=6471e3)).what
+    # To a perigee at 145 km, by the vis-viva law; a tenth of a per mille of propellant gives 0.3 m/s.
+    mu, apogee, perigee = 3.986005e14, 6678.14e3, 6371e3 + 145e3
+    needed = math.sqrt(mu / apogee) - math.sqrt(mu * (2 / apogee - 2 / (apogee + perigee)))
+    short = refused(vehicle=replace(VEHICLE, dry_mass=499.95))
+    assert "cannot bring the vehicle down" in short.what and "velocity change" in short.got
+    assert float(short.got.split()[-2]) == pytest.approx(needed, abs=1e-3)
+
+
+def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
+    """The paper's own site lies 33 degrees or more off, with 100 kg of propellant for about 5."""
+    printed = replace(SITE, longitude=math.radians(-158.0))
+    error = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=printed)
+    assert "out of the plane" in error.got and "km or more out of the plane" in error.what
+    assert 25.0 < float(error.got.split()[-2]) < 40.0
+    assert "h after t = 0" in error.advice
+    polar = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=replace(SITE, latitude=math.radians(75.0)))
+    assert "never comes over its latitude" in polar.advice

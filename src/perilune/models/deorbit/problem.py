@@ -19,6 +19,7 @@ from perilune.models.bodies import EARTH, Planet
 from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import flight, orbit, times, told
+from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
     Aim,
     Atmosphere,
@@ -152,7 +153,15 @@ def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, limits
 def _ranges(
     p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
 ) -> dict[str, tuple[float, float, float]]:
-    """Bounds and orders of magnitude of the times."""
+    """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
+    highest = math.asin(math.sin(p.orbit_inclination))
+    if hasattr(p, "manoeuvre_latitude") and not abs(p.manoeuvre_latitude) < highest:
+        raise PeriluneError(
+            "the orbit never comes to the latitude of the manoeuvre",
+            got=f"{math.degrees(p.manoeuvre_latitude):g} deg",
+            expected=f"less than {math.degrees(highest):g} deg, which the inclination allows",
+            advice="a lower manoeuvre.latitude, or another orbit.inclination",
+        )
     typical = times.typical_times(p, angles, air, coasts="coast" in names, drifts="drift" in names)
     burnt = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * times.exhaust_speed(p) / p.vehicle_thrust
     longest = {
@@ -261,6 +270,7 @@ def deorbit_entry(
         result_variables=told.of_flight(names),
         views=told.views(air=flown is not None, heat=nose),
         declared=stated,
+        preflight=partial(compare_return, angles=angles, air=flown is not None),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),
         rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),
