@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.models import standard_atmosphere
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
@@ -22,7 +23,8 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.models.deorbit.times import impulsive
-from perilune.words.outcome import PeriluneError
+from perilune.scenario import load_text, template
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 # Liu, Liu, Wu 2019, and what it leaves open: a blunt capsule, exponential air, and a site in the orbit's plane.
 BODY = Planet(
@@ -132,6 +134,7 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
         (lambda: returning(air=replace(AIR, density=None)), "atmosphere.density is missing"),
         (lambda: returning(air=replace(AIR, model="us1976")), "belongs to exponential air"),
         (lambda: replace(SITE, latitude=None), "a longitude and a latitude"),
+        (lambda: returning(manoeuvre=replace(PLACE, latitude=0.95)), "never comes to the latitude"),
         (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "where on its orbit"),
         (lambda: returning(replace(VEHICLE, drag_area=None)), "drag_area is missing"),
         (lambda: returning(air=None, site=SITE), "a site needs air"),
@@ -141,3 +144,59 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
 def test_what_is_stated_twice_or_not_at_all_is_refused(make: Any, said: str) -> None:
     with pytest.raises(PeriluneError, match=said):
         make()
+
+
+def refused(**more: Any) -> PeriluneError:
+    problem = deorbit_entry(**{
+        "vehicle": VEHICLE, "orbit_": ORBIT, "interface": BOUNDED, "body": BODY, "manoeuvre": PLACE, "air": AIR,
+        "site": SITE, **more,
+    })  # fmt: skip
+    with pytest.raises(InfeasibleError) as error:
+        pl.solve(problem)
+    return error.value
+
+
+def test_what_physics_forbids_is_refused_before_it_is_solved() -> None:
+    assert "into the air by itself" in refused(orbit_=replace(ORBIT, radius=6471e3)).what
+    # To a perigee at 145 km, by the vis-viva law; a tenth of a per mille of propellant gives 0.3 m/s.
+    mu, apogee, perigee = 3.986005e14, 6678.14e3, 6371e3 + 145e3
+    needed = math.sqrt(mu / apogee) - math.sqrt(mu * (2 / apogee - 2 / (apogee + perigee)))
+    short = refused(vehicle=replace(VEHICLE, dry_mass=499.95))
+    assert "cannot bring the vehicle down" in short.what and "velocity change" in short.got
+    assert float(short.got.split()[-2]) == pytest.approx(needed, abs=1e-3)
+
+
+def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
+    """The paper's own site lies 33 degrees or more off, with 100 kg of propellant for about 5."""
+    printed = replace(SITE, longitude=math.radians(-158.0))
+    error = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=printed)
+    assert "out of the plane" in error.got and "km or more out of the plane" in error.what
+    assert 25.0 < float(error.got.split()[-2]) < 40.0
+    assert "h after t = 0" in error.advice
+    polar = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=replace(SITE, latitude=math.radians(75.0)))
+    assert "never comes over its latitude" in polar.advice
+
+
+def test_the_kinds_own_template_is_solved_and_proved() -> None:
+    """Ellipsoid, J2 to J4, the US Standard Atmosphere: slow, as all of it together is flown nowhere else."""
+    problem = load_text(template("deorbit_entry"))
+    solution = pl.solve(problem)
+    assert solution.verification.passed and solution.verification.level == 3
+    told = {name: result.value for name, result in solution.results.items()}
+    # Milstead's impulse on a sphere, 113.2 m/s and 1747 s, and half of the burn; the air costs no propellant.
+    assert told["delta_v"] == pytest.approx(113.6, abs=0.5)
+    assert told["transition_time"] == pytest.approx(1747.1 + 0.5 * told["burn_time"], rel=0.04)
+    assert told["interface_angle"] == pytest.approx(math.radians(-1.5), abs=1e-9)
+    # What the air does there, by the standard itself and no table.
+    entry = solution.trajectories[-1]
+    p, phase = solution.parameters, problem.phases[-1]
+    t = np.linspace(0.0, entry.duration, 40)
+    x = solution.flown(2, t)[0]
+    density = standard_atmosphere.density(solution.outputs(2, t)["altitude"])
+    pressure = 0.5 * density * (x[3] ** 2 + x[4] ** 2 + x[5] ** 2)
+    np.testing.assert_allclose(solution.outputs(2, t)["dynamic_pressure"], pressure, rtol=1.1e-3)
+    np.testing.assert_allclose(
+        solution.outputs(2, t)["load"], pressure * p.vehicle_drag_area / x[6] / 9.80665, rtol=1.1e-3
+    )
+    assert phase.name == "entry" and told["peak_load"] == pytest.approx(8.346, abs=0.02)
+    assert told["peak_load_time"] > told["transition_time"]

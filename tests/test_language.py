@@ -273,7 +273,7 @@ def test_air_in_layers_and_in_a_table(kind: str) -> None:
     assert end[1] == pytest.approx(-math.sqrt(flown.y[0, -1]), abs=1e-7)
 
 
-@pytest.mark.parametrize("kind", ["smooth", "monotone", "linear"])
+@pytest.mark.parametrize("kind", ["smooth", "smoother", "monotone", "linear"])
 def test_a_table_is_its_data_everywhere(kind: Any) -> None:
     import casadi as ca
 

@@ -22,7 +22,7 @@ from perilune.words.outcome import PeriluneError
 EXAMPLES = Path(__file__).parent.parent / "examples"
 NAMES = ("a", "b")
 AIR = pl.Table((0.0, 0.2, 0.5, 0.9, 1.2, 1.5, 2.0), (1.0, 0.8, 0.65, 0.3, 0.28, 0.2, 0.1))
-KINDS: tuple[Any, ...] = ("smooth", "monotone", "linear")
+KINDS: tuple[Any, ...] = ("smooth", "smoother", "monotone", "linear")
 
 
 def flow(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:

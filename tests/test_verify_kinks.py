@@ -180,7 +180,7 @@ def test_a_guard_is_held_on_either_side() -> None:
     assert watched_rates(phase, x, u, p, held=[False])[0].real[1] == pytest.approx([0.0, 0.0])
 
 
-@pytest.mark.parametrize("kind", ["smooth", "monotone", "linear"])
+@pytest.mark.parametrize("kind", ["smooth", "smoother", "monotone", "linear"])
 def test_watched_tables_and_functions_are_what_they_are_unwatched(kind: Any) -> None:
     table = pl.Table((0.0, 1.0, 2.0, 4.0), (1.0, 3.0, 3.5, 3.6), kind)
     phase = pl.Phase(
@@ -195,7 +195,7 @@ def test_watched_tables_and_functions_are_what_they_are_unwatched(kind: Any) -> 
     x, u = rng.uniform(-1, 5, (2, 50)), np.zeros((0, 50))
     found, differences, _ = watched_rates(phase, x, u, p)
     assert found.real == pytest.approx(np.array(phase.rates(x, u, p, NUMERIC)), abs=1e-14)
-    assert len(differences) == {"smooth": 2, "monotone": 4, "linear": 4}[kind] + 5
+    assert len(differences) == {"smooth": 2, "smoother": 2, "monotone": 4, "linear": 4}[kind] + 5
 
 
 @pytest.mark.parametrize("at", np.linspace(0.11, 0.87, 7))

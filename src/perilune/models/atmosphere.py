@@ -1,12 +1,12 @@
 """Air: density against altitude, as smooth functions that every part of the library flies.
 
-Exponential air is a formula. All other air is a table of the logarithm of the density (`m.table`, four times
+Exponential air is a formula. All other air is a table of the logarithm of the density (`m.table`, six times
 differentiable), so that there is no layer at whose boundary a flight would have to stop:
 
     rho = rho_ref exp(table(h/h_ref))
 
 `tabulated` chooses its knots: beginning with a few, it adds the sample from which the table is furthest, until it is
-near enough to all. The U.S. Standard Atmosphere, 1976, is followed to 7e-4 of its density from -5 to 1000 km, its kinks
+near enough to all. The U.S. Standard Atmosphere, 1976, is followed to 1e-3 of its density from -5 to 1000 km, its kinks
 at layers' boundaries included. Above and below, a table goes on as exponential air does.
 """
 
@@ -29,7 +29,7 @@ from perilune.words.maths import MOST_KNOTS, Table
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
-STANDARD_NEAR = 7e-4  # of the density
+STANDARD_NEAR = 1e-3  # of the density
 NEAR, ROUGHEST = 1e-3, 1e-2  # of the density: aimed at, and refused
 LARGEST_FILE = 1_000_000  # bytes
 _KILOMETRE = 1e3  # m, by which tables count altitudes
@@ -168,8 +168,8 @@ def tabulated(altitude: Vector, density: Vector, name: str, near: float = NEAR) 
     x, y = _checked(altitude, density, name)
     places = np.unique(np.linspace(0, len(x) - 1, _FIRST_KNOTS).astype(int)).tolist()
     while True:
-        table = Table(x=tuple(x[places]), y=tuple(y[places]))
-        away = np.abs(np.expm1(table(x) - y))
+        table = Table(x=tuple(x[places]), y=tuple(y[places]), kind="smoother")
+        away = np.abs(np.expm1(np.clip(table(x) - y, -1.0, 1.0)))
         worst = int(away.argmax())
         if away[worst] <= near or len(places) in (MOST_KNOTS, len(x)):
             break

@@ -149,12 +149,14 @@ def _deorbit(
     transition: deorbit.Transition,
     interface: deorbit.Interface,
     atmosphere: deorbit.Atmosphere | None,
+    separation: deorbit.Separation | None,
     heating: deorbit.Heating | None,
+    limits: deorbit.Limits | None,
     site: deorbit.Landing | None,
 ) -> Problem:
     return deorbit_entry(
         vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
-        heating=heating, minimise=problem.minimise,
+        heating=heating, separation=separation, limits=limits, minimise=problem.minimise,
     )  # fmt: skip
 
 
@@ -235,7 +237,9 @@ DEORBIT = Kind(
         "atmosphere": Section(
             record=deorbit.Atmosphere, required=False, absent="without it the flight ends at the interface"
         ),
+        "separation": Section(record=deorbit.Separation, required=False, absent="left out, all of it enters the air"),
         "heating": Section(record=deorbit.Heating, required=False),
+        "limits": Section(record=deorbit.Limits, required=False),
         "site": Section(record=deorbit.Landing, required=False, absent="left out, any place will do"),
     },
     make=_deorbit,

@@ -16,6 +16,7 @@ import numpy as np
 from perilune.problem.controls import normalised
 from perilune.problem.extremal import Extremal
 from perilune.problem.named_arcs import NamedArc
+from perilune.problem.peaks import peaks
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Check, Verification
@@ -285,9 +286,7 @@ class Solution:
             for name, part in _named(phase.integral_variables, self._integrals(k)).items():
                 so_far = found[name].value if name in found else 0.0
                 found[name] = replace(part, value=so_far + part.value)
-        for name in problem.views.peaks:
-            found |= self._peak(name)
-        return Named("result", found)
+        return Named("result", found | _named(*peaks(self)))
 
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
         """State (states, n) and control (components, n) at times t [s], as the physics receives them.
@@ -330,26 +329,6 @@ class Solution:
         rows = np.array([full(value, t) for value in values])
         return rows[:3], rows[3:6], rows[6:]
 
-    def _peak(self, name: str) -> dict[str, Result]:
-        """Largest value of an output along the flight, and when."""
-        best, when, since, unit = -np.inf, 0.0, 0.0, "1"
-        for k, (phase, flown) in enumerate(zip(self.problem.phases, self.trajectories, strict=True)):
-            known = next((v for v in phase.output_variables if v.name == name), None)
-            if known is not None:
-                unit, low, high = known.unit, 0.0, flown.duration
-                for count in (_PEAK_POINTS, *(9,) * 12):  # each narrows the place to a quarter of what it was
-                    t = np.linspace(low, high, count)
-                    values = self.outputs(k, t)[name]
-                    i = int(np.argmax(values))
-                    low, high = t[max(i - 1, 0)], t[min(i + 1, count - 1)]
-                if values[i] > best:
-                    best, when = float(values[i]), since + float(t[i])
-            since += flown.duration
-        return {
-            f"peak_{name}": Result(value=best, unit=unit, description="largest along the flight"),
-            f"peak_{name}_time": Result(value=when, unit="s", description="when it is reached"),
-        }
-
     def _integrals(self, phase: int) -> list[float]:
         """Integrals along a phase by Gauss's rule between the nodes of its curves, which have no kink inside."""
         definition, flown = self.problem.phases[phase], self.trajectories[phase]
@@ -361,9 +340,6 @@ class Solution:
         t = (nodes[:-1, None] + half * (1 + point)).ravel()
         rates = definition.evaluate("integrals", *self.flown(phase, t), self.parameters)
         return [float((half * weight).ravel() @ full(rate, t)) for rate in rates]
-
-
-_PEAK_POINTS = 401  # of a phase at which a peak is looked for
 
 
 def full(values: Any, t: Vector) -> Vector:

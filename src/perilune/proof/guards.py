@@ -77,7 +77,7 @@ def _table(watch: Watch | None, table: Table, value: Any) -> Any:
         return table(value)
     # A choice at each of its kinks; between the two of a smooth one it is read as it comes.
     beyond = sum(watch.decide(value - knot, np.real(value) >= knot) * 1 for knot in table.kinks)
-    if table.kind == "smooth":
+    if table.is_spline:
         last = len(table.x)
         inner = np.clip(np.searchsorted(table.x, np.real(value), side="right"), 1, last - 1)
         beyond = np.choose(beyond, [0, inner, last])

@@ -43,6 +43,7 @@ NUMPY_NAMES = {
 }
 
 MOST_KNOTS = 200  # each is a choice in machine code
+_SPLINES = {"smooth": 5, "smoother": 7}  # degrees
 
 Choose = Callable[[Any, Any, Any], Any]  # (condition, yes, no)
 
@@ -60,8 +61,9 @@ class Table:
         Knots in increasing order and the values there.
     kind
         ``"smooth"``: quintic spline, four times differentiable, so that steps of high order hardly see its knots (cubic
-        for less than six points); ``"monotone"``: once differentiable, and without a turn that
-        the data do not have (Fritsch, Carlson 1980); ``"linear"``.
+        for less than six points); ``"smoother"``: of degree seven, six times differentiable, for flights so sensitive
+        that they see them; ``"monotone"``: once differentiable, and without a turn that the data do not have (Fritsch,
+        Carlson 1980); ``"linear"``.
 
     Raises
     ------
@@ -71,7 +73,7 @@ class Table:
 
     x: tuple[float, ...]
     y: tuple[float, ...]
-    kind: Literal["smooth", "monotone", "linear"] = "smooth"
+    kind: Literal["smooth", "smoother", "monotone", "linear"] = "smooth"
 
     def __post_init__(self) -> None:
         for name in ("x", "y"):
@@ -83,8 +85,9 @@ class Table:
                 got=f"{len(self.x)} knots and {len(self.y)} values",
                 expected=f"3 to {MOST_KNOTS} points",
             )
-        if self.kind not in ("smooth", "monotone", "linear"):
-            raise PeriluneError("unknown kind of table", got=repr(self.kind), expected="smooth, monotone or linear")
+        if self.kind not in (*_SPLINES, "monotone", "linear"):
+            expected = "smooth, smoother, monotone or linear"
+            raise PeriluneError("unknown kind of table", got=repr(self.kind), expected=expected)
 
     @cached_property
     def pieces(self) -> Any:
@@ -97,7 +100,9 @@ class Table:
         elif self.kind == "monotone":
             inner = np.asarray(PchipInterpolator(x, y).c)
         else:
-            whole = PPoly.from_spline(make_interp_spline(x, y, k=5 if len(x) > 5 else 3 if len(x) > 3 else 2))
+            degrees = (_SPLINES[self.kind], 5, 3, 2)
+            degree = next(k for k in degrees if k <= _SPLINES[self.kind] and len(x) > k)
+            whole = PPoly.from_spline(make_interp_spline(x, y, k=degree))
             inner = np.array([whole(x[:-1], nu) / math.factorial(nu) for nu in range(len(whole.c) - 1, -1, -1)])
         ends = np.zeros((len(inner), 2))
         ends[-1] = y[0], y[-1]
@@ -125,13 +130,18 @@ class Table:
     @property
     def kinks(self) -> tuple[float, ...]:
         """The knots where a high derivative jumps: all of them, or of a smooth spline its ends."""
-        return (self.x[0], self.x[-1]) if self.kind == "smooth" else self.x
+        return (self.x[0], self.x[-1]) if self.is_spline else self.x
+
+    @property
+    def is_spline(self) -> bool:
+        """Whether it is smooth between its ends."""
+        return self.kind in _SPLINES
 
     def chosen(self, value: Any, choose: Choose, side: int | None = None) -> Any:
         """The same by choices between pieces, for symbols; the `side` between two `kinks` goes on beyond them."""
         first, last = 0, len(self.x)
         if side is not None:
-            inner = self.kind == "smooth"
+            inner = self.is_spline
             first, last = [(0, 0), (1, last - 1), (last, last)][side] if inner else (side, side)
         return self._chosen(self.pieces, value, choose, first, last)
 

@@ -77,6 +77,22 @@ def falling(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
     return *v, *combine((1, free_acceleration(r, v, AXIS, p, m)), (1, felt)), 0.0, *heat
 
 
+def within_limits(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """What is left to each limit that is stated: load [m/s^2], heat rate [W/m^2], dynamic pressure [Pa]."""
+    density, v = air.density(ellipsoid.altitude(where(x), p, m), p, m), how_fast(x)
+    left = []
+    if hasattr(p, "limits_load"):
+        left.append(p.limits_load - aerodynamics.load(density, v, x.m, p, m))
+    if hasattr(p, "limits_heat_rate"):
+        left.append(p.limits_heat_rate - aerodynamics.heat_rate(density, v, p, m))
+    if hasattr(p, "limits_dynamic_pressure"):
+        left.append(p.limits_dynamic_pressure - aerodynamics.dynamic_pressure(density, v))
+    return left
+
+
+LIMITED = {"load": "m/s^2", "heat_rate": "W/m^2", "dynamic_pressure": "Pa"}
+
+
 def above_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Height above the interface [m], below which there is air."""
     return (ellipsoid.altitude(where(x), p, m) - p.interface_altitude,)

@@ -19,15 +19,18 @@ from perilune.models.bodies import EARTH, Planet
 from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import flight, orbit, times, told
+from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
     Aim,
     Atmosphere,
     Heating,
     Interface,
     Landing,
+    Limits,
     Manoeuvre,
     Orbit,
     Returner,
+    Separation,
     Transition,
 )
 from perilune.models.landing import mass_state
@@ -78,8 +81,13 @@ def _on(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _into_the_air(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """The same, where the next phase counts the heat."""
-    return *x, 0.0
+    """The same with what enters the air."""
+    return *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
+
+
+def _into_the_air_with_heat(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """The same, where the heat is counted."""
+    return *_into_the_air(x, p, m), 0.0
 
 
 def _interface_conditions(interface: Interface) -> tuple[Variable, ...]:
@@ -103,7 +111,7 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) ->
     outputs = told.PLACED + ((told.PUSHED,) if burns else ())
     return Phase(
         name=name,
-        states=(*flight.STATES, mass_state(dry)),
+        states=(*flight.STATES, mass_state(False)),
         controls=(flight.STEERING,) if burns else (),
         dynamics=flight.burning if burns else flight.coasting,
         duration=_DURATIONS[name],
@@ -121,16 +129,19 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) ->
     )
 
 
-def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, dry: bool) -> Phase:
+def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, limits: Limits) -> Phase:
     names = ("site_up", "site_north", "site_east") if placed else ("site_up",)
+    limited = [name for name in flight.LIMITED if getattr(limits, name) is not None]
     return Phase(
         name="entry",
-        states=(*flight.STATES, mass_state(dry), *((flight.HEAT,) if heat else ())),
+        states=(*flight.STATES, mass_state(False), *((flight.HEAT,) if heat else ())),
         controls=(flight.BANK,) if lift else (),
         dynamics=partial(flight.falling, air=air),
         duration=_DURATIONS["entry"],
         end=flight.at_site,
         end_conditions=tuple(Variable(name=name, unit="m") for name in names),
+        path=partial(flight.within_limits, air=air) if limited else None,
+        path_conditions=tuple(Variable(name=f"{name}_left", unit=flight.LIMITED[name]) for name in limited),
         outputs=partial(told.felt, air=air),
         output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
         integrals=partial(told.heated, air=air) if nose else None,
@@ -142,7 +153,15 @@ def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, dry: b
 def _ranges(
     p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
 ) -> dict[str, tuple[float, float, float]]:
-    """Bounds and orders of magnitude of the times."""
+    """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
+    highest = math.asin(math.sin(p.orbit_inclination))
+    if hasattr(p, "manoeuvre_latitude") and not abs(p.manoeuvre_latitude) < highest:
+        raise PeriluneError(
+            "the orbit never comes to the latitude of the manoeuvre",
+            got=f"{math.degrees(p.manoeuvre_latitude):g} deg",
+            expected=f"less than {math.degrees(highest):g} deg, which the inclination allows",
+            advice="a lower manoeuvre.latitude, or another orbit.inclination",
+        )
     typical = times.typical_times(p, angles, air, coasts="coast" in names, drifts="drift" in names)
     burnt = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * times.exhaust_speed(p) / p.vehicle_thrust
     longest = {
@@ -168,6 +187,8 @@ def deorbit_entry(
     air: Atmosphere | Air | None = None,
     site: Landing | None = None,
     heating: Heating | None = None,
+    separation: Separation | None = None,
+    limits: Limits | None = None,
     minimise: str = "flight_time",
 ) -> Problem:
     """Return from an orbit to a place, or to the interface where there is no air.
@@ -186,6 +207,10 @@ def deorbit_entry(
         Where the flight ends; None: anywhere at altitude 0.
     heating
         Constant of the heat rate, where the vehicle has a nose radius.
+    separation
+        What enters the air; None: the whole vehicle.
+    limits
+        Greatest load, heat rate and dynamic pressure in the air.
     minimise
         ``"flight_time"`` from ignition to the end, ``"transition_time"`` to the interface, ``"propellant"`` or
         ``"heat_load"``.
@@ -208,7 +233,8 @@ def deorbit_entry(
     if heating is None and flown is not None and vehicle.nose_radius is not None:
         heating = Heating()
     _refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
-    stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, heating, site)
+    _refuse_without_effect(vehicle, flown, heating, separation, limits)
+    stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, site)
     stated = tuple(record for record in (*stated, air if isinstance(air, Atmosphere) else None) if record is not None)
     given = {**given_of(*stated), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
     if flown is not None:
@@ -223,9 +249,12 @@ def deorbit_entry(
     ]  # fmt: skip
     if flown is not None and site is not None:
         lift, placed = vehicle.lift_to_drag is not None, site.longitude is not None
-        phases.append(_entry(flown, lift=lift, nose=nose, heat=heat, placed=placed, dry=dry))
-    links = [_into_the_air if heat and name == "entry" else _on for name in names[1:]]
-    objective, unit = _OBJECTIVES[minimise]
+        bound = limits or Limits()
+        phases.append(_entry(flown, lift=lift, nose=nose, heat=heat, placed=placed, limits=bound))
+    enter = _into_the_air_with_heat if heat else _into_the_air
+    links = [enter if name == "entry" else _on for name in names[1:]]
+    objective, objective_unit = _OBJECTIVES[minimise]
+    time = math.sqrt(body.radius**3 / body.gravitational_parameter)
     return Problem(
         name="deorbit_entry",
         title=f"{vehicle.mass:g} kg from orbit to the {'interface' if flown is None else 'ground'}",
@@ -235,19 +264,22 @@ def deorbit_entry(
         given=given,
         free=tuple(Free(name=_DURATIONS[name], unit="s") for name in names),
         objective=objective,
-        objective_unit=unit,
-        objective_scale=flight.HEAT.scale if heat else None,
+        objective_unit=objective_unit,
+        objective_scale=_size_of(objective_unit, time),
         results=partial(told.results, names=names),
         result_variables=told.of_flight(names),
         views=told.views(air=flown is not None, heat=nose),
         declared=stated,
+        preflight=partial(compare_return, angles=angles, air=flown is not None),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),
         rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
-        scales=Scales(
-            length=float(body.radius), time=math.sqrt(body.radius**3 / body.gravitational_parameter),
-            mass=float(vehicle.mass),
-        ),
-    )  # fmt: skip
+        scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),
+    )
+
+
+def _size_of(objective_unit: str, time: float) -> float | None:
+    """Size of J: a state that is off by its canonical unit costs some ten to a hundred units of time."""
+    return {"s": 10 * time, "J/m^2": flight.HEAT.scale}.get(objective_unit)
 
 
 def _air(air: Atmosphere | Air | None) -> Air | None:
@@ -264,6 +296,22 @@ def _air(air: Atmosphere | Air | None) -> Air | None:
                 expected='model = "exponential", density and scale_height; or model = "us1976" alone',
             )
     return atmosphere.standard()
+
+
+def _refuse_without_effect(
+    vehicle: Returner, air: Air | None, heating: Heating | None, separation: Separation | None, limits: Limits | None
+) -> None:
+    """Refuse what only air would make matter, where there is none, and heat without a nose."""
+    named = {"heating": heating, "separation": separation, "limits": limits}
+    for name in (name for name, made in named.items() if made is not None and air is None):
+        raise PeriluneError(
+            f"[{name}] needs air", got=f"a section [{name}], and no [atmosphere]", expected="both of them, or neither"
+        )
+    heated = heating is not None or (limits is not None and limits.heat_rate is not None)
+    if heated and vehicle.nose_radius is None:
+        raise PeriluneError(
+            "vehicle.nose_radius is missing", expected="the radius at the stagnation point, for its heat"
+        )
 
 
 def _refuse_incomplete(

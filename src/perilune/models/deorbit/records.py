@@ -206,6 +206,30 @@ class Atmosphere:
     )
 
 
+@record("separation")
+class Separation:
+    """What of the vehicle goes on into the air."""
+
+    mass: float = quantity(
+        "kg", "2900 kg", above=0.0, about="of what enters the air; the rest is left at the interface"
+    )
+
+
+@record("limits")
+class Limits:
+    """What the vehicle may bear on its way through the air."""
+
+    load: float | None = quantity(
+        "m/s^2", "4.5 g0", default=None, above=0.0, hint="write it in g0 or m/s^2", about="greatest load"
+    )  # fmt: skip
+    heat_rate: float | None = quantity(
+        "W/m^2", "2 MW/m^2", default=None, above=0.0, about="greatest heat rate at the stagnation point"
+    )
+    dynamic_pressure: float | None = quantity(
+        "Pa", "60 kPa", default=None, above=0.0, about="greatest dynamic pressure"
+    )
+
+
 @record("heating")
 class Heating:
     """The heat of the air at the stagnation point."""

@@ -97,13 +97,13 @@ class Fall:
 def fall(p: Any, air: Air) -> Fall:
     """From the interface to the altitude of the site."""
     radius = float(p.body_radius + p.interface_altitude)
-    heats = hasattr(p, "vehicle_nose_radius")
+    heats, mass = hasattr(p, "vehicle_nose_radius"), getattr(p, "separation_mass", p.vehicle_mass)
 
     def slope(_: float, y: Any) -> list[float]:
         height, _, v, gamma, _ = y
         r, density = p.body_radius + height, float(air.density(height, p, NUMERIC))
         pull, velocity = p.body_gravitational_parameter / (r * r), (v, 0.0, 0.0)
-        slowed = drag_acceleration(density, velocity, p.vehicle_mass, p, NUMERIC)
+        slowed = drag_acceleration(density, velocity, mass, p, NUMERIC)
         level = v + _carried(p, r)
         return [
             v * math.sin(gamma), v * math.cos(gamma) / r, -slowed - pull * math.sin(gamma),
@@ -226,7 +226,7 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
             level = speed * math.cos(gamma) + _carried(p, distance)
             row = distance, turned + swept, speed * math.sin(gamma), level
             moved = _state(p, angle, node, time + share * fallen.time, row)
-            rows.append([*moved, mass, *((load,) if heat else ())])
+            rows.append([*moved, getattr(p, "separation_mass", mass), *((load,) if heat else ())])
         found.append(np.array(rows, dtype=float))
     return found
 
