@@ -87,7 +87,7 @@ class Coarse:
     def lost(self) -> bool:
         """Whether its answer is one of many arcs that the mesh has not followed."""
         known = self.solution
-        return known is not None and known.statistics.residual > _FOLLOWED and _often_switched(known)
+        return known is not None and known.statistics.residual > _FOLLOWED and often_switched(known)
 
     def resolved(self) -> Iterator[Solution]:
         """Its answer, and of a flight of many arcs that no mesh has followed yet those on finer ones, one by one."""
@@ -149,7 +149,7 @@ def touched(flight: Solution) -> set[str]:
     return found
 
 
-def _often_switched(flight: Solution) -> bool:
+def often_switched(flight: Solution) -> bool:
     """Whether a bounded control goes through the middle of its range more often than a few times."""
     for phase, flown in zip(flight.problem.phases, flight.trajectories, strict=True):
         u = flown.control(np.linspace(0.0, flown.duration, _LOOKS))

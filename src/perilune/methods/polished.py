@@ -2,8 +2,9 @@
 
 A direct answer has costates, and so starts the indirect method. That needs no fine mesh: the first one is tried before
 any refinement, a refined one where it tells another structure, and at last the best one, whether or not refinement got
-as far as was asked. What Newton's method reaches replaces the direct answer if it is a minimum that keeps every bound
-and condition and is no worse than the mesh can tell; else the direct answer stays, and says so.
+as far as was asked; one of many switches that starts no Newton also by way of smooth controls. What Newton's method
+reaches replaces the direct answer if it is a minimum that keeps every bound and condition and is no worse than the mesh
+can tell; else the direct answer stays, and says so.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from perilune.methods.coarse import often_switched
 from perilune.methods.first_mesh import ROUGHEST
 from perilune.methods.indirect import Indirect
+from perilune.methods.judge import Breach
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.search import Search
+from perilune.methods.search import SMOOTH, Search
 from perilune.methods.structured import Polish
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
@@ -94,10 +97,15 @@ class _Finish:
 
     def of(self, direct: Solution) -> Solution | None:
         """The exact answer near a direct one; None, with the reason in `tried`, where none was found."""
-        return None if self.settled is direct else self._by_any_way(direct, brief=False)
+        return self._by_any_way(direct, brief=False)
 
     def _by_any_way(self, direct: Solution, *, brief: bool) -> Solution | None:
-        for way, name in ((partial(self._structured, brief=brief), STRUCTURE), (self._in_one_piece, NEWTON)):
+        ways = [(partial(self._structured, brief=brief), STRUCTURE), (self._in_one_piece, NEWTON)]
+        if not brief and self.settled is direct:
+            ways = []  # tried on the way
+        if not brief and not self.guided and often_switched(direct):
+            ways.append((self._smoothed, SMOOTH))
+        for way, name in ways:
             self.watch(f"polish: {name}")
             found = self._found(way, direct)
             if found is not None and not self._worse(found, direct):
@@ -121,8 +129,17 @@ class _Finish:
         return run.run(direct)
 
     def _in_one_piece(self, direct: Solution) -> Solution | None:
-        search = Search(self.settings, self.problem, self.watch, tried=self.tried)
-        found, breach = search.near(direct, family=not self.guided)
+        return self._kept(*self._search().near(direct, family=not self.guided))
+
+    def _smoothed(self, direct: Solution) -> Solution | None:
+        """Of many switches Newton's method needs more than a mesh knows: not near, but on a way of its own."""
+        return self._kept(*self._search().smoothed(direct))
+
+    def _search(self) -> Search:
+        return Search(self.settings, self.problem, self.watch, tried=self.tried)
+
+    def _kept(self, found: Solution, breach: Callable[[], Breach | None]) -> Solution | None:
+        """An extremal if it is a minimum that keeps every condition."""
         if found.extremals[0].nature is Nature.WORST:
             self.tried.append("polish: an extremal that is no minimum")
         elif (broken := breach()) is not None:

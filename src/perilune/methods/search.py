@@ -39,7 +39,7 @@ from perilune.words.watch import Watch
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _DURATION = "continuation in the duration"
-_SMOOTH = "smoothed controls"
+SMOOTH = "smoothed controls"
 _AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
 
 
@@ -97,6 +97,18 @@ class Search:
             found += new_among([f for f in others if search.judge.breach(f.root) is None], found)
         found = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
         return search._compose(found, "family"), lambda: search.judge.breach(found[0].root)
+
+    def smoothed(self, rough: Solution) -> tuple[Solution, Callable[[], Breach | None]]:
+        """As `near`, but by way of smooth controls, with what a rough answer of many switches holds."""
+        trials = self.trials
+        smoothing = Smoothing(trials=trials, segments=self.settings.segments)
+        root = None
+        if trials.scanned is None:
+            root = smoothing.root(held_in(trials, rough, unknowns_from(self.problem, trials.conditions, rough)))
+        self.tried += [smoothing.told] if smoothing.told else []
+        if root is None or trials.outside(root) is not None:
+            raise self._failure()
+        return self._compose([Found(root=root, minimum=True)], SMOOTH), lambda: self.judge.breach(root)
 
     def all_extremals(self, base: Member | None = None, *, last: bool = False) -> tuple[Search, list[Found]]:
         """By the ladder; and of which search they are: this one, or one whose control keeps more of the path.
@@ -268,11 +280,11 @@ class Search:
         members = [Member(value=0.0, root=root) for root in walk.extremals()]
         yield from self._judged(members, _DURATION, walk.told)
         if walk.met > 1 and not self.keep:  # where there are several, the best may not have arrived
-            self.watch(f"start: {_DURATION}, {_SMOOTH}")
+            self.watch(f"start: {_DURATION}, {SMOOTH}")
             smoothing = Smoothing(trials=self.trials, segments=1)
             members = [Member(value=0.0, root=root) for root in distinct(smoothing.carried(walk.starts, walk.seed))]
             if smoothing.told:
-                yield from self._judged(members, f"{_DURATION}, {_SMOOTH}", smoothing.told)
+                yield from self._judged(members, f"{_DURATION}, {SMOOTH}", smoothing.told)
 
     def _judged(self, members: list[Member], name: str, tried: str) -> Iterator[tuple[Member, str]]:
         """Those within the bounds; those that break a condition come last, and only where nothing else was found."""
@@ -320,12 +332,12 @@ class Search:
                     return
                 self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
             if smoothing is None and self.coarse.lost and not self.keep:
-                self.watch(f"start: {_SMOOTH}")
+                self.watch(f"start: {SMOOTH}")
                 smoothing = Smoothing(trials=trials, segments=some)
                 root = smoothing.root(choice)
                 self.tried += [smoothing.told] if smoothing.told else []
                 if root is not None:
-                    yield Member(value=value, root=root), _SMOOTH
+                    yield Member(value=value, root=root), SMOOTH
                     return
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
