@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from perilune.conditions.pontryagin import derive
 from perilune.methods.flown import exported, in_one_piece
 from perilune.problem.variables import Given, Variable
 from perilune.shooting.function import Shooting
+from test_control_law import given, variables
 
 
 def saddle(rate: float) -> pl.Problem:
@@ -76,3 +78,36 @@ def test_pieces_are_one_curve() -> None:
     assert np.all(np.diff(flown.time) > 0)
     assert flown.time[-1] == 1.0
     assert flown.state(0.5)[0] == pytest.approx(1 / math.cosh(10.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.3])
+def test_a_thrust_that_nothing_points_in_the_last_instant_is_told(drag: float) -> None:
+    """Least time to a point at any velocity: the costate of the velocity vanishes there, all but its rounding.
+
+    Without drag the thrust keeps one direction: (L + v t)^2 + (L + g t^2/2)^2 = (T t^2/2)^2.
+    """
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        slowed = p.k * m.sqrt(x.vx**2 + x.vy**2 + p.v**2)
+        return x.vx, x.vy, p.T * u.a - slowed * x.vx, p.T * u.b - p.g - slowed * x.vy
+
+    phase = pl.Phase(
+        name="go", states=variables(x="m", y="m", vx="m/s", vy="m/s"), controls=(pl.Direction(names=("a", "b")),),
+        dynamics=rates, duration="t", end=lambda x, p, m: (x.x - p.L, x.y - p.L),
+        end_conditions=variables(east="m", up="m"),
+    )  # fmt: skip
+    problem = pl.Problem(
+        name="toy", phases=(phase,), start=lambda p, m: (0.0, 0.0, -p.v, 0.0),
+        given=given(T=(2.0, "m/s^2"), k=(drag, "1/m"), g=(1.0, "m/s^2"), L=(3.0, "m"), v=(0.5, "m/s")),
+        free=(pl.Free(name="t", unit="s", lower=0.1, upper=50.0, typical=3.0),),
+        objective=lambda x, p, m: p.t, objective_unit="s",
+    )  # fmt: skip
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED
+    if not drag:
+        t = solution.objective
+        along, up = 3.0 + 0.5 * t, 3.0 + 0.5 * t * t
+        assert math.hypot(along, up) == pytest.approx(t * t, rel=1e-9)
+    path = solution.trajectories[0].control
+    last = path(np.linspace(0.999, 1.0, 50) * solution.objective)
+    assert np.ptp(last, axis=0).max() < 2e-3

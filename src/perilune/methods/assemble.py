@@ -28,6 +28,7 @@ _PLAIN = 3.0  # times their sizes a control moves the states on a plain landing,
 _CHANGED = 2.0  # times its size an error of a costate may change H: 6e-10, where the proof allows 1e-9
 _LOOKS, _DIFFERENCE = 16, 1e-6  # nodes of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
+_CLEAR, _DECADES = 1e-6, 8  # a control that changes by less in that is told; how much longer a moment is looked at
 
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
 
@@ -134,13 +135,14 @@ def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) ->
     """Times, and state, costate and control there with their rates, canonical; a switch stands there twice.
 
     Where a velocity is free the costate that points the thrust vanishes at the end, and rounding lets it pass through
-    zero just before: the control at an end of the phase is the one a moment inside.
+    zero just before: the control at an end of the phase is the one a moment inside, where rounding tells it.
     """
     n, half, duration = extremal.state_count, extremal.half, arc.duration
     nothing = _NOTHING * duration
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
     joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > nothing]
+    first, last = (_told_from(extremal, arc, end, p) for end in (0.0, duration))
     pieces = []
     for left, right in pairwise([0.0, *sorted([*inside, *joints]), duration]):
         mode = int(arc.modes(np.array([0.5 * (left + right)]))[0])
@@ -149,7 +151,7 @@ def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) ->
             t: Vector, left: float = left, mode: int = mode, before: float = np.nextafter(right, left)
         ) -> tuple[Matrix, Matrix]:
             at = np.minimum(left + t, before)  # at the switch itself the costate may have jumped
-            z, decides = arc(at), arc(np.clip(at, nothing, duration - nothing))
+            z, decides = arc(at), arc(np.clip(at, first, last))
             rate, u, u_rate = _report(extremal, mode, z, decides, p)
             values = np.hstack([z[:, :n], z[:, half : half + n], u])
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
@@ -160,6 +162,27 @@ def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) ->
         pieces.append([part[:-1] for part in piece] if right in joints else piece)
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     return nodes, values, rates
+
+
+def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> float:
+    """The time nearest to an end of a phase at which its control is more than rounding.
+
+    Where what points a direction vanishes at the end, its rounding over its distance from there is all that is left of
+    it; further inside the control itself is another. Between the two it changes least.
+    """
+    duration, inwards = arc.duration, 1.0 if end == 0.0 else -1.0
+
+    def control(share: float) -> Vector:
+        t = np.array([end + inwards * share * duration])
+        z = arc(t)
+        return _report(extremal, int(arc.modes(t)[0]), z, z, p)[1][0]
+
+    def change(share: float) -> float:
+        return float(np.nan_to_num(np.abs(control(2 * share) - control(share)), nan=np.inf).max(initial=0.0))
+
+    shares = [_NOTHING * 10.0**k for k in range(_DECADES)]
+    best = shares[0] if change(shares[0]) <= _CLEAR else min(shares, key=change)
+    return end + inwards * best * duration
 
 
 def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matrix], size: Vector) -> Vector:
