@@ -44,9 +44,13 @@ def test_a_direct_answer_of_many_switches_is_made_exact() -> None:
     assert -solution.objective == pytest.approx(0.866970829931, abs=1e-10)
 
 
-def test_a_smoothed_way_to_a_known_answer() -> None:
-    """Meditch's landing: with the smoothing taken back the bang-bang answer in closed form is left."""
-    problem = meditch()
+@pytest.mark.parametrize("size", [None, 7.0])
+def test_a_smoothed_way_to_a_known_answer(size: float | None) -> None:
+    """Meditch's landing: with the smoothing taken back the bang-bang answer in closed form is left.
+
+    What is called the size of J may be far from what the throttle can change of it.
+    """
+    problem = replace(meditch(), objective_scale=size)
     trials = Trials(problem, silent)
     root = Smoothing(trials=trials, segments=6).root(trials.shooting.holding({}))
     assert root is not None

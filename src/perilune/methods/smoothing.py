@@ -30,7 +30,7 @@ from perilune.structures.smoothed import RATE, smoothed
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
-_SHARE = 0.3  # of J: a burn's thrust then differs little from the middle of its range
+_SHARES = (0.3, 0.03)  # of J: so much smoothed, a burn's thrust differs little from the middle of its range
 _LEVELS = (1e-3, 1e-4, 1e-5)  # of the first smoothing, at which the switched extremal may be in reach
 _NODES, _FINER = 4, 2  # of a segment, and segments for each of those that a flown guess asks for
 _FEW = 8  # the least that it asks for
@@ -53,7 +53,7 @@ class Smoothing:
     segments
         Arcs for each phase in multiple shooting; twice as many are tried as well.
     told
-        What was done, where it led to nothing.
+        What was done last.
     """
 
     trials: Trials
@@ -68,10 +68,15 @@ class Smoothing:
         choice
             What is held (`Shooting.holding`).
         """
-        problem = self.trials.problem
-        smooth = smoothed(problem, _SHARE)
-        if smooth is None:
-            return None
+        for share in _SHARES:
+            smooth = smoothed(self.trials.problem, share)
+            found = None if smooth is None else self._by_mesh(smooth, choice)
+            if smooth is None or found is not None:
+                return found
+        return None
+
+    def _by_mesh(self, smooth: Problem, choice: Vector) -> Root | None:
+        """From a direct answer of the smoothed problem."""
         rough = self._rough(smooth)
         if rough is None:
             self.told = "smoothed controls: no direct solution"
@@ -101,7 +106,7 @@ class Smoothing:
         starts, seed
             Of the random starts at each share of the duration.
         """
-        smooth = smoothed(self.trials.problem, _SHARE)
+        smooth = smoothed(self.trials.problem, _SHARES[0])
         if smooth is None:
             return []
         there = Trials(smooth, self.trials.watch)

@@ -30,7 +30,7 @@ from perilune.problem.variables import Given, Variable
 from perilune.structures.regimes import linear_scalars
 
 RATE = "smoothing_rate"  # the given parameter that goes to zero
-_GAINED = "smoothing"  # the state that counts what is taken from J
+_GAINED = "smoothing_gain"  # the state that counts what is taken from J
 
 
 def smoothed(problem: Problem, share: float) -> Problem | None:
