@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from cho import cho_landing
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.solve import solve
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give each of several processes one core: threads of linear algebra that wait for a core take ten times as long."""
+    if config.getoption("numprocesses", None):
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(scope="session")
