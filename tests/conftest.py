@@ -13,7 +13,7 @@ from perilune.solve import solve
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give each of several processes one core: threads of linear algebra that wait for a core take ten times as long."""
+    """Give each of several processes one core: threads of linear algebra that wait for one take ten times as long."""
     if config.getoption("numprocesses", None):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
