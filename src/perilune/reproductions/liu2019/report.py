@@ -44,6 +44,7 @@ _CAPTIONS = {
     "interface, and its time. Dots: the manoeuvre points of Table 2.",
     "altitude": "Neighbour B, altitude: it touches the interface, climbs, and comes back. (Figs 16 to 18 show other "
     "flights.)",
+    "ground_track": "Neighbour B over the ground, to (-98°, 38°). The printed site is at (-158°, 38°).",
     "air": "Neighbour B: what the air does, from the interface on.",
     "steering": "Neighbour B: the direction of the thrust in axes that turn with the Earth.",
 }  # fmt: skip
@@ -62,7 +63,7 @@ def figures(made: Reproduction) -> dict[str, Figure]:
         "mass": _mass(),
         "off_plane": _off_plane(),
         "fig7_15": surfaces(made.grid),
-        **{name: ours[name] for name in ("altitude", "air", "steering")},
+        **{name: ours[name] for name in ("altitude", "ground_track", "air", "steering")},
     }
 
 
