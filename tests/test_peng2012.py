@@ -178,7 +178,7 @@ def test_papers_are_known_by_name(tmp_path: Path) -> None:
     with pytest.raises(PeriluneError, match="cho-2015"):
         reproduce("cho-2051", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-    assert set(PAPERS) == {"cho-2015", "peng-2012"}
+    assert set(PAPERS) == {"cho-2015", "peng-2012", "liu-2019"}
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,37 @@ class Beside:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ground:
+    """A map of the point below the vehicle: names of its longitude and latitude, on the Earth with its coasts."""
+
+    longitude: str
+    latitude: str
+    coasts: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corridor:
+    """Height against speed where there is air, with lines along which other outputs are equal.
+
+    Parameters
+    ----------
+    height, speed
+        Names of outputs.
+    equal
+        Names of outputs that depend on height and speed alone.
+    position, velocity
+        Names of the states of which they are made: the lines are found from states further out or in, and faster or
+        slower, than those of the flight.
+    """
+
+    height: str
+    speed: str
+    equal: tuple[str, ...]
+    position: tuple[str, ...]
+    velocity: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Views:
     """How a problem is looked at.
 
@@ -61,6 +92,10 @@ class Views:
     peaks
         Names of outputs whose largest value along the flight is a result, ``peak_load``, with its time from the first
         ignition, ``peak_load_time``.
+    ground
+        What a map shows, or None.
+    corridor
+        What height is shown against speed, or None.
     floor
         What the fourth value of `Phase.track` is, the least height there [m]; "" where there is none.
     """
@@ -73,6 +108,8 @@ class Views:
     beside: Beside | None = None
     peaks: tuple[str, ...] = ()
     floor: str = ""
+    ground: Ground | None = None
+    corridor: Corridor | None = None
 
 
 def check_views(views: Views, quantities: Iterable[str], parameters: Iterable[str], results: Iterable[str]) -> None:
@@ -84,8 +121,11 @@ def check_views(views: Views, quantities: Iterable[str], parameters: Iterable[st
         Named, with what is known.
     """
     fixed = views.beside.given if views.beside else ()
+    ground = (views.ground.longitude, views.ground.latitude) if views.ground else ()
+    plane = views.corridor
+    shown = (plane.height, plane.speed, *plane.equal, *plane.position, *plane.velocity) if plane else ()
     asked = (
-        ("quantity", [views.height, *views.peaks], quantities),
+        ("quantity", [views.height, *views.peaks, *ground, *shown], quantities),
         ("parameter", [views.radius, *(name for name, _ in fixed)], parameters),
         ("result", [name for _, name, _, _ in Formatter().parse(views.label) if name], results),
     )

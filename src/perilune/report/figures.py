@@ -9,6 +9,8 @@ from perilune.io.columns import columns
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.views import History
+from perilune.report.corridor import corridor
+from perilune.report.ground import ground_track
 from perilune.report.histories import costates, history
 from perilune.report.limb import path_over_limb
 from perilune.report.optimality import optimality
@@ -37,6 +39,11 @@ def solution_figures(solution: Solution, beside: Solution | None = None) -> dict
         for shown in solution.problem.views.histories or _generic(solution.problem)
         if known & set(shown.quantities)
     }
+    views = solution.problem.views
+    if views.ground is not None:
+        made["ground_track"] = ground_track(solution, views.ground)
+    if views.corridor is not None:
+        made["corridor"] = corridor(solution, views.corridor)
     if first.track is not None:
         made["track"] = track(flights)
     elif first.inertial is not None and solution.problem.views.radius:

@@ -6,7 +6,9 @@ Axis texts come from the problem's variables: their `label`, or their name, and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,7 +19,8 @@ from perilune.problem.solution import Solution
 from perilune.problem.views import History
 from perilune.report.style import BLUE, GREY, LOOKS, VERMILION, legend_above, new_figure, styled, time_text
 
-LONG = 2000.0  # m: from here on a way is told in kilometres
+# From these values on, a quantity is told in units of a thousand.
+LONG = {"m": (2000.0, "km"), "Pa": (2000.0, "kPa"), "W/m^2": (2000.0, "kW/m^2")}
 GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
 
 
@@ -45,18 +48,40 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
         if name == problem.views.height:  # from the ground: 0, or a site below it
             lowest = min(float(column.values.min()) for parts in flown.values() for _, column in parts)
             ax.set_ylim(bottom=min(0.0, factor * lowest))
+    begins = [float(time[0]) for flown in sampled.values() for parts in flown.values() for time, _ in parts]
+    begin = min(begins, default=0.0)  # what is there in a last phase alone is shown for that phase
+    if len(flights) == 1:
+        mark_phases(axes, next(iter(flights.values())), begin)
     axes[-1].set_xlabel(time_text(problem))
-    axes[-1].set_xlim(left=0)
+    axes[-1].set_xlim(left=begin)
     figure.align_ylabels()
     legend_above(figure, axes[0])
     return figure
 
 
+def mark_phases(axes: Any, solution: Solution, begin: float) -> None:
+    """Dotted lines in all panels where one phase ends and the next begins, from a time on; names of long phases."""
+    ends = np.cumsum([0.0, *(trajectory.duration for trajectory in solution.trajectories)])
+    if len(ends) < 3:
+        return
+    for ax in axes:
+        for end in ends[1:-1][ends[1:-1] > begin]:
+            ax.axvline(end, color=GREY, linewidth=0.6, linestyle=":")
+    for k, phase in enumerate(solution.problem.phases):
+        if ends[k] >= begin and (ends[k + 1] - ends[k] > 0.12 * ends[-1] or k == len(ends) - 2):
+            axes[0].annotate(
+                phase.name.replace("_", " "), (0.5 * (ends[k] + ends[k + 1]), 1.0), (0, 1),
+                xycoords=axes[0].get_xaxis_transform(), textcoords="offset points", ha="center", va="bottom",
+                fontsize=6, color=GREY,
+            )  # fmt: skip
+
+
 def axis_text(problem: Problem, shown: list[Column]) -> tuple[str, float]:
     """Text of an axis that shows these columns of one name, and the factor from their unit to that of the text."""
     name, unit, factor = shown[0].name, shown[0].unit, 1.0
-    if unit == "m" and max(float(np.abs(column.values).max()) for column in shown) >= LONG:
-        unit, factor = "km", 1e-3
+    least, longer = LONG.get(unit, (math.inf, unit))
+    if max(float(np.abs(column.values).max()) for column in shown) >= least:
+        unit, factor = longer, 1e-3
     labels = {v.name: v.label for phase in problem.phases for v in (*phase.states, *phase.output_variables)}
     text = labels.get(name) or name.replace("_", " ")
     return f"{text} ({unit})".removesuffix(" (1)"), factor

@@ -41,11 +41,17 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
         return r * np.sin(phi - middle) / 1e3, (r * np.cos(phi - middle) - radius) / 1e3
 
     figure, axes = new_figure(height=2.2, width=WIDTH)
+    round_it = end - begin + 2 * margin > np.pi  # too far for a limb: the whole body is seen
+    if round_it:
+        margin = np.pi - 0.5 * (end - begin)
     ground = place(np.linspace(begin - margin, end + margin, 300), np.full(300, ground_level))
     span = float(ground[0][-1] - ground[0][0])
     # Room for the scale bars under the top of the limb.
     floor = min(float(ground[1].min()) - 0.02 * span, -0.11 * span)
-    axes.fill_between(*ground, floor, color="#C9C9C9", linewidth=0, zorder=2)
+    if round_it:
+        axes.fill(*ground, color="#C9C9C9", linewidth=0, zorder=2)
+    else:
+        axes.fill_between(*ground, floor, color="#C9C9C9", linewidth=0, zorder=2)
     axes.plot(*ground, color=GREY, linewidth=0.8, zorder=2)
     for (who, (phi, height)), (colour, dash) in zip(paths.items(), LOOKS, strict=False):
         axes.plot(*place(phi, height), dash, color=colour, label=who, zorder=3)
@@ -62,7 +68,11 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
         va="center",
         fontsize=7,
     )
-    _scale_bars(axes, stretch, floor, span)
+    if round_it:
+        centre = (0.0, float(ground[1].mean()))
+        axes.annotate(f"height × {stretch:g}", centre, ha="center", va="center", fontsize=7, zorder=3)
+    else:
+        _scale_bars(axes, stretch, floor, span)
     axes.set_aspect("equal")
     axes.set_axis_off()
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)

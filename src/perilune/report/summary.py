@@ -15,6 +15,8 @@ _DIGITS = {"kg": 6, "m/s": 4, "s": 4}
 _CAPTIONS = {
     "path": "Path over the limb; strokes show the exhaust",
     "track": "Path from the side and from above",
+    "ground_track": "The point below the vehicle; coasts of Natural Earth, where they are drawn",
+    "corridor": "Height against speed, and lines along which the load, or the heat rate, is one",
     "states": "States",
     "controls": "Controls",
     "costates": "Costates",

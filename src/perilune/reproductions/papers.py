@@ -10,7 +10,7 @@ from perilune.words.outcome import unknown_name
 from perilune.words.watch import Watch, silent
 
 # Name on the command line: package in this room, loaded when asked for.
-PAPERS = {"cho-2015": "cho2015", "peng-2012": "peng2012"}
+PAPERS = {"cho-2015": "cho2015", "peng-2012": "peng2012", "liu-2019": "liu2019"}
 
 
 def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch | None = None, **settings: Any) -> Any:

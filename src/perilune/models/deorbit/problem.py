@@ -268,13 +268,19 @@ def deorbit_entry(
         objective_scale=_size_of(objective_unit, time),
         results=partial(told.results, names=names),
         result_variables=told.of_flight(names),
-        views=told.views(air=flown is not None, heat=nose),
+        views=told.views(air=flown is not None, heat=nose, coasts=_is_the_earth(body)),
         declared=stated,
         preflight=partial(compare_return, angles=angles, air=flown is not None),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),
         rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),
     )
+
+
+def _is_the_earth(body: Planet) -> bool:
+    """Whether it is the Earth by any set of constants, so that its coasts lie below the flight."""
+    same = (body.radius / EARTH.radius, body.rotation_rate / EARTH.rotation_rate)
+    return all(abs(ratio - 1) < 0.01 for ratio in same)
 
 
 def _size_of(objective_unit: str, time: float) -> float | None:

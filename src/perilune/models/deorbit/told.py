@@ -17,7 +17,7 @@ from perilune.models.deorbit.orbit import AXIS
 from perilune.models.deorbit.records import exhaust_speed
 from perilune.models.rotating import INERTIAL_AXES, Triple, combine, cross, dot, gravity, seen_inertially
 from perilune.problem.variables import Variable
-from perilune.problem.views import History, Views
+from perilune.problem.views import Corridor, Ground, History, Views
 
 PLACED = (
     Variable(name="altitude", unit="m"),
@@ -138,8 +138,8 @@ def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[
     return seen_inertially(where(x), how_fast(x), (none, none, none), t, p, m)
 
 
-def views(*, air: bool, heat: bool) -> Views:
-    """Figures of a return, with air or without, with heat or without."""
+def views(*, air: bool, heat: bool, coasts: bool) -> Views:
+    """Figures of a return, with air or without, with heat or without, over a body whose coasts are known or not."""
     peaks = (("dynamic_pressure", "load") if air else ()) + (("heat_rate",) if air and heat else ())
     return Views(
         histories=(
@@ -149,7 +149,6 @@ def views(*, air: bool, heat: bool) -> Views:
                 caption="Speed beside the turning body, and its angle above the horizon",
             ),
             *((History(name="air", quantities=peaks, caption="What the air does"),) if air else ()),
-            History(name="ground_track", quantities=("longitude", "latitude"), caption="Point below the vehicle"),
             History(name="mass", quantities=("m",), caption="Mass"),
             History(
                 name="steering", quantities=("toward_x", "toward_y", "toward_z", "lift_up", "lift_right"),
@@ -157,4 +156,8 @@ def views(*, air: bool, heat: bool) -> Views:
             ),
         ),
         height="altitude", radius="body_radius", frame=INERTIAL_AXES, peaks=peaks,
+        ground=Ground(longitude="longitude", latitude="latitude", coasts=coasts),
+        corridor=Corridor(
+            height="altitude", speed="speed", equal=peaks[1:], position=("x", "y", "z"), velocity=("vx", "vy", "vz")
+        ) if air else None,
     )  # fmt: skip

@@ -1,0 +1,361 @@
+"""Why the example of Liu, Liu, Wu 2019 cannot be flown, and its neighbours solved: what the report is made of."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from perilune.models.deorbit import orbit
+from perilune.models.rotating import cross, dot, local_axes
+from perilune.problem.preflight import preflight
+from perilune.problem.solution import Solution
+from perilune.reproductions.liu2019.case import (
+    CASE,
+    PRINTED_SITE,
+    as_printed,
+    constants,
+    paper_costates,
+    paper_state,
+    site_fixed,
+    site_free,
+    units,
+)
+from perilune.reproductions.liu2019.equations import Comparison, compare, corrected_rates, costate_matrix
+from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3, GridPoint
+from perilune.solve import solve
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch
+
+PASSES = ("descending", "ascending")
+FLOWN_NEAR = (16.0, 39.873)  # the grid point whose printed costates are shown along the flight
+
+
+@dataclass(frozen=True, kw_only=True)
+class Member:
+    """Neighbour B at a manoeuvre point [deg]: its solution, or why there is none, and the processor time [s]."""
+
+    longitude: float
+    latitude: float
+    solution: Solution | None
+    message: str
+    processor_time: float
+
+    def value(self, name: str) -> float:
+        """One of its results in SI; NaN where there is no solution."""
+        return math.nan if self.solution is None else self.solution.results[name].value
+
+    def costates(self) -> Vector:
+        """Seven costates at ignition in the paper's coordinates and units, NaN where there is no solution."""
+        return np.full(7, math.nan) if self.solution is None else paper_costates(self.solution, 0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """The printed costates of every grid point, flown for the printed time.
+
+    `direction` says whether the thrust is that of (9) or the one that minimises H. Of each point at the printed t_a:
+    altitude [km], speed [km/s], path angle [deg], and the costates that (12) wants to be 0.
+    """
+
+    direction: str
+    altitude: Vector
+    speed: Vector
+    angle: Vector
+    lambda_course: Vector
+    lambda_mass: Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPlane:
+    """The printed site from one grid point.
+
+    `away`, for each pass, is its angle [rad] from the plane of the orbit when the vehicle would land, and `reach` what
+    all thrust sideways moves the vehicle by until then.
+    """
+
+    away: dict[str, Vector]
+    reach: Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduction:
+    """Everything that was computed for the report.
+
+    Parameters
+    ----------
+    refusals
+        For each pass, what is said of the printed example before it is solved.
+    site_free
+        Neighbour A, for each pass.
+    site_fixed
+        Neighbour B.
+    grid, experiments
+        B at the manoeuvre points of Table 2, and of Tables 1 and 3.
+    """
+
+    equations: Comparison
+    off_plane: OffPlane
+    refusals: dict[str, str]
+    flown: tuple[Flown, ...]
+    site_free: dict[str, Solution]
+    site_fixed: Solution
+    grid: tuple[Member, ...]
+    experiments: tuple[Member, ...]
+
+    @property
+    def outcome(self) -> Outcome:
+        """Of the flight that is proved worst."""
+        return self.proved.outcome
+
+    @property
+    def proved(self) -> Solution:
+        """Of the flights that are proved, the worst."""
+        return max(
+            (self.site_fixed, *self.site_free.values()), key=lambda s: (s.outcome.exit_code, -s.verification.level)
+        )
+
+
+def compute(watch: Watch, level: int = 3) -> Reproduction:
+    """Compute everything.
+
+    Parameters
+    ----------
+    watch
+        Receives lines of text and iterations.
+    level
+        Verification level to prove of the neighbours from `CASE.place`; the other manoeuvre points are solved only.
+    """
+    watch("the printed equations")
+    equations = compare()
+    watch("the printed example")
+    refusals = {going: refusal(going) for going in PASSES}
+    flown = (fly_printed(1.0), fly_printed(-1.0))
+    watch("neighbour A: the site free")
+    free = {going: solve(site_free(going), level=level, watch=watch) for going in PASSES}
+    watch("neighbour B: a site in the plane")
+    fixed = solve(site_fixed(), level=level, watch=watch)
+    watch("neighbour B from the points of Table 2")
+    grid = members(fixed, [(row.longitude, row.latitude) for row in TABLE_2], watch)
+    watch("neighbour B from the points of Table 1")
+    experiments = members(fixed, [(row.longitude, row.latitude) for row in TABLES_1_AND_3], watch)
+    return Reproduction(
+        equations=equations,
+        off_plane=off_plane(fixed.results["entry_time"].value),
+        refusals=refusals,
+        flown=flown,
+        site_free=free,
+        site_fixed=fixed,
+        grid=grid,
+        experiments=experiments,
+    )
+
+
+# -- the printed example --------------------------------------------------------------------------------------------
+
+
+def mass_after(burn_time: float) -> float:
+    """Mass [kg] that full thrust leaves after a time [s]."""
+    return CASE.mass - burn_time * CASE.thrust / CASE.exhaust_velocity
+
+
+def burn_until(mass: float) -> float:
+    """Time [s] after which full thrust leaves a mass [kg]."""
+    return (CASE.mass - mass) * CASE.exhaust_velocity / CASE.thrust
+
+
+def refusal(going: str) -> str:
+    """What physics says of the printed example, with all the propellant that the longest printed t_a burns."""
+    findings = preflight(as_printed(going, mass_after(max(row.time for row in TABLE_2))))
+    return "; ".join(
+        f"{f.name}: {f.value:.1f} {f.unit}, at most {f.limit:.1f} {f.unit}; {f.meaning}"
+        for f in findings if f.verdict == "impossible"
+    )  # fmt: skip
+
+
+def off_plane(entry_time: float) -> OffPlane:
+    """How far the printed site is from the plane of the orbit when each grid point's vehicle would land.
+
+    Parameters
+    ----------
+    entry_time
+        From the interface to the end [s], which is ours: the paper does not print it.
+    """
+    away = {
+        going: np.array([
+            away_from_plane(row.longitude, row.latitude, going, np.array([row.time + entry_time]))[0] for row in TABLE_2
+        ])
+        for going in PASSES
+    }  # fmt: skip
+    return OffPlane(away=away, reach=np.array([sideways(row.time, row.time + entry_time) for row in TABLE_2]))
+
+
+def away_from_plane(longitude: float, latitude: float, going: str, at: Vector) -> Vector:
+    """Angle [rad] of the printed site from the plane of the orbit through a manoeuvre point [deg], at times [s]."""
+    p = SimpleNamespace(
+        orbit_inclination=CASE.orbit.inclination, manoeuvre_longitude=math.radians(longitude),
+        manoeuvre_latitude=math.radians(latitude),
+    )  # fmt: skip
+    angle, node = orbit.from_place(going)(p, NUMERIC)
+    up, ahead = orbit.plane(angle, node, p, NUMERIC)
+    turned = PRINTED_SITE + CASE.earth.rotation_rate * at
+    site, _, _ = local_axes(turned, CASE.site_latitude, NUMERIC)
+    return np.abs(np.arcsin(dot(site, cross(up, ahead))))
+
+
+def sideways(burn_time: float, at: float) -> float:
+    """Angle [rad] by which full thrust across the plane moves the vehicle out of it, at a time [s], to first order.
+
+    Out of the plane z'' + n^2 z = T/m, so that thrust whose sense changes with that of sin n(at - t) gives
+    z/r = 1/V times the integral of T/m |sin n(at - t)|.
+    """
+    radius = CASE.orbit.radius or CASE.earth.radius
+    speed = math.sqrt(CASE.earth.gravitational_parameter / radius)
+    t = np.linspace(0.0, min(burn_time, at), 4001)
+    push = CASE.thrust / (CASE.mass - t * CASE.thrust / CASE.exhaust_velocity)
+    return float(np.trapezoid(push * np.abs(np.sin(speed / radius * (at - t))), t)) / speed
+
+
+def fly_printed(sign: float) -> Flown:
+    """Fly the printed costates by the right equations; `sign` is 1 for the thrust of (9), -1 for the opposite one.
+
+    lambda_Phi is not printed; H(t0) = -1 gives it, as the paper says.
+    """
+    unit = units()
+    x, costates = _printed_start(sign)
+    y = fly(x, costates, np.array([row.time for row in TABLE_2]) / unit.time, sign)
+    return Flown(
+        direction="as (9)" if sign > 0 else "opposite to (9)",
+        altitude=(y[3] - 1) * unit.length / 1e3,
+        speed=y[0] * unit.speed / 1e3,
+        angle=np.degrees(y[1]),
+        lambda_course=y[9],
+        lambda_mass=y[13],
+    )
+
+
+def fly(x: Matrix, costates: Matrix, times: Vector, sign: float) -> Matrix:
+    """States and costates, shape (14, n), after times, all dimensionless; from states and costates, (7, n) each."""
+    size = x.shape[1]
+
+    def rates(share: float, y: Vector) -> Vector:
+        return (_extremal_rates(y.reshape(14, size), sign) * times).ravel()
+
+    begin = np.concatenate([x, costates]).ravel()
+    flown = solve_ivp(rates, (0.0, 1.0), begin, method="DOP853", rtol=1e-9, atol=1e-9)
+    if not flown.success:
+        raise PeriluneError("costates could not be flown to the end", got=flown.message)
+    return flown.y[:, -1].reshape(14, size)
+
+
+def _printed_start(sign: float) -> tuple[Matrix, Matrix]:
+    """States and costates of the grid points at ignition, shape (7, n) each."""
+    x = np.array([manoeuvre_state(row) for row in TABLE_2]).T
+    known = np.array([
+        [r.lambda_speed, r.lambda_angle, r.lambda_course, r.lambda_distance, r.lambda_longitude, 0.0, r.lambda_mass]
+        for r in TABLE_2
+    ]).T  # fmt: skip
+    f = np.array(corrected_rates(x, *thrust_angles(x, known, sign)))
+    known[5] = (-1.0 - (known * f).sum(axis=0)) / f[5]
+    return x, known
+
+
+def manoeuvre_state(row: GridPoint) -> Vector:
+    """State in the paper's coordinates and units at a grid point, on the descending pass."""
+    stated = site_free("descending").with_given(
+        manoeuvre_longitude=math.radians(row.longitude), manoeuvre_latitude=math.radians(row.latitude)
+    )
+    p = SimpleNamespace(**{name: given.value for name, given in stated.given.items()})
+    return paper_state(np.array(stated.start(p, NUMERIC), dtype=float))
+
+
+def thrust_angles(x: Any, costates: Any, sign: float) -> tuple[Any, Any]:
+    """Angles of a thrust along (lambda_V, lambda_gamma/V, lambda_psi/(V cos gamma)), or opposite to it."""
+    forward, upward, left = along_thrust(x, costates)
+    level = np.hypot(forward, left)
+    return np.arctan2(sign * upward, level), np.arctan2(sign * left, sign * forward)
+
+
+def along_thrust(x: Any, costates: Any) -> tuple[Any, Any, Any]:
+    """What a thrust along each of the path's axes adds to H, per acceleration."""
+    return costates[0], costates[1] / x[0], costates[2] / (x[0] * np.cos(x[1]))
+
+
+def _extremal_rates(y: Matrix, sign: float) -> Matrix:
+    x, costates = y[:7], y[7:]
+    angles = thrust_angles(x, costates, sign)
+    matrix = costate_matrix(corrected_rates, x, *angles)
+    return np.concatenate([np.array(corrected_rates(x, *angles)), np.einsum("ijn,jn->in", matrix, costates)])
+
+
+def hamiltonian_by_thrust() -> Vector:
+    """Of every grid point: what turning the thrust from (9) to the opposite takes from H at t0, paper's units."""
+    x, costates = _printed_start(1.0)
+    return 2 * constants().thrust / x[6] * np.linalg.norm(np.array(along_thrust(x, costates)), axis=0)
+
+
+# -- neighbour B over the region ------------------------------------------------------------------------------------
+
+
+def members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch) -> tuple[Member, ...]:
+    """Solve at every manoeuvre point [deg], each from the nearest that is known; in the order of the points."""
+    known = {(math.degrees(CASE.place[0]), math.degrees(CASE.place[1])): first}
+    made: dict[int, Member] = {}
+    begin = next(iter(known))
+    for i in sorted(range(len(points)), key=lambda k: math.dist(points[k], begin)):
+        longitude, latitude = points[i]
+        near = min(known, key=lambda point: math.dist(point, points[i]))
+        began, message, solution = time.process_time(), "", None
+        try:
+            stated = first.problem.with_given(
+                manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude)
+            )
+            solution = solve(stated, guess=known[near], level=0)
+        except PeriluneError as error:
+            message = " ".join(str(error).split())
+        else:
+            known[points[i]] = solution
+        made[i] = Member(
+            longitude=longitude, latitude=latitude, solution=solution, message=message,
+            processor_time=time.process_time() - began,
+        )  # fmt: skip
+        watch(f"manoeuvre point {longitude:g}°, {latitude:g}° ({len(made)} of {len(points)})")
+    return tuple(made[i] for i in range(len(points)))
+
+
+def missed_by_cubic(grid: Sequence[Member], at: Sequence[Member], known: Vector, right: Vector) -> Vector:
+    """Error of the paper's prediction (16) at manoeuvre points, over the largest size of the quantity.
+
+    Ten coefficients, found from the ten nearest points of the grid; the smallest ones where these do not tell them.
+
+    Parameters
+    ----------
+    grid, known
+        Points that the prediction is made from, and the values there.
+    at, right
+        Points that it is made for, and the values there.
+    """
+    there = np.isfinite(known)
+    place = np.array([(m.longitude, m.latitude) for m in grid])[there]
+    errors = []
+    for member, value in zip(at, right, strict=True):
+        off = place - (member.longitude, member.latitude)
+        near = np.argsort((off**2).sum(axis=1))[:10]
+        u, v = off[near].T
+        columns = np.array([u**0, u, v, u**2, v**2, u**3, v**3, u * v, u * v**2, u**2 * v]).T
+        errors.append(np.linalg.lstsq(columns, known[there][near], rcond=1e-9)[0][0] - value)
+    return np.abs(np.array(errors)) / np.abs(known[there]).max()
+
+
+def varies(values: Vector) -> bool:
+    """Whether a quantity is more than one number and the noise of its last digits."""
+    known = values[np.isfinite(values)]
+    return bool(len(known) and np.ptp(known) > 1e-6 * np.abs(known).max())

@@ -1,0 +1,263 @@
+"""The report on Liu, Liu, Wu 2019: what it computes, against truth from elsewhere, and that its verdicts can turn."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perilune.cli import run
+from perilune.problem.solution import Solution
+from perilune.reproductions.liu2019 import equations
+from perilune.reproductions.liu2019.case import CASE, paper_costates, paper_state, site_fixed, site_free, units
+from perilune.reproductions.liu2019.compute import (
+    PASSES,
+    Member,
+    Reproduction,
+    fly,
+    fly_printed,
+    members,
+    missed_by_cubic,
+    off_plane,
+    refusal,
+    sideways,
+    thrust_angles,
+)
+from perilune.reproductions.liu2019.equations import compare, corrected_rates
+from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
+from perilune.reproductions.liu2019.report import figures, markdown, table_2, table_3
+from perilune.reproductions.liu2019.surfaces import surfaces
+from perilune.solve import solve
+from perilune.words.outcome import Outcome
+
+FIRST, REACHED = 22, 3  # manoeuvre points of Table 2 that are solved here; the others stand as not solved
+
+
+@pytest.fixture(scope="module")
+def made() -> Reproduction:
+    """Everything that the report is made of, at a few manoeuvre points and without proofs."""
+    fixed = solve(site_fixed(), level=0)
+    near = members(fixed, [(row.longitude, row.latitude) for row in TABLE_2[FIRST : FIRST + REACHED]], lambda _: None)
+    nowhere = [
+        Member(longitude=r.longitude, latitude=r.latitude, solution=None, message="left out here", processor_time=0.0)
+        for r in (*TABLE_2, *TABLES_1_AND_3)
+    ]
+    grid = (*nowhere[:FIRST], *near, *nowhere[FIRST + REACHED : len(TABLE_2)])
+    return Reproduction(
+        equations=compare(),
+        off_plane=off_plane(fixed.results["entry_time"].value),
+        refusals={going: refusal(going) for going in PASSES},
+        flown=(fly_printed(1.0), fly_printed(-1.0)),
+        site_free={going: solve(site_free(going), level=0) for going in PASSES},
+        site_fixed=fixed,
+        grid=grid,
+        experiments=(*near, *nowhere[len(TABLE_2) + REACHED :]),
+    )
+
+
+# -- the printed tables and equations -------------------------------------------------------------------------------
+
+
+def test_tables_are_whole() -> None:
+    """Forty grid points and a hundred experiments; ranges that the paper's text gives."""
+    assert (len(TABLE_2), len(TABLES_1_AND_3)) == (40, 100)
+    assert [e.number for e in TABLES_1_AND_3] == list(range(1, 101))
+    assert (TABLE_2[0].longitude, TABLE_2[-1].longitude) == (13.0, 19.0)
+    assert all(7.5 < row.speed < 8.8 and -9 < row.angle < -6 for row in TABLE_2)
+
+
+def test_newton_judges_the_equations() -> None:
+    """The corrected rows agree to rounding, the printed do not, and the slips are all of the difference."""
+    found = compare(samples=50, seed=3)
+    for printed, right in found.off.values():
+        assert right < 1e-13 < 1e-3 < printed
+    assert found.unexplained < 1e-14
+    assert len(found.slips) == 5
+    assert found.gravity["∂g_r/∂Φ"] == pytest.approx(-6 / 9, abs=1e-12)
+    assert [name for name, ratio in found.gravity.items() if abs(ratio - 1) > 1e-12] == ["∂g_r/∂Φ"]
+
+
+def test_rows_that_were_differentiated_rightly_are_known() -> None:
+    """Those of V, gamma and m come from the printed (1); those of psi, r and Phi have slips of their own."""
+    wrong = {c.row for c in compare().coefficients if c.own > 0}
+    assert wrong == {"λ_ψ'", "λ_r'", "λ_Φ'"}
+
+
+def test_a_slip_more_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In (1) and in (6) alike."""
+    plain = compare(samples=20)
+    rates, matrix = equations.printed_rates, equations.printed_costate_matrix
+
+    def spoilt(x: Any, alpha: Any, beta: Any) -> Any:
+        found = rates(x, alpha, beta)
+        return (*found[:3], 1.01 * found[3], *found[4:])
+
+    monkeypatch.setattr(equations, "printed_rates", spoilt)
+    assert compare(samples=20).unexplained > 1e-4 > plain.unexplained
+    monkeypatch.setattr(equations, "printed_rates", rates)
+    monkeypatch.setattr(equations, "printed_costate_matrix", lambda *args: 1.01 * matrix(*args))
+    assert len(compare(samples=20).coefficients) > len(plain.coefficients)
+
+
+# -- the printed example --------------------------------------------------------------------------------------------
+
+
+def test_the_site_is_out_of_reach(made: Reproduction) -> None:
+    """33 to 38 degrees on a descending pass, 70 to 77 on an ascending one, where thrust moves five."""
+    away = {going: np.degrees(angle) for going, angle in made.off_plane.away.items()}
+    assert 33 < away["descending"].min() and away["descending"].max() < 39
+    assert 70 < away["ascending"].min() and away["ascending"].max() < 77
+    assert 5.0 < np.degrees(made.off_plane.reach).min() < np.degrees(made.off_plane.reach).max() < 5.7
+    assert all("out of the plane" in text for text in made.refusals.values())
+
+
+def test_sideways_thrust_is_that_of_a_driven_oscillator() -> None:
+    """For half a turn and little mass lost: z'' + n^2 z = a has z = 2 a/n^2 after it."""
+    radius = CASE.orbit.radius or 0.0
+    speed = math.sqrt(CASE.earth.gravitational_parameter / radius)
+    half = math.pi * radius / speed
+    burn = 1.0  # s: an impulse
+    assert sideways(burn, half / 2) == pytest.approx(0.2 / speed, rel=1e-3)
+    assert sideways(half, half) == pytest.approx(0.2 * 2 * (radius / speed) ** 2 / radius, rel=0.12)
+
+
+def test_flown_costates_of_an_extremal_lead_to_its_end(made: Reproduction) -> None:
+    """The same code that flies the printed costates, of neighbour A: to 120 km under -6 degrees, ending at 0."""
+    solution, unit = made.site_free["descending"], units()
+    trajectory = solution.trajectories[0]
+    x, costates = paper_state(trajectory.state(0.0)), paper_costates(solution, 0, 0.0)
+    y = fly(x[:, None], costates[:, None], np.array([trajectory.duration / unit.time]), -1.0)[:, 0]
+    assert (y[3] - 1) * unit.length == pytest.approx(120e3, abs=10.0)
+    assert math.degrees(y[1]) == pytest.approx(-6.0, abs=1e-3)
+    assert y[[9, 11, 12, 13]] == pytest.approx(0.0, abs=1e-3)
+    missed = [float(np.abs(f.altitude - 120).min()) for f in made.flown]
+    assert min(missed) > 500.0
+
+
+# -- neighbours -----------------------------------------------------------------------------------------------------
+
+
+def test_neighbour_a_has_the_known_numbers(made: Reproduction) -> None:
+    """Computed elsewhere by an indirect method of its own."""
+    for going, time, mass in (("descending", 2631.72, 412.28), ("ascending", 2609.31, 413.02)):
+        found = made.site_free[going].results
+        assert found["transition_time"].value == pytest.approx(time, abs=0.02)
+        assert found["mass_at_interface"].value == pytest.approx(mass, abs=0.01)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
+def test_hamiltonian_in_the_papers_units(made: Reproduction, share: float) -> None:
+    """Costates carried into its coordinates, with the corrected (1): -1 along the flight, as (14) says."""
+    for solution in (*made.site_free.values(), made.site_fixed):
+        t = share * solution.trajectories[0].duration
+        x, costates = paper_state(solution.trajectories[0].state(t)), paper_costates(solution, 0, t)
+        x, costates = x[:, None], costates[:, None]
+        rates = np.array(corrected_rates(x, *thrust_angles(x, costates, -1.0)))
+        assert float((costates * rates).sum()) == pytest.approx(-1.0, abs=1e-4)
+
+
+def test_members_stand_in_the_order_of_their_points(made: Reproduction) -> None:
+    """Each with the flight from its own point."""
+    for row, member in zip(TABLE_2[FIRST:][:REACHED], made.grid[FIRST:][:REACHED], strict=True):
+        assert member.solution is not None
+        given = member.solution.problem.given
+        assert math.degrees(float(given["manoeuvre_longitude"].value)) == pytest.approx(row.longitude)
+        assert math.degrees(float(given["manoeuvre_latitude"].value)) == pytest.approx(row.latitude)
+
+
+def test_a_place_that_cannot_be_left_says_why(made: Reproduction) -> None:
+    """The orbit never comes to 60 degrees north."""
+    (member,) = members(made.site_fixed, [(16.0, 60.0)], lambda _: None)
+    assert member.solution is None
+    assert "latitude" in member.message
+    assert math.isnan(member.value("transition_time"))
+
+
+def test_a_cubic_is_predicted_and_a_quartic_not() -> None:
+    """Between the points of a grid, from the ten that are nearest."""
+
+    def points(count: int, seed: int) -> list[Member]:
+        places = np.random.default_rng(seed).uniform((13, 38), (19, 41), (count, 2))
+        return [
+            Member(longitude=u, latitude=v, solution=None, message="", processor_time=0.0) for u, v in places.tolist()
+        ]
+
+    def at(of: list[Member], power: int) -> Any:
+        u, v = (np.array([getattr(m, name) for m in of]) - centre for name, centre in PLACES)
+        return 1 + u**power - u * v**2
+
+    grid, between = points(200, 1), points(20, 2)
+    missed = [missed_by_cubic(grid, between, at(grid, n), at(between, n)).max() for n in (3, 4)]
+    assert missed[0] < 1e-7
+    assert missed[1] > 1e-5
+
+
+PLACES = (("longitude", 16.0), ("latitude", 39.5))
+
+
+# -- what is written ------------------------------------------------------------------------------------------------
+
+
+def test_report_states_what_was_computed(made: Reproduction) -> None:
+    """Every figure that the text shows is drawn; what was not solved is named."""
+    text, drawn = markdown(made), figures(made)
+    assert all(f"](figures/{name}.png)" in text for name in drawn)
+    assert text.count("](figures/") == len(drawn)
+    assert text.count("left out here") == len(TABLE_2) + len(TABLES_1_AND_3) - 2 * REACHED
+    assert "2631.7" in text
+    assert "rows 6 and 7" in text
+    rows = list(csv.reader(io.StringIO(table_2(made))))
+    assert len(rows) == 1 + len(TABLE_2)
+    assert float(rows[1][-1]) == TABLE_2[0].time
+    assert len(list(csv.reader(io.StringIO(table_3(made))))) == 1 + len(TABLES_1_AND_3)
+
+
+def on_target(made: Reproduction) -> Any:
+    """The printed costates as if they had led to the interface."""
+    return tuple(replace(f, altitude=np.full_like(f.altitude, 120.0)) for f in made.flown)
+
+
+def test_points_on_a_line_have_no_surface(made: Reproduction) -> None:
+    """They are drawn as points; of nothing solved nothing is drawn."""
+    one = made.grid[FIRST]
+    line = [replace(m, longitude=16.0, latitude=39.0 + k) for k, m in enumerate((*made.grid[FIRST:][:REACHED], one))]
+    assert [len(ax.collections) for ax in surfaces(line).axes[:6]] == [1] * 6
+    assert not any(ax.collections or ax.texts for ax in surfaces(made.grid[:FIRST]).axes)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "claim"),
+    [
+        (lambda m: {"flown": on_target(m)}, "printed costates lead"),
+        (lambda m: {"off_plane": replace(m.off_plane, reach=np.full(len(TABLE_2), 1.0))}, "within reach"),
+    ],
+)
+def test_verdicts_can_turn(made: Reproduction, spoil: Any, claim: str) -> None:
+    """What is on the right side of its limit is a "yes" in its own row."""
+
+    def row(of: Reproduction) -> str:
+        return next(line for line in markdown(of).splitlines() if line.startswith("|") and claim in line)
+
+    assert row(made).endswith("**no** |")
+    assert row(replace(made, **spoil(made))).endswith("| yes |")
+
+
+def test_the_command_writes_it_all(
+    made: Reproduction, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Report, data and figures; the exit code is that of the worst of the flights to be proved."""
+    doubtful: Solution = replace(made.site_free["ascending"], outcome=Outcome.NOT_PROVED)
+    flights = {**made.site_free, "ascending": doubtful}
+    spoilt = replace(made, site_free=flights)
+    monkeypatch.setattr("perilune.reproductions.liu2019.compute.compute", lambda watch: spoilt)
+    out = tmp_path / "report"
+    assert run(["reproduce", "liu-2019", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
+    assert "report.md" in capsys.readouterr().out
+    assert {path.name for path in out.iterdir()} == {"report.md", "table2.csv", "table3.csv", "figures"}
+    assert len(list((out / "figures").glob("*.png"))) == len(figures(made))
