@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.io.export import save
 from perilune.models import standard_atmosphere
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.problem import deorbit_entry
@@ -23,6 +26,9 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.models.deorbit.times import impulsive
+from perilune.report import REPORT_FILE
+from perilune.report.beside import proved_directory
+from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_text, template
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
@@ -83,6 +89,20 @@ def test_a_return_to_a_place_touches_the_air_on_its_way() -> None:
     assert np.linalg.norm(x[-1, 3:6]) == pytest.approx(7500.0, abs=1e-6)
     down = x[-1, :3] @ x[-1, 3:6] / (np.linalg.norm(x[-1, :3]) * 7500.0)
     assert math.degrees(math.asin(down)) == pytest.approx(-6.0, abs=1e-6)
+
+
+def test_people_read_angles_in_degrees(tmp_path: Path) -> None:
+    """And the report that lies beside a solution is held to the same words."""
+    problem = deorbit_entry(VEHICLE, ORBIT, STEEP, BODY, manoeuvre=PLACE, minimise="transition_time")
+    solution = pl.solve(problem, level=1)
+    save(solution, tmp_path)
+    report = solution_markdown(solution)
+    assert "| interface angle | -6.000000 | deg |" in report and " rad |" not in report.partition("## Proof")[0]
+    (tmp_path / REPORT_FILE).write_text(report, encoding="utf-8")
+    assert proved_directory(tmp_path, 1).verification.passed
+    (tmp_path / REPORT_FILE).write_text(report.replace("-6.000000", "-6.100000"), encoding="utf-8")
+    proved = proved_directory(tmp_path, 1).verification
+    assert "Results, interface angle: -6.100000 deg in place of -6.000000 deg" in str(proved.failed)
 
 
 MILSTEAD = Planet(name="earth", gravitational_parameter=3.986004418e14, radius=6378137.0, rotation_rate=0.0)
@@ -200,3 +220,8 @@ def test_the_kinds_own_template_is_solved_and_proved() -> None:
     )
     assert phase.name == "entry" and told["peak_load"] == pytest.approx(8.346, abs=0.02)
     assert told["peak_load_time"] > told["transition_time"]
+    # As people read it: angles in degrees, loads in g0.
+    words = solution_summary(solution)
+    assert re.search(r"interface angle +-1\.500000 deg\n", words)
+    assert re.search(r"peak load \(g0\) +8\.3\d+\n", words)
+    assert re.search(r"peak heat rate +\d+\.\d W/m\^2\n", words) and " rad\n" not in words
