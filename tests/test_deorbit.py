@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -13,6 +14,8 @@ import pytest
 
 import perilune as pl
 from perilune.io.export import save
+from perilune.io.made import made_document
+from perilune.io.physics import physics_document
 from perilune.models import standard_atmosphere
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.problem import deorbit_entry
@@ -29,7 +32,7 @@ from perilune.models.deorbit.times import impulsive
 from perilune.report import REPORT_FILE
 from perilune.report.beside import proved_directory
 from perilune.report.summary import solution_markdown, solution_summary
-from perilune.scenario import load_text, template
+from perilune.scenario import load_file, load_text, template
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
 # Liu, Liu, Wu 2019, and what it leaves open: a blunt capsule, exponential air, and a site in the orbit's plane.
@@ -48,6 +51,7 @@ BOUNDED = Interface(
     angle_upper=math.radians(-6.0),
 )
 AIR = Atmosphere(model="exponential", density=1.225, scale_height=7200.0)
+QUIET = Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0, ap=4.0)
 SITE = Landing(longitude=math.radians(-98.0), latitude=math.radians(38.0), altitude=10e3)
 
 
@@ -149,10 +153,15 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
         (lambda: replace(VEHICLE, specific_impulse=300.0), "say one thing twice"),
         (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0), "a base_radius and a cone_angle"),
         (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0, cone_angle=0.2, nose_radius=2.0), "no sphere-cone"),
+        (lambda: replace(VEHICLE, bank="reversed"), "lift_to_drag is missing"),
         (lambda: replace(STEEP, angle_lower=-0.2), "say one thing twice"),
         (lambda: replace(BOUNDED, speed_lower=9000.0), "are no range"),
-        (lambda: returning(air=replace(AIR, density=None)), "atmosphere.density is missing"),
-        (lambda: returning(air=replace(AIR, model="us1976")), "belongs to exponential air"),
+        (lambda: replace(AIR, density=None), "atmosphere.density is missing"),
+        (lambda: replace(AIR, model="us1976"), "atmosphere.density belongs to another model"),
+        (lambda: Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0), "atmosphere.ap is missing"),
+        (lambda: returning(air=QUIET), "not said when and where"),
+        (lambda: returning(air=QUIET, epoch="2026-06-01T12:00:00Z"), "not said when and where"),
+        (lambda: returning(epoch="tomorrow"), "problem.epoch is no time"),
         (lambda: replace(SITE, latitude=None), "a longitude and a latitude"),
         (lambda: returning(manoeuvre=replace(PLACE, latitude=0.95)), "never comes to the latitude"),
         (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "where on its orbit"),
@@ -164,6 +173,57 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
 def test_what_is_stated_twice_or_not_at_all_is_refused(make: Any, said: str) -> None:
     with pytest.raises(PeriluneError, match=said):
         make()
+
+
+def beside(folder: Path, stated: str) -> Path:
+    """A scenario whose air is in a file, with exponential air beside it and above it."""
+    text = template("deorbit_entry").replace('model = "us1976"', f'model = "file"\nfile = {stated}')
+    (folder / "in" / "deep").mkdir(parents=True)
+    rows = "".join(f"{h:g},{1.225 * math.exp(-h / 7200.0):.17g}\n" for h in np.linspace(0.0, 130e3, 66))
+    for place in ("in/air.csv", "in/deep/air.csv", "air.csv"):
+        (folder / place).write_text(rows, encoding="utf-8")
+    (folder / "in" / "link.csv").symlink_to(folder / "air.csv")
+    (folder / "in" / "return.toml").write_text(text, encoding="utf-8")
+    return folder / "in" / "return.toml"
+
+
+@pytest.mark.parametrize("stated", ["'air.csv'", "'deep/air.csv'"])
+def test_air_of_a_file_beside_the_scenario(tmp_path: Path, stated: str) -> None:
+    """Exponential air in a table is exponential air; what is saved has the table, and no way to a file."""
+    scenario = load_file(beside(tmp_path, stated))
+    assert scenario.text is None and scenario.problem.given.keys().isdisjoint({"atmosphere_density"})
+    phase, p = scenario.problem.phases[-1], scenario.problem.parameters({})
+    x = [6378137.0 + 50e3, 0.0, 0.0, -1000.0, 7000.0, 0.0, 500.0]
+    pressure = phase.evaluate("outputs", np.array(x), (), p)[5]
+    assert pressure == pytest.approx(0.5 * 1.225 * math.exp(-50e3 / 7200.0) * 5e7, rel=1e-9)
+    saved = json.dumps(physics_document(scenario.problem))
+    assert str(tmp_path) not in saved and "csv" not in saved.replace("air of air.csv", "")
+    assert made_document(scenario.problem) is None
+
+
+@pytest.mark.parametrize(
+    "stated", ["'../air.csv'", "'deep/../../air.csv'", "'link.csv'", "'/etc/passwd'", "''", "'C:air.csv'", "'a\\b'"]
+)
+def test_a_scenario_reads_no_file_but_beside_itself(tmp_path: Path, stated: str) -> None:
+    path = beside(tmp_path, stated)
+    with pytest.raises(PeriluneError, match=r"atmosphere.file names no file beside the scenario"):
+        load_file(path)
+    with pytest.raises(PeriluneError, match="names no file"):
+        load_text(path.read_text(encoding="utf-8"))
+
+
+def test_a_file_of_air_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(PeriluneError, match="there is no table of air here"):
+        load_file(beside(tmp_path, "'none.csv'"))
+
+
+def test_air_of_a_day_and_a_place() -> None:
+    pytest.importorskip("pymsis")
+    made = [returning(air=air, site=SITE, epoch="2026-06-01T12:00:00Z") for air in (QUIET, replace(QUIET, f107a=250.0))]
+    x, p = np.array([6371e3 + 115e3, 0.0, 0.0, -1000.0, 7000.0, 0.0, 500.0]), made[0].parameters({})
+    quiet, busy = (problem.phases[-1].evaluate("outputs", x, (), p)[5] for problem in made)
+    standard = float(standard_atmosphere.density(np.array([115e3]))[0]) * 0.5 * 5e7
+    assert quiet == pytest.approx(standard, rel=0.5) and quiet != busy
 
 
 def refused(**more: Any) -> PeriluneError:
