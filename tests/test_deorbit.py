@@ -17,6 +17,7 @@ from perilune.io.export import save
 from perilune.io.made import made_document
 from perilune.io.physics import physics_document
 from perilune.models import standard_atmosphere
+from perilune.models.atmosphere import tabulated
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
@@ -215,6 +216,15 @@ def test_a_scenario_reads_no_file_but_beside_itself(tmp_path: Path, stated: str)
 def test_a_file_of_air_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(PeriluneError, match="there is no table of air here"):
         load_file(beside(tmp_path, "'none.csv'"))
+
+
+@pytest.mark.parametrize(("low", "high", "said"), [(0.0, 100e3, "interface.altitude = 120"), (12e3, 130e3, "site.alt")])
+def test_air_that_ends_before_the_flight_does_is_refused(low: float, high: float, said: str) -> None:
+    heights = np.linspace(low, high, 60)
+    table = tabulated(heights, 1.225 * np.exp(-heights / 7200.0), "air of mine")
+    with pytest.raises(PeriluneError, match="air of mine ends before the flight does") as error:
+        returning(air=table, site=SITE)
+    assert said in error.value.got
 
 
 def test_air_of_a_day_and_a_place() -> None:

@@ -236,6 +236,7 @@ def deorbit_entry(
     if heating is None and flown is not None and vehicle.nose_radius is not None:
         heating = Heating()
     _refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
+    _refuse_beyond_data(flown, interface, site)
     _refuse_without_effect(vehicle, flown, heating, separation, limits)
     stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, site)
     stated = tuple(record for record in (*stated, air if isinstance(air, Atmosphere) else None) if record is not None)
@@ -323,6 +324,21 @@ def _refuse_without_effect(
         raise PeriluneError(
             "vehicle.nose_radius is missing", expected="the radius at the stagnation point, for its heat"
         )
+
+
+def _refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | None) -> None:
+    """Refuse air of which nothing is known somewhere on the way: a table goes on beyond its ends, but says nothing."""
+    if air is None or site is None:
+        return
+    reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
+    for name, altitude in reached.items():
+        if not air.bottom <= altitude <= air.top:
+            raise PeriluneError(
+                f"{air.name} ends before the flight does",
+                got=f"data from {air.bottom / 1e3:g} to {air.top / 1e3:g} km, and {name} = {altitude / 1e3:g} km",
+                expected="data from the site up to the interface",
+                advice=f"more rows, or another {name}",
+            )
 
 
 def _refuse_incomplete(
