@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.cli import run
 from perilune.io.export import save
 from perilune.io.made import made_document
 from perilune.io.physics import physics_document
@@ -30,6 +31,7 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.models.deorbit.times import impulsive
+from perilune.problem.preflight import preflight
 from perilune.report import REPORT_FILE
 from perilune.report.beside import proved_directory
 from perilune.report.summary import solution_markdown, solution_summary
@@ -213,6 +215,12 @@ def test_a_scenario_reads_no_file_but_beside_itself(tmp_path: Path, stated: str)
         load_text(path.read_text(encoding="utf-8"))
 
 
+def test_a_failure_with_air_of_a_file_is_kept(tmp_path: Path) -> None:
+    scenario, out = beside(tmp_path, "'air.csv'"), tmp_path / "out"
+    code = run(["solve", str(scenario), "--set", "vehicle.dry_mass=499.9 kg", "--out", str(out), "--json"])
+    assert code == 3 and json.loads((out / "failure.json").read_text(encoding="utf-8"))["scenario"] is None
+
+
 def test_a_file_of_air_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(PeriluneError, match="there is no table of air here"):
         load_file(beside(tmp_path, "'none.csv'"))
@@ -265,6 +273,18 @@ def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
     assert "h after t = 0" in error.advice
     polar = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=replace(SITE, latitude=math.radians(75.0)))
     assert "never comes over its latitude" in polar.advice
+
+
+def test_who_falls_too_fast_for_a_parachute_is_told_before() -> None:
+    """Down to the ground with 125 kg/m^2 or 5000: a fall ends near its terminal speed, or far above 300 m/s."""
+    light, heavy = (returning(replace(VEHICLE, drag_area=area)) for area in (4.0, 0.1))
+    name = "landing speed of a fall without lift"
+    said = [[f for f in preflight(problem) if f.name == name] for problem in (light, heavy)]
+    assert [found[0].passed for found in said] == [True, False] and not said[1][0].binding
+    terminal = math.sqrt(2 * 125.0 * 9.82 / 1.225)
+    assert said[0][0].value == pytest.approx(terminal, rel=0.02)
+    named = returning(replace(VEHICLE, drag_area=0.1), site=replace(SITE, speed_upper=2000.0))
+    assert all(f.passed for f in preflight(named) if f.name.startswith("landing speed"))
 
 
 def test_the_kinds_own_template_is_solved_and_proved() -> None:

@@ -181,7 +181,7 @@ def _value(key: str, found: Key, stated: Any, folder: Path | None) -> Any:
         value = found.declared.read(stated)
     except PeriluneError as error:
         raise named(key, error) from None
-    return _beside(key, value, folder) if getattr(found.declared, "file", False) else value
+    return _beside(key, str(value), folder) if getattr(found.declared, "file", False) else value
 
 
 def _beside(key: str, stated: str, folder: Path | None) -> str:

@@ -114,9 +114,9 @@ def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """End of the flight: the height above the site, and how far east and north of it."""
+    """End of the flight: the height above the site, how far north and east of it, and the speed."""
     if not hasattr(p, "site_longitude"):
-        return (ellipsoid.altitude(where(x), p, m) - p.site_altitude,)
+        return ellipsoid.altitude(where(x), p, m) - p.site_altitude, speed(x, m)
     site = ellipsoid.at(p.site_longitude, p.site_latitude, p.site_altitude, p, m)
     away = combine((1, where(x)), (-1, site))
-    return tuple(dot(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m))
+    return *(dot(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m)), speed(x, m)

@@ -298,6 +298,9 @@ class Landing:
     altitude: float = quantity(
         "m", "10 km", default=0.0, about="of the end of the flight, where a parachute takes over"
     )
+    speed_upper: float = quantity(
+        "m/s", "300 m/s", default=300.0, **_SPEED, about="greatest speed there, which a parachute can take"
+    )
 
     def __post_init__(self) -> None:
         if (self.longitude is None) != (self.latitude is None):
