@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.cli import run
+from perilune.io.export import save
+from perilune.io.made import made_document
+from perilune.io.physics import physics_document
 from perilune.models import standard_atmosphere
+from perilune.models.atmosphere import tabulated
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
@@ -23,7 +31,11 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.models.deorbit.times import impulsive
-from perilune.scenario import load_text, template
+from perilune.problem.preflight import preflight
+from perilune.report import REPORT_FILE
+from perilune.report.beside import proved_directory
+from perilune.report.summary import solution_markdown, solution_summary
+from perilune.scenario import load_file, load_text, template
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
 # Liu, Liu, Wu 2019, and what it leaves open: a blunt capsule, exponential air, and a site in the orbit's plane.
@@ -42,6 +54,7 @@ BOUNDED = Interface(
     angle_upper=math.radians(-6.0),
 )
 AIR = Atmosphere(model="exponential", density=1.225, scale_height=7200.0)
+QUIET = Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0, ap=4.0)
 SITE = Landing(longitude=math.radians(-98.0), latitude=math.radians(38.0), altitude=10e3)
 
 
@@ -83,6 +96,20 @@ def test_a_return_to_a_place_touches_the_air_on_its_way() -> None:
     assert np.linalg.norm(x[-1, 3:6]) == pytest.approx(7500.0, abs=1e-6)
     down = x[-1, :3] @ x[-1, 3:6] / (np.linalg.norm(x[-1, :3]) * 7500.0)
     assert math.degrees(math.asin(down)) == pytest.approx(-6.0, abs=1e-6)
+
+
+def test_people_read_angles_in_degrees(tmp_path: Path) -> None:
+    """And the report that lies beside a solution is held to the same words."""
+    problem = deorbit_entry(VEHICLE, ORBIT, STEEP, BODY, manoeuvre=PLACE, minimise="transition_time")
+    solution = pl.solve(problem, level=1)
+    save(solution, tmp_path)
+    report = solution_markdown(solution)
+    assert "| interface angle | -6.000000 | deg |" in report and " rad |" not in report.partition("## Proof")[0]
+    (tmp_path / REPORT_FILE).write_text(report, encoding="utf-8")
+    assert proved_directory(tmp_path, 1).verification.passed
+    (tmp_path / REPORT_FILE).write_text(report.replace("-6.000000", "-6.100000"), encoding="utf-8")
+    proved = proved_directory(tmp_path, 1).verification
+    assert "Results, interface angle: -6.100000 deg in place of -6.000000 deg" in str(proved.failed)
 
 
 MILSTEAD = Planet(name="earth", gravitational_parameter=3.986004418e14, radius=6378137.0, rotation_rate=0.0)
@@ -129,10 +156,15 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
         (lambda: replace(VEHICLE, specific_impulse=300.0), "say one thing twice"),
         (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0), "a base_radius and a cone_angle"),
         (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0, cone_angle=0.2, nose_radius=2.0), "no sphere-cone"),
+        (lambda: replace(VEHICLE, bank="reversed"), "lift_to_drag is missing"),
         (lambda: replace(STEEP, angle_lower=-0.2), "say one thing twice"),
         (lambda: replace(BOUNDED, speed_lower=9000.0), "are no range"),
-        (lambda: returning(air=replace(AIR, density=None)), "atmosphere.density is missing"),
-        (lambda: returning(air=replace(AIR, model="us1976")), "belongs to exponential air"),
+        (lambda: replace(AIR, density=None), "atmosphere.density is missing"),
+        (lambda: replace(AIR, model="us1976"), "atmosphere.density belongs to another model"),
+        (lambda: Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0), "atmosphere.ap is missing"),
+        (lambda: returning(air=QUIET), "not said when and where"),
+        (lambda: returning(air=QUIET, epoch="2026-06-01T12:00:00Z"), "not said when and where"),
+        (lambda: returning(epoch="tomorrow"), "problem.epoch is no time"),
         (lambda: replace(SITE, latitude=None), "a longitude and a latitude"),
         (lambda: returning(manoeuvre=replace(PLACE, latitude=0.95)), "never comes to the latitude"),
         (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "where on its orbit"),
@@ -144,6 +176,72 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
 def test_what_is_stated_twice_or_not_at_all_is_refused(make: Any, said: str) -> None:
     with pytest.raises(PeriluneError, match=said):
         make()
+
+
+def beside(folder: Path, stated: str) -> Path:
+    """A scenario whose air is in a file, with exponential air beside it and above it."""
+    text = template("deorbit_entry").replace('model = "us1976"', f'model = "file"\nfile = {stated}')
+    (folder / "in" / "deep").mkdir(parents=True)
+    rows = "".join(f"{h:g},{1.225 * math.exp(-h / 7200.0):.17g}\n" for h in np.linspace(0.0, 130e3, 66))
+    for place in ("in/air.csv", "in/deep/air.csv", "air.csv"):
+        (folder / place).write_text(rows, encoding="utf-8")
+    (folder / "in" / "link.csv").symlink_to(folder / "air.csv")
+    (folder / "in" / "return.toml").write_text(text, encoding="utf-8")
+    return folder / "in" / "return.toml"
+
+
+@pytest.mark.parametrize("stated", ["'air.csv'", "'deep/air.csv'"])
+def test_air_of_a_file_beside_the_scenario(tmp_path: Path, stated: str) -> None:
+    """Exponential air in a table is exponential air; what is saved has the table, and no way to a file."""
+    scenario = load_file(beside(tmp_path, stated))
+    assert scenario.text is None and scenario.problem.given.keys().isdisjoint({"atmosphere_density"})
+    phase, p = scenario.problem.phases[-1], scenario.problem.parameters({})
+    x = [6378137.0 + 50e3, 0.0, 0.0, -1000.0, 7000.0, 0.0, 500.0]
+    pressure = phase.evaluate("outputs", np.array(x), (), p)[5]
+    assert pressure == pytest.approx(0.5 * 1.225 * math.exp(-50e3 / 7200.0) * 5e7, rel=1e-9)
+    saved = json.dumps(physics_document(scenario.problem))
+    assert str(tmp_path) not in saved and "csv" not in saved.replace("air of air.csv", "")
+    assert made_document(scenario.problem) is None
+
+
+@pytest.mark.parametrize(
+    "stated", ["'../air.csv'", "'deep/../../air.csv'", "'link.csv'", "'/etc/passwd'", "''", "'C:air.csv'", "'a\\b'"]
+)
+def test_a_scenario_reads_no_file_but_beside_itself(tmp_path: Path, stated: str) -> None:
+    path = beside(tmp_path, stated)
+    with pytest.raises(PeriluneError, match=r"atmosphere.file names no file beside the scenario"):
+        load_file(path)
+    with pytest.raises(PeriluneError, match="names no file"):
+        load_text(path.read_text(encoding="utf-8"))
+
+
+def test_a_failure_with_air_of_a_file_is_kept(tmp_path: Path) -> None:
+    scenario, out = beside(tmp_path, "'air.csv'"), tmp_path / "out"
+    code = run(["solve", str(scenario), "--set", "vehicle.dry_mass=499.9 kg", "--out", str(out), "--json"])
+    assert code == 3 and json.loads((out / "failure.json").read_text(encoding="utf-8"))["scenario"] is None
+
+
+def test_a_file_of_air_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(PeriluneError, match="there is no table of air here"):
+        load_file(beside(tmp_path, "'none.csv'"))
+
+
+@pytest.mark.parametrize(("low", "high", "said"), [(0.0, 100e3, "interface.altitude = 120"), (12e3, 130e3, "site.alt")])
+def test_air_that_ends_before_the_flight_does_is_refused(low: float, high: float, said: str) -> None:
+    heights = np.linspace(low, high, 60)
+    table = tabulated(heights, 1.225 * np.exp(-heights / 7200.0), "air of mine")
+    with pytest.raises(PeriluneError, match="air of mine ends before the flight does") as error:
+        returning(air=table, site=SITE)
+    assert said in error.value.got
+
+
+def test_air_of_a_day_and_a_place() -> None:
+    pytest.importorskip("pymsis")
+    made = [returning(air=air, site=SITE, epoch="2026-06-01T12:00:00Z") for air in (QUIET, replace(QUIET, f107a=250.0))]
+    x, p = np.array([6371e3 + 115e3, 0.0, 0.0, -1000.0, 7000.0, 0.0, 500.0]), made[0].parameters({})
+    quiet, busy = (problem.phases[-1].evaluate("outputs", x, (), p)[5] for problem in made)
+    standard = float(standard_atmosphere.density(np.array([115e3]))[0]) * 0.5 * 5e7
+    assert quiet == pytest.approx(standard, rel=0.5) and quiet != busy
 
 
 def refused(**more: Any) -> PeriluneError:
@@ -177,6 +275,18 @@ def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
     assert "never comes over its latitude" in polar.advice
 
 
+def test_who_falls_too_fast_for_a_parachute_is_told_before() -> None:
+    """Down to the ground with 125 kg/m^2 or 5000: a fall ends near its terminal speed, or far above 300 m/s."""
+    light, heavy = (returning(replace(VEHICLE, drag_area=area)) for area in (4.0, 0.1))
+    name = "landing speed of a fall without lift"
+    said = [[f for f in preflight(problem) if f.name == name] for problem in (light, heavy)]
+    assert [found[0].passed for found in said] == [True, False] and not said[1][0].binding
+    terminal = math.sqrt(2 * 125.0 * 9.82 / 1.225)
+    assert said[0][0].value == pytest.approx(terminal, rel=0.02)
+    named = returning(replace(VEHICLE, drag_area=0.1), site=replace(SITE, speed_upper=2000.0))
+    assert all(f.passed for f in preflight(named) if f.name.startswith("landing speed"))
+
+
 def test_the_kinds_own_template_is_solved_and_proved() -> None:
     """Ellipsoid, J2 to J4, the US Standard Atmosphere: slow, as all of it together is flown nowhere else."""
     problem = load_text(template("deorbit_entry"))
@@ -200,3 +310,8 @@ def test_the_kinds_own_template_is_solved_and_proved() -> None:
     )
     assert phase.name == "entry" and told["peak_load"] == pytest.approx(8.346, abs=0.02)
     assert told["peak_load_time"] > told["transition_time"]
+    # As people read it: angles in degrees, loads in g0.
+    words = solution_summary(solution)
+    assert re.search(r"interface angle +-1\.500000 deg\n", words)
+    assert re.search(r"peak load \(g0\) +8\.3\d+\n", words)
+    assert re.search(r"peak heat rate +\d+\.\d W/m\^2\n", words) and " rad\n" not in words

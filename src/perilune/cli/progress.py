@@ -109,7 +109,8 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
 
             known = error if isinstance(error, PeriluneError) else stopped()
             said = refusal(known, getattr(error, "exit_code", INTERRUPTED))
-            origin = {"sha256": hash_of(scenario.text), "text": scenario.text}
+            told = scenario.text
+            origin = None if told is None else {"sha256": hash_of(told), "text": told}
             with fresh_directory(out, force) as work:
                 document = {**said.document, "log": list(log), "scenario": origin, "versions": versions()}
                 if (flight := getattr(error, "flight", None)) is not None:

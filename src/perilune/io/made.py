@@ -74,6 +74,8 @@ def _record(section: Section, values: Any, where: str) -> Any:
     for key in values:
         if key not in keys:
             refuse(f"{where}.{key}"[:80], "a key that is not known", ", ".join(keys))
+        if getattr(keys[key].declared, "file", False):
+            refuse(f"{where}.{key}", "the way to a file", "what can be read from here alone")
     for key, found in keys.items():
         if found.required and key not in values:
             refuse(f"{where}.{key}", "nothing", "a value")

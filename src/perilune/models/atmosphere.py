@@ -50,8 +50,8 @@ class Air:
         Parameters by which it is scaled, as a problem takes them: a density and a height.
     table
         Logarithm of the density over that one against the altitude over that height; None for exponential air of them.
-    top
-        Up to which altitude [m] the data go.
+    bottom, top
+        From and up to which altitude [m] the data go.
     near
         How near the table is to them, as a share of the density.
     """
@@ -59,6 +59,7 @@ class Air:
     name: str
     given: Mapping[str, Given]
     table: Table | None = None
+    bottom: float = float("-inf")
     top: float = float("inf")
     near: float = 0.0
 
@@ -176,7 +177,8 @@ def tabulated(altitude: Vector, density: Vector, name: str, near: float = NEAR) 
         places = sorted({*places, worst})
     _refuse_rough(x, y, table, float(away[worst]), name)
     given = _given("air_density", _SEA_LEVEL, "air_height", _KILOMETRE)
-    return Air(name=name, given=given, table=table, top=float(altitude[-1]), near=float(away[worst]))
+    low, high = float(altitude[0]), float(altitude[-1])
+    return Air(name=name, given=given, table=table, bottom=low, top=high, near=float(away[worst]))
 
 
 def _given(name: str, density: float, height_name: str, height: float) -> Mapping[str, Given]:

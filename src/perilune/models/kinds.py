@@ -157,6 +157,7 @@ def _deorbit(
     return deorbit_entry(
         vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
         heating=heating, separation=separation, limits=limits, minimise=problem.minimise,
+        epoch=problem.epoch,
     )  # fmt: skip
 
 

@@ -62,7 +62,7 @@ def check_given(problem: Any) -> None:
         if not math.isfinite(g.value):
             raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
     for record in problem.declared:
-        check_values(type(record), vars(problem.parameters({})))
+        check_values(record, vars(problem.parameters({})))
 
 
 def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:

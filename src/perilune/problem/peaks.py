@@ -15,17 +15,20 @@ def peaks(solution: Any) -> tuple[list[Variable], list[float]]:
     """The largest value of each and when it is reached, and what they are."""
     variables, values = list[Variable](), list[float]()
     for name in solution.problem.views.peaks:
-        found, since = (-np.inf, 0.0, "1"), 0.0
+        best, since, of = (-np.inf, 0.0), 0.0, Variable(name=name)
         for k, (phase, flown) in enumerate(zip(solution.problem.phases, solution.trajectories, strict=True)):
-            for unit in (v.unit for v in phase.output_variables if v.name == name):
+            for variable in (v for v in phase.output_variables if v.name == name):
+                of = variable
                 value, when = _largest(solution, k, name, flown.duration)
-                found = max(found, (value, since + when, unit))
+                best = max(best, (value, since + when))
             since += flown.duration
+        what = "largest along the flight" + (f": {of.description}" if of.description else "")
+        label = f"peak {of.label}" if of.label else ""
         variables += [
-            Variable(name=f"peak_{name}", unit=found[2], description="largest along the flight"),
+            Variable(name=f"peak_{name}", unit=of.unit, description=what, label=label),
             Variable(name=f"peak_{name}_time", unit="s", description="when, from the begin of the flight"),
         ]
-        values += found[:2]
+        values += best
     return variables, values
 
 

@@ -159,11 +159,12 @@ class Deferred(Sequence[Trajectory]):
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A number that was asked of a solution, in SI."""
+    """A number that was asked of a solution, in SI; `label` is its name where that is not the result's with blanks."""
 
     value: float
     unit: str
     description: str = ""
+    label: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,7 +350,7 @@ def full(values: Any, t: Vector) -> Vector:
 
 def _named(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Result]:
     return {
-        v.name: Result(value=float(value), unit=v.unit, description=v.description)
+        v.name: Result(value=float(value), unit=v.unit, description=v.description, label=v.label)
         for v, value in zip(variables, values, strict=True)
     }
 

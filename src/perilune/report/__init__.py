@@ -13,7 +13,7 @@ def write_all(
     solution: Solution,
     out_dir: str | Path,
     *,
-    scenario_text: str,
+    scenario_text: str | None,
     ordinary: Solution | None = None,
     force: bool = False,
 ) -> None:
@@ -26,7 +26,7 @@ def write_all(
     out_dir
         Directory; its files appear together, when all are complete.
     scenario_text
-        The scenario that the problem was made of, with every change made to it.
+        The scenario that the problem was made of, with every change made to it; None where it alone is not all of it.
     ordinary
         A plainer flight of the same problem, drawn into the same figures.
     force
@@ -48,5 +48,5 @@ def write_all(
         drawn = solution_figures(solution, ordinary)
         for name, figure in drawn.items():
             save(figure, work / "figures", name)
-        report = solution_markdown(solution, drawn, scenario_text)
+        report = solution_markdown(solution, drawn, scenario_text or "")
         (work / REPORT_FILE).write_text(report, encoding="utf-8")

@@ -19,7 +19,7 @@ from perilune.io.repeated import compared, is_table
 from perilune.problem.extremal import Nature
 from perilune.problem.solution import Solution
 from perilune.report import REPORT_FILE
-from perilune.report.summary import extremal_cells, quantity
+from perilune.report.summary import extremal_cells, spoken
 from perilune.solve import as_far_as, judged, prove
 
 _MOST_NAMES = 8
@@ -69,7 +69,7 @@ def proved_directory(directory: str | Path, level: int = 3) -> Solution:
 
 def _report_slips(solution: Solution, text: str, whole: bool) -> Iterator[str]:
     """Rows of the tables of results and, where all of them are confirmed, of extremals that are others."""
-    found = {name.replace("_", " "): (quantity(r.value, r.unit), r.unit) for name, r in solution.results.items()}
+    found = {told: tuple(cells) for told, *cells in (spoken(n, r) for n, r in solution.results.items())}
     for name, *cells in _rows(text, "Results")[1:]:
         known = found.get(name, ("nothing", ""))
         if len(cells) < 2 or not all(map(_same_cell, cells, known)):

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from perilune.io.export import extremals_document
-from perilune.problem.solution import Solution
+from perilune.problem.solution import Result, Solution
 from perilune.problem.verification import LEVEL_NAMES, Verification
 
-_DIGITS = {"kg": 6, "m/s": 4, "s": 4}
+_DIGITS = {"kg": 6, "m/s": 4, "s": 4, "Pa": 1, "W/m^2": 1, "J/m^2": 1}
 
 _CAPTIONS = {
     "path": "Path over the limb; strokes show the exhaust",
@@ -35,8 +35,9 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         f"  {solution.outcome.value}",
         "",
     ]
-    for name, result in solution.results.items():
-        lines.append(f"  {name.replace('_', ' '):16}{quantity(result.value, result.unit):>16} {result.unit}")
+    found = [spoken(name, result) for name, result in solution.results.items()]
+    width = max([16, *(len(told) for told, *_ in found)])
+    lines += [f"  {told:{width}}{value:>16} {unit}".rstrip() for told, value, unit in found]
     if solution.structure and not solution.statistics.claimed:
         lines += ["", "structure", *(f"  {arc.text}" for arc in solution.structure)]
     rows = _extremal_rows(solution)
@@ -81,7 +82,7 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     parts.append(
         table(
             ["quantity", "value", "unit", ""],
-            [[n.replace("_", " "), quantity(r.value, r.unit), r.unit, r.description] for n, r in found.items()],
+            [[*spoken(name, result), result.description] for name, result in found.items()],
         )
     )
     rows = _extremal_rows(solution)
@@ -116,9 +117,23 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return "\n".join([row(head), "|" + "---|" * len(head), *(row(r) for r in rows)])
 
 
-def quantity(value: float, unit: str) -> str:
-    """Write a number with the decimals that are worth reading in its unit."""
-    return f"{value:.{_DIGITS.get(unit, 6)}f}" if math.isfinite(value) else "unknown"
+def spoken(name: str, result: Result) -> tuple[str, str, str]:
+    """Name, value and unit of a result as people say them."""
+    return (result.label or name.replace("_", " "), *quantity(result.value, result.unit))
+
+
+def quantity(value: float, unit: str) -> tuple[str, str]:
+    """A number with the decimals that are worth reading, and its unit: angles in degrees, and none where there is none.
+
+    Parameters
+    ----------
+    value, unit
+        In SI.
+    """
+    if unit == "rad":
+        value, unit = math.degrees(value), "deg"
+    text = f"{value:.{_DIGITS.get(unit, 6)}f}" if math.isfinite(value) else "unknown"
+    return text, "" if unit == "1" else unit
 
 
 def _sentence(text: str) -> str:
@@ -136,13 +151,11 @@ def extremal_cells(solution: Solution) -> list[dict[str, str]]:
     units = {name: result.unit for name, result in solution.results.items()}
     units |= {"objective": solution.problem.objective_unit, "nature": "1"}
 
-    def heading(key: str) -> str:
-        return f"{key.replace('_', ' ')} ({units[key]})".removesuffix(" (1)")
+    def cell(key: str, value: Any) -> tuple[str, str]:
+        text, unit = (value, "") if key == "nature" else quantity(value, units[key])
+        return f"{key.replace('_', ' ')} ({unit})".removesuffix(" ()"), text
 
-    return [
-        {heading(k): v if k == "nature" else quantity(v, units[k]) for k, v in document.items()}
-        for document in extremals_document(solution)
-    ]
+    return [dict(cell(k, v) for k, v in document.items()) for document in extremals_document(solution)]
 
 
 def _extremal_rows(solution: Solution) -> list[list[str]]:

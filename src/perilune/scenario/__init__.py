@@ -20,7 +20,7 @@ from perilune.models.kinds import KINDS
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.ranges import values_of
-from perilune.scenario.reader import problem_of, quantities_in, tolerance_of
+from perilune.scenario.reader import names_files, problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
 from perilune.words.asked import demand_path
@@ -31,9 +31,12 @@ __all__ = ["KINDS", "Scenario", "load_file", "load_text", "quantities_of", "temp
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """A problem, the tolerance stated for its proof, and the text they were made of, with every change made to it."""
+    """A problem, the tolerance stated for its proof, and the text they were made of, with every change made to it.
 
-    text: str
+    The text is None where it is not all that they were made of, as it names another file.
+    """
+
+    text: str | None
     problem: Problem
     tolerance: Tolerance
 
@@ -54,9 +57,11 @@ def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
         If the file cannot be read, is no scenario, or a value is wrong or looks wrong.
     """
     text, document = _document(path, changes)
+    problem = problem_of(document, Path(path).parent)
+    whole = written(document, changes) if changes else text
     return Scenario(
-        text=written(document, changes) if changes else text,
-        problem=problem_of(document),
+        text=None if names_files(document) else whole,
+        problem=problem,
         tolerance=tolerance_of(document),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from perilune.models.bodies import Body, recognised
@@ -16,8 +17,15 @@ from perilune.words.outcome import PeriluneError, unknown_name
 KIND = Words(example=HYBRID.name, choices=tuple(KINDS), about="which kind of problem the file states")
 
 
-def problem_of(document: Mapping[str, Any]) -> Problem:
+def problem_of(document: Mapping[str, Any], folder: Path | None = None) -> Problem:
     """Build the problem that a file states.
+
+    Parameters
+    ----------
+    document
+        Tree of sections.
+    folder
+        Where the file lies, and with it the files that it names; None for a text alone, which can name none.
 
     Raises
     ------
@@ -27,7 +35,9 @@ def problem_of(document: Mapping[str, Any]) -> Problem:
     kind = _kind_of(document)
     for name, table in document.items():
         _check_names(kind, name, table)
-    records = {name: _record(kind, name, section, document.get(name)) for name, section in kind.sections.items()}
+    records = {
+        name: _record(kind, name, section, document.get(name), folder) for name, section in kind.sections.items()
+    }
     if isinstance(body := records.get("body"), Body):
         records["body"] = recognised(body)
     refuse_slips(records)
@@ -54,6 +64,15 @@ def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
         for key, found in section.keys.items()
         if isinstance(found.declared, Quantity)
     }
+
+
+def names_files(document: Mapping[str, Any]) -> bool:
+    """Whether a tree of sections, of a problem that could be built, names another file."""
+    return any(
+        getattr(found.declared, "file", False) and key in document.get(name, {})
+        for name, section in _kind_of(document).sections.items()
+        for key, found in section.keys.items()
+    )
 
 
 def names_of(section_name: str, section: Section) -> dict[str, Key]:
@@ -93,7 +112,7 @@ def _check_names(kind: Kind, name: str, table: Any) -> None:
             raise PeriluneError(what, got=error.got, expected=error.expected, advice=error.advice)
 
 
-def _record(kind: Kind, name: str, section: Section, table: Any) -> Any:
+def _record(kind: Kind, name: str, section: Section, table: Any, folder: Path | None = None) -> Any:
     """The record that a section states."""
     compare = f"compare with `perilune new {kind.name}`"
     if table is None:
@@ -103,7 +122,7 @@ def _record(kind: Kind, name: str, section: Section, table: Any) -> Any:
     if not isinstance(table, Mapping):
         expected = f"a section [{name}]"
         raise PeriluneError(f"{name} has the wrong type", got=str(table)[:60], expected=expected, advice=compare)
-    values = {key: _value(f"{name}.{key}", found, table[key]) for key, found in names_of(name, section).items()
+    values = {key: _value(f"{name}.{key}", found, table[key], folder) for key, found in names_of(name, section).items()
               if key in table}  # fmt: skip
     values.pop("kind", None)
     record = section.stated(values)
@@ -157,11 +176,27 @@ def _known(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any
     return {**vars(section.known[values["name"].lower()]), **values, "name": values["name"].lower()}
 
 
-def _value(key: str, found: Key, stated: Any) -> Any:
+def _value(key: str, found: Key, stated: Any, folder: Path | None) -> Any:
     try:
-        return found.declared.read(stated)
+        value = found.declared.read(stated)
     except PeriluneError as error:
         raise named(key, error) from None
+    return _beside(key, str(value), folder) if getattr(found.declared, "file", False) else value
+
+
+def _beside(key: str, stated: str, folder: Path | None) -> str:
+    """The file that a scenario names, which lies in its own folder or below it: a stranger's reaches no other."""
+    way = PurePosixPath(stated)
+    within = bool(stated) and stated.isprintable() and not way.is_absolute() and ".." not in way.parts
+    found = None if folder is None or not within or any(c in stated for c in ":\\") else folder / way
+    if found is None or folder is None or not found.resolve().is_relative_to(folder.resolve()):
+        raise PeriluneError(
+            f"{key} names no file beside the scenario",
+            got=repr(stated[:60]) + (" in a text that lies nowhere" if folder is None else ""),
+            expected="the name of a file in the scenario's own folder or below it, without ..",
+            advice="copy the file there",
+        )
+    return str(found)
 
 
 def _line(key: str, found: Key) -> str:

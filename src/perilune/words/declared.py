@@ -154,11 +154,12 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Words:
-    """A text of a record: any, or one of `choices`."""
+    """A text of a record: any, or one of `choices`; or the way to a file, as seen from where it is stated."""
 
     example: str
     choices: tuple[str, ...] = ()
     about: str = ""
+    file: bool = False
 
     def read(self, value: object) -> str:
         """The text."""
@@ -255,12 +256,14 @@ def span(unit: str, lower: str, upper: str, *, default: tuple[float, float], nam
     return field(default=default, metadata={"keys": declared, "span": name})
 
 
-def words(example: str, *choices: str, default: Any = MISSING, called: str = "", about: str = "") -> Any:
-    """Field of a record that is a text, one of the choices where there are any.
+def words(
+    example: str, *choices: str, default: Any = MISSING, called: str = "", about: str = "", file: bool = False
+) -> Any:  # fmt: skip
+    """Field of a record that is a text, one of the choices where there are any, or the way to a `file`.
 
     `called` is its key where Python keeps that word for itself.
     """
-    declared = Words(example=example, choices=choices, about=about)
+    declared = Words(example=example, choices=choices, about=about, file=file)
     return field(default=default, metadata={"keys": {"": declared}, "called": called})
 
 
@@ -352,13 +355,13 @@ def made_of(kind: type[T], values: Mapping[str, Any]) -> T:
     return kind(**arguments)
 
 
-def check_values(kind: type, parameters: Mapping[str, float]) -> None:
+def check_values(made: Any, parameters: Mapping[str, float]) -> None:
     """PeriluneError if the parameters that a record declares could not be its values; other parameters may be there."""
-    section, keys = section_of(kind), keys_of(kind)
+    section, keys, own = section_of(type(made)), keys_of(type(made)), values_of(made)
     values = {n: parameters[f"{section}_{n}"] for n in keys if f"{section}_{n}" in parameters}
-    texts = {n: key.declared.example for n, key in keys.items() if isinstance(key.declared, Words)}
-    if all(n in values or n in texts or key.default is not MISSING for n, key in keys.items()):
-        made_of(kind, {**texts, **values})
+    texts = {n: own[n] for n, key in keys.items() if isinstance(key.declared, Words)}
+    if values and all(n in values or n in texts or key.default is not MISSING for n, key in keys.items()):
+        made_of(type(made), {**texts, **values})
 
 
 def _check_fields(made: Any) -> None:

@@ -17,11 +17,15 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit.orbit import AXIS
 from perilune.models.deorbit.records import exhaust_speed
 from perilune.models.rotating import Triple, combine, dot, free_acceleration, local_axes
-from perilune.problem.controls import Direction
+from perilune.problem.controls import Bounded, Direction
 from perilune.problem.variables import Variable
 
 STEERING = Direction(names=("toward_x", "toward_y", "toward_z"))
-BANK = Direction(names=("lift_up", "lift_right"))
+BANKS = {
+    "free": Direction(names=("lift_up", "lift_right")),
+    # Turned to and fro until nothing is left of it sideways.
+    "reversed": Bounded(name="lift_up", lower=-1.0, upper=1.0),
+}
 STATES = (
     *(Variable(name=name, unit="m") for name in ("x", "y", "z")),
     *(Variable(name=name, unit="m/s", description="beside the turning body") for name in ("vx", "vy", "vz")),
@@ -72,7 +76,7 @@ def falling(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
     if hasattr(p, "vehicle_lift_to_drag"):
         upward, right = aerodynamics.lift_axes(r, v, m)
         lift = p.vehicle_lift_to_drag * aerodynamics.drag_acceleration(density, v, x.m, p, m)
-        felt = combine((1, felt), (lift * u.lift_up, upward), (lift * u.lift_right, right))
+        felt = combine((1, felt), (lift * u.lift_up, upward), (lift * getattr(u, "lift_right", 0.0), right))
     heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(x, "heat") else ()
     return *v, *combine((1, free_acceleration(r, v, AXIS, p, m)), (1, felt)), 0.0, *heat
 
@@ -110,9 +114,9 @@ def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """End of the flight: the height above the site, and how far east and north of it."""
+    """End of the flight: the height above the site, how far north and east of it, and the speed."""
     if not hasattr(p, "site_longitude"):
-        return (ellipsoid.altitude(where(x), p, m) - p.site_altitude,)
+        return ellipsoid.altitude(where(x), p, m) - p.site_altitude, speed(x, m)
     site = ellipsoid.at(p.site_longitude, p.site_latitude, p.site_altitude, p, m)
     away = combine((1, where(x)), (-1, site))
-    return tuple(dot(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m))
+    return *(dot(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m)), speed(x, m)

@@ -20,8 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from perilune.models.atmosphere import Air
 from perilune.models.deorbit.orbit import plane
 from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.deorbit.times import fall
 from perilune.models.rotating import cross, dot, local_axes
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
@@ -32,14 +34,14 @@ _TIMES = 2001  # at which the plane and the site are looked at
 _DAY = 86400.0  # s
 
 
-def compare_return(p: Any, m: Any, *, angles: Physics, air: bool) -> tuple[Finding, ...]:
+def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None) -> tuple[Finding, ...]:
     """Every comparison of a return, for `Problem.preflight`."""
     low, high = _extremes(p)
     found = [_above_interface(p, low)]
     if hasattr(p, "vehicle_dry_mass"):
         found.append(_comes_down(p, m, low, high))
-    if air and hasattr(p, "site_longitude"):
-        found += _in_plane(p, angles, low, high)
+    if air is not None and _of_one(p, low):
+        found += [*_slow_enough(p, air), *(_in_plane(p, angles, low, high) if hasattr(p, "site_longitude") else ())]
     return tuple(found)
 
 
@@ -87,11 +89,30 @@ def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
     )
 
 
+def _of_one(p: Any, low: Any) -> bool:
+    """Whether it is one problem, all of it known: of many at once flights are not looked at."""
+    numbers = [*vars(p).values(), low]
+    return not any(np.ndim(number) for number in numbers) and math.isfinite(sum(map(float, numbers)))
+
+
+def _slow_enough(p: Any, air: Air) -> tuple[Finding, ...]:
+    """How fast a fall without lift arrives that begins at a typical angle; no proof of others, and so only said."""
+    return (
+        Finding(
+            name="landing speed of a fall without lift",
+            value=float(fall(p, air).rows[-1, 2]),
+            limit=p.site_speed_upper,
+            at_least=False,
+            unit="m/s",
+            binding=False,
+            meaning="the vehicle may arrive faster than site.speed_upper, which a parachute can take",
+            advice="more drag area, a higher site.altitude, or a greater site.speed_upper",
+        ),
+    )
+
+
 def _in_plane(p: Any, angles: Physics, low: Any, high: Any) -> tuple[Finding, ...]:
     """How far the site stays from the plane of the orbit while the flight can last, against what propellant turns."""
-    numbers = (p.site_longitude, p.site_latitude, p.orbit_inclination, p.vehicle_mass, low)
-    if any(np.ndim(number) for number in numbers) or not math.isfinite(sum(float(number) for number in numbers)):
-        return ()  # of many problems at once it is not asked
     angle, node = (float(v) for v in angles(p, NUMERIC))
     rate = p.vehicle_thrust / exhaust_speed(p)
     burn = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.05 * p.vehicle_mass)) / rate

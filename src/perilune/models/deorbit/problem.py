@@ -129,17 +129,20 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) ->
     )
 
 
-def _entry(air: Air, *, lift: bool, nose: bool, heat: bool, placed: bool, limits: Limits) -> Phase:
+def _entry(air: Air, *, bank: str | None, nose: bool, heat: bool, placed: bool, limits: Limits) -> Phase:
     names = ("site_up", "site_north", "site_east") if placed else ("site_up",)
     limited = [name for name in flight.LIMITED if getattr(limits, name) is not None]
     return Phase(
         name="entry",
         states=(*flight.STATES, mass_state(False), *((flight.HEAT,) if heat else ())),
-        controls=(flight.BANK,) if lift else (),
+        controls=() if bank is None else (flight.BANKS[bank],),
         dynamics=partial(flight.falling, air=air),
         duration=_DURATIONS["entry"],
         end=flight.at_site,
-        end_conditions=tuple(Variable(name=name, unit="m") for name in names),
+        end_conditions=(
+            *(Variable(name=name, unit="m") for name in names),
+            Variable(name="landing_speed", unit="m/s", upper="site_speed_upper"),
+        ),
         path=partial(flight.within_limits, air=air) if limited else None,
         path_conditions=tuple(Variable(name=f"{name}_left", unit=flight.LIMITED[name]) for name in limited),
         outputs=partial(told.felt, air=air),
@@ -190,6 +193,7 @@ def deorbit_entry(
     separation: Separation | None = None,
     limits: Limits | None = None,
     minimise: str = "flight_time",
+    epoch: str | None = None,
 ) -> Problem:
     """Return from an orbit to a place, or to the interface where there is no air.
 
@@ -214,6 +218,8 @@ def deorbit_entry(
     minimise
         ``"flight_time"`` from ignition to the end, ``"transition_time"`` to the interface, ``"propellant"`` or
         ``"heat_load"``.
+    epoch
+        Time at t = 0 in ISO 8601, for air that depends on it.
 
     Returns
     -------
@@ -226,17 +232,20 @@ def deorbit_entry(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
-    aim, transition = Aim(minimise=minimise), transition or Transition()
+    aim, transition = Aim(minimise=minimise, epoch=epoch), transition or Transition()
     demand_records((vehicle, Returner), (orbit_, Orbit), (interface, Interface), (body, Planet))
-    flown = _air(air)
+    flown = _air(air, aim, site)
     site = Landing() if site is None and flown is not None else site
     if heating is None and flown is not None and vehicle.nose_radius is not None:
         heating = Heating()
     _refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
+    _refuse_beyond_data(flown, interface, site)
     _refuse_without_effect(vehicle, flown, heating, separation, limits)
     stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, site)
     stated = tuple(record for record in (*stated, air if isinstance(air, Atmosphere) else None) if record is not None)
-    given = {**given_of(*stated), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
+    # Of air in a table nothing but the table is left to be changed.
+    numbers = (record for record in stated if not isinstance(record, Atmosphere) or record.model == "exponential")
+    given = {**given_of(*numbers), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
     if flown is not None:
         given = {**flown.given, **given}
     angles = orbit.from_node if manoeuvre is None else orbit.from_place(manoeuvre.going)
@@ -248,9 +257,9 @@ def deorbit_entry(
         for name in names if name != "entry"
     ]  # fmt: skip
     if flown is not None and site is not None:
-        lift, placed = vehicle.lift_to_drag is not None, site.longitude is not None
+        bank, placed = vehicle.bank if vehicle.lift_to_drag is not None else None, site.longitude is not None
         bound = limits or Limits()
-        phases.append(_entry(flown, lift=lift, nose=nose, heat=heat, placed=placed, limits=bound))
+        phases.append(_entry(flown, bank=bank, nose=nose, heat=heat, placed=placed, limits=bound))
     enter = _into_the_air_with_heat if heat else _into_the_air
     links = [enter if name == "entry" else _on for name in names[1:]]
     objective, objective_unit = _OBJECTIVES[minimise]
@@ -270,7 +279,7 @@ def deorbit_entry(
         result_variables=told.of_flight(names),
         views=told.views(air=flown is not None, heat=nose, coasts=_is_the_earth(body)),
         declared=stated,
-        preflight=partial(compare_return, angles=angles, air=flown is not None),
+        preflight=partial(compare_return, angles=angles, air=flown),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),
         rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),
@@ -288,20 +297,26 @@ def _size_of(objective_unit: str, time: float) -> float | None:
     return {"s": 10 * time, "J/m^2": flight.HEAT.scale}.get(objective_unit)
 
 
-def _air(air: Atmosphere | Air | None) -> Air | None:
+def _air(air: Atmosphere | Air | None, aim: Aim, site: Landing | None) -> Air | None:
     """The air that is flown."""
     if not isinstance(air, Atmosphere):
         return air
-    if air.model == "exponential" and air.density is not None and air.scale_height is not None:
+    if air.density is not None and air.scale_height is not None:
         return atmosphere.exponential(air.density, air.scale_height)
-    for name in ("density", "scale_height"):
-        stated = getattr(air, name) is not None
-        if stated != (air.model == "exponential"):
-            raise PeriluneError(
-                f"atmosphere.{name} belongs to exponential air" if stated else f"atmosphere.{name} is missing",
-                expected='model = "exponential", density and scale_height; or model = "us1976" alone',
-            )
-    return atmosphere.standard()
+    if air.file is not None:
+        return atmosphere.from_file(air.file)
+    if air.f107 is None or air.f107a is None or air.ap is None:
+        return atmosphere.standard()
+    when = aim.instant()
+    if when is None or site is None or site.longitude is None or site.latitude is None:
+        raise PeriluneError(
+            "it is not said when and where the air of nrlmsis is",
+            expected="problem.epoch, and a longitude and a latitude in [site]",
+            advice='model = "us1976" is of no time and no place',
+        )
+    return atmosphere.thermosphere(
+        when, site.longitude, site.latitude, f107=air.f107, f107a=air.f107a, ap=air.ap
+    )  # fmt: skip
 
 
 def _refuse_without_effect(
@@ -318,6 +333,21 @@ def _refuse_without_effect(
         raise PeriluneError(
             "vehicle.nose_radius is missing", expected="the radius at the stagnation point, for its heat"
         )
+
+
+def _refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | None) -> None:
+    """Refuse air of which nothing is known somewhere on the way: a table goes on beyond its ends, but says nothing."""
+    if air is None or site is None:
+        return
+    reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
+    for name, altitude in reached.items():
+        if not air.bottom <= altitude <= air.top:
+            raise PeriluneError(
+                f"{air.name} ends before the flight does",
+                got=f"data from {air.bottom / 1e3:g} to {air.top / 1e3:g} km, and {name} = {altitude / 1e3:g} km",
+                expected="data from the site up to the interface",
+                advice=f"more rows, or another {name}",
+            )
 
 
 def _refuse_incomplete(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime
 from typing import Any
 
 from perilune.models.aerodynamics import SUTTON_GRAVES
@@ -11,6 +12,10 @@ from perilune.words.declared import quantity, record, words
 from perilune.words.outcome import PeriluneError
 
 MINIMISED = ("flight_time", "transition_time", "propellant", "heat_load")
+AIRS = {
+    "exponential": ("density", "scale_height"), "us1976": (), "nrlmsis": ("f107", "f107a", "ap"), "file": ("file",),
+}  # fmt: skip
+BANKS = ("free", "reversed")
 PASSES = ("ascending", "descending")
 _TURNS: dict[str, Any] = {"least": -4 * math.pi, "most": 4 * math.pi}
 _LATITUDE: dict[str, Any] = {
@@ -44,6 +49,21 @@ class Aim:
         "flight_time", *MINIMISED, default="flight_time",
         about="flight_time (from ignition to the end), transition_time (to the interface), propellant or heat_load",
     )  # fmt: skip
+    epoch: str | None = words(
+        "2026-06-01T12:00:00Z", default=None, about="time at t = 0, UTC unless it says otherwise; nrlmsis needs it"
+    )
+
+    def __post_init__(self) -> None:
+        self.instant()
+
+    def instant(self) -> datetime | None:
+        """The epoch; refuses what is none."""
+        try:
+            return None if self.epoch is None else datetime.fromisoformat(self.epoch)
+        except ValueError:
+            raise PeriluneError(
+                "problem.epoch is no time", got=repr(self.epoch)[:60], expected='ISO 8601, as "2026-06-01T12:00:00Z"'
+            ) from None
 
 
 @record("orbit")
@@ -125,8 +145,12 @@ class Returner:
         "m", "0.3 m", default=None, above=0.0, about="at the stagnation point: heat rate and load need it"
     )
     lift_to_drag: float | None = quantity(
-        "1", "0.25", default=None, above=0.0, most=10.0, about="with it the lift is turned by a free bank"
+        "1", "0.25", default=None, above=0.0, most=10.0, about="with it there is a lift, turned by the bank"
     )
+    bank: str = words(
+        "reversed", *BANKS, default="free",
+        about="free: all of the lift, to any side; reversed: to and fro, which leaves a share of it up or down",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         engine = {"exhaust_velocity": self.exhaust_velocity, "specific_impulse": self.specific_impulse}
@@ -145,6 +169,10 @@ class Returner:
                 "this is no sphere-cone", got=f"a nose of {self.nose_radius:g} m on a base of {self.base_radius:g} m",
                 expected="nose_radius cos(cone_angle) <= base_radius, where the nose meets the cone",
             )  # fmt: skip
+        if self.bank != "free" and self.lift_to_drag is None:
+            raise PeriluneError(
+                "vehicle.lift_to_drag is missing", got="a bank, and no lift", expected="both, or neither"
+            )
         if self.dry_mass is not None and self.dry_mass >= self.mass:
             raise PeriluneError(
                 "vehicle.dry_mass leaves no propellant", got=f"{self.dry_mass:g} kg of {self.mass:g} kg",
@@ -196,14 +224,35 @@ class Atmosphere:
     """The air below the interface, which turns with the body."""
 
     model: str = words(
-        "exponential", "exponential", "us1976", about="exponential, or us1976, the US Standard Atmosphere of 1976"
-    )
+        "exponential", *AIRS,
+        about="exponential; us1976 (US Standard Atmosphere); nrlmsis (2.1, by pymsis, above the site); or file",
+    )  # fmt: skip
     density: float | None = quantity(
         "kg/m^3", "1.225 kg/m^3", default=None, above=0.0, about="of exponential air at altitude 0"
     )
     scale_height: float | None = quantity(
         "m", "7.2 km", default=None, above=0.0, about="of exponential air: over it the density falls by e"
     )
+    file: str | None = words(
+        "my_air.csv", default=None, file=True,
+        about="altitude [m], density [kg/m^3] in two columns, at most 1 MB; beside the scenario",
+    )  # fmt: skip
+    f107: float | None = quantity(
+        "1", "150", default=None, above=0.0, most=1000.0, about="solar flux of the day before [1e-22 W/m^2/Hz]"
+    )
+    f107a: float | None = quantity("1", "150", default=None, above=0.0, most=1000.0, about="its mean of 81 days")
+    ap: float | None = quantity("1", "4", default=None, least=0.0, most=400.0, about="daily geomagnetic index")
+
+    def __post_init__(self) -> None:
+        for model, names in AIRS.items():
+            for name in ("density", "scale_height", "file", "f107", "f107a", "ap"):
+                stated, own = getattr(self, name) is not None, name in names
+                if model == self.model and stated != own:
+                    raise PeriluneError(
+                        f"atmosphere.{name} is missing" if own else f"atmosphere.{name} belongs to another model",
+                        got=f'model = "{model}"',
+                        expected="with it " + (", ".join(names) or "nothing else"),
+                    )
 
 
 @record("separation")
@@ -248,6 +297,9 @@ class Landing:
     latitude: float | None = quantity("rad", "38 deg", default=None, **_LATITUDE, about="north; left out, it is free")
     altitude: float = quantity(
         "m", "10 km", default=0.0, about="of the end of the flight, where a parachute takes over"
+    )
+    speed_upper: float = quantity(
+        "m/s", "300 m/s", default=300.0, **_SPEED, about="greatest speed there, which a parachute can take"
     )
 
     def __post_init__(self) -> None:
