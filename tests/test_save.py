@@ -288,5 +288,5 @@ def test_what_was_changed_in_the_physics_fails_the_proof(hop: Solution, tmp_path
 
 def test_scenarios_are_untouched_by_saving(scenario: tuple[Path, Solution]) -> None:
     stated = load_file(EXAMPLES / "ordinary_lander.toml")
-    assert load_text(stated.text) == scenario[1].problem
+    assert stated.text is not None and load_text(stated.text) == scenario[1].problem
     assert isinstance(scenario[1].problem, Problem)

@@ -141,6 +141,7 @@ def test_changes_are_in_the_text_that_is_kept() -> None:
     scenario = load_file(HYBRID, ["vehicle.thrust=500 N", 'landing.altitude="-1 km"', "vehicle.dry_mass=100 kg"])
     assert scenario.problem.given["vehicle_thrust"].value == 500.0
     assert scenario.problem.given["vehicle_dry_mass"].value == 100.0
+    assert scenario.text is not None
     again = load_text(scenario.text)
     assert dict(again.given) == dict(scenario.problem.given)
     assert load_file(HYBRID).text == TEXT

@@ -351,7 +351,7 @@ def test_it_is_no_part_of_the_problem(file: str) -> None:
     stated, plain = load_file(file, ["proof.position=1 mm", "proof.mass=1 g"]), load_file(file)
     assert stated.problem == plain.problem and stated.tolerance == pl.Tolerance(position=1e-3, mass=1e-3)
     assert plain.tolerance == pl.Tolerance()
-    assert 'position = "1 mm"' in stated.text
+    assert stated.text is not None and 'position = "1 mm"' in stated.text
 
 
 @pytest.mark.parametrize(

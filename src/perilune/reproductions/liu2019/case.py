@@ -72,8 +72,14 @@ def as_printed(going: str, left: float) -> Problem:
     return _to_site(_vehicle(drag_area=0.6, dry_mass=left), PRINTED_SITE, going)
 
 
-def _vehicle(**more: float) -> Returner:
-    return Returner(mass=CASE.mass, thrust=CASE.thrust, exhaust_velocity=CASE.exhaust_velocity, **more)
+def _vehicle(*, drag_area: float | None = None, dry_mass: float | None = None) -> Returner:
+    return Returner(
+        mass=CASE.mass,
+        thrust=CASE.thrust,
+        exhaust_velocity=CASE.exhaust_velocity,
+        drag_area=drag_area,
+        dry_mass=dry_mass,
+    )
 
 
 def _place(going: str) -> Manoeuvre:
