@@ -71,7 +71,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution
         (["sweep", HYBRID, "--vary", "body.rotation_rate=0:1.52504e-4:1.52504e-4 rad/s"], 2, "REFUSED"),
         (["new", "no/such/directory/x.toml"], 2, "REFUSED"),
         (["verify", "nowhere"], 2, "REFUSED"),
-        (["reproduce", "liu-2019", "--out", "x"], 2, "REFUSED"),
+        (["reproduce", "nobody-1900", "--out", "x"], 2, "REFUSED"),
     ],
 )
 def test_a_refusal_has_its_code_and_its_parts(
