@@ -26,7 +26,8 @@ import numpy as np
 from perilune.problem.verification import Check
 from perilune.proof.allowed import Allowed
 from perilune.proof.arc import Arc
-from perilune.proof.switching import SLOPE_LIMIT, STRICT_LIMIT, from_switches, gradient_along
+from perilune.proof.strict import STRICT_LIMIT, from_switches
+from perilune.proof.switching import SLOPE_LIMIT, gradient_along
 from perilune.words.types import Matrix, Vector
 
 _DEPENDENT = 1e-6  # of the largest slope: conditions whose slopes are that close to each other are not told apart

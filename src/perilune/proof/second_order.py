@@ -14,9 +14,10 @@ free parameters along.
 
 Where a bounded control switches the phase is cut into pieces, and the times t_k of the cuts join p: time is
 normalised on each piece, so they enter f and H as durations do. They have a curvature of their own: the measure
-becomes int du' H_uu du + sum D_k dt_k^2 with D_k > 0 of `switching`. Where no control varies otherwise (bang-bang)
+becomes int du' H_uu du + sum D_k dt_k^2 with D_k > 0 of `strict`. Where no control varies otherwise (bang-bang)
 d2J is the Hessian of the Lagrangian of the finite-dimensional problem in switching times and free parameters, whose
-positivity on the critical cone is sufficient together with the strict conditions of `switching`. Where the end
+positivity on the critical cone is sufficient together with the strict conditions of `strict`. A switch may lie at an
+end of the flight, with an arc of no length beyond it. Where the end
 conditions leave no variation at all, these suffice alone, and kappa is 0.
 
 On a singular arc the integral of its control has the control's place (`singular`). The control jumps at both ends, the
@@ -51,7 +52,8 @@ from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
 from perilune.proof.pieces import just_before
 from perilune.proof.quadratic import Form, gain_beside, kappa
 from perilune.proof.singular import Leap, Singular
-from perilune.proof.switching import HAMILTONIAN_LIMIT, crossings, strictness
+from perilune.proof.strict import crossings, end_switches, strictness
+from perilune.proof.switching import HAMILTONIAN_LIMIT
 from perilune.proof.variations import Kept, Piece, pieces_of
 from perilune.words.types import Matrix, Vector
 
@@ -135,7 +137,8 @@ def _tangled(arc: Arc) -> bool:
     alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, places, axis=0).any()
     switches = jumps.any(axis=0) & ~(singular := Singular.of(arc).junctions)
     smooth = singular & ~jumps.any(axis=0)  # a junction without a jump is no end of an impulse
-    return not alone or bool(smooth.any() or (crossings(arc)[switches] <= HAMILTONIAN_LIMIT).any())
+    bends = [*crossings(arc)[switches], *(end.slope for end in end_switches(arc))]
+    return not alone or bool(smooth.any() or (np.array(bends) <= HAMILTONIAN_LIMIT).any())
 
 
 def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:

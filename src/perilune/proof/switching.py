@@ -2,17 +2,7 @@
 
 For a scalar u between bounds S = dH/du is its switching function: 0 between the bounds, >= 0 on the lower, <= 0
 on the upper; where u jumps S is 0. Where a path condition is active that the control appears in, L = H - mu.c has the
-place of H in it (`allowed`), and mu >= 0. That much is necessary (level 2). The strict form of the same, the
-Legendre condition of bang-bang controls, is one of the two sufficient conditions of level 3:
-
-    |S| > 0 on a bound, up to both ends of the flight, and dS/dt != 0 where u jumps.
-
-There f+, H_x+ belong to the control after the jump, f-, H_x- to the one before (L_x likewise), and with lam' = -H_x
-
-    D = -d(H+ - H-)/dt = f+.H_x- - f-.H_x+ = -dS/dt (u+ - u-) > 0.
-
-Source: Maurer and Osmolovskii (2004), Second order sufficient conditions for time-optimal bang-bang control;
-Osmolovskii and Maurer (2012), chapter 6.
+place of H in it (`allowed`), and mu >= 0. That much is necessary (level 2); `strict` is more.
 """
 
 from __future__ import annotations
@@ -27,15 +17,13 @@ from perilune.problem.controls import Bounded, Direction, control_scales, normal
 from perilune.problem.verification import Check
 from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
 from perilune.proof.arc import Arc
-from perilune.proof.numerics import STEP, jacobian, telling
+from perilune.proof.numerics import STEP, telling
 from perilune.proof.pieces import just_before
-from perilune.proof.singular import Singular, slopes_beside
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.
 HAMILTONIAN_LIMIT = 1e-9
 SLOPE_LIMIT = 1e-9
-STRICT_LIMIT = -1e-4
 _AT_ONCE = 100_000  # samples of the control, so that they stay in the processor's cache
 _NO_EFFECT = 1e-300
 _LOOKS = 100  # pieces at which slopes of H are sized
@@ -103,7 +91,7 @@ def _zeros(arc: Arc) -> Iterator[Check]:
     for at, control in scalars(arc.phase.controls):
         times = arc.breaks[arc.jumps[at] != 0]
         if len(times):
-            row = _row(arc, control)
+            row = row_of(arc, control)
             t = np.concatenate([just_before(times), times])
             S = control_gradient(arc, arc.state(t), arc.control(t), arc.costate(t))[0][row]
             yield Check(
@@ -114,55 +102,7 @@ def _zeros(arc: Arc) -> Iterator[Check]:
             )  # fmt: skip
 
 
-def strictness(arc: Arc) -> Iterator[Check]:
-    """Checks of level 3: each scalar on a bound is there strictly, and leaves it by a jump at a finite slope of S."""
-    if not any(control.scalar for control in arc.phase.controls):
-        return
-    t, u, gradient, _ = gradient_along(arc)
-    apart = from_switches(arc, t)
-    for at, control in scalars(arc.phase.controls):
-        held = np.logical_or(*on_bounds(arc, at, control, u)) & (apart > 1e-6 * arc.duration)
-        if not held.any():
-            continue
-        S = np.abs(gradient[_row(arc, control)])
-        jumps = (arc.jumps[at] != 0) & ~Singular.of(arc).junctions
-        crossing = crossings(arc)[jumps] / np.abs(arc.jumps[at, jumps]) / arc.time_scale**2
-        crossing = crossing * arc.objective_scale / arc.rate_scale
-        slopes = np.append(slopes_beside(arc, at, S, t, apart, held), crossing * arc.duration)
-        yield Check(
-            name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
-            value=-float(slopes.min()) / float(S.max()),
-            meaning=f"minus the least switching function of {control.name} on a bound, over the time to the nearest "
-            "switch, and its slope at each switch (in units of its largest value over the flight time): below 0 "
-            "when it vanishes at switches only and crosses zero there; beside a singular arc, over the square of that "
-            "time",
-        )  # fmt: skip
-
-
-def from_switches(arc: Arc, t: Vector) -> Vector:
-    """Time to the nearest break, or joint of phases, whose time is chosen too: S may vanish there, and nowhere else."""
-    joints = [0.0] * (arc.index > 0) + [arc.duration] * (arc.index < len(arc.problem.phases) - 1)
-    zeros = np.array([*arc.breaks, *joints])
-    return np.abs(t[:, None] - zeros).min(axis=1) if len(zeros) else np.full(len(t), arc.duration)
-
-
-def crossings(arc: Arc) -> Vector:
-    """D (above) at each break, scaled: 0 where nothing jumps."""
-    times, before = arc.breaks, just_before(arc.breaks)
-    lam, x, scale = arc.costate(times), arc.state(times), arc.state_scale
-
-    def side(u: Matrix) -> tuple[Matrix, Matrix]:
-        """Rates, and dL/dx."""
-        f_x = jacobian(lambda z: arc.rates(z, u.reshape(len(u), *(1,) * (z.ndim - 2), len(times))), x, scale)
-        pushed = arc.allowed.push(x, u, lam) if arc.allowed else 0.0
-        return arc.rates(x, u).real, ((lam[:, None] * f_x).sum(axis=0) - pushed) / scale[:, None]
-
-    (f_before, h_before), (f_after, h_after) = side(arc.control(before)), side(arc.control(times))
-    D = (f_after * h_before - f_before * h_after).sum(axis=0)
-    return np.where(arc.jumps.any(axis=0), D * arc.time_scale**2 / arc.objective_scale, 0.0)
-
-
-def _row(arc: Arc, control: Bounded) -> int:
+def row_of(arc: Arc, control: Bounded) -> int:
     """Place of a scalar in `tangents`."""
     before = arc.phase.controls[: arc.phase.controls.index(control)]
     return sum(c.freedom for c in before)

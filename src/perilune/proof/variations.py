@@ -19,7 +19,8 @@ from perilune.proof.arc import Arc
 from perilune.proof.held import held_along
 from perilune.proof.numerics import hessian, jacobian
 from perilune.proof.singular import Singular, goh
-from perilune.proof.switching import control_rates, crossings, on_bounds, varied_sizes, with_limits
+from perilune.proof.strict import crossings, end_switches
+from perilune.proof.switching import control_rates, on_bounds, varied_sizes, with_limits
 from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
@@ -69,6 +70,7 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept
         for at in [np.nonzero(arc.jumps.any(axis=0) & ~Singular.of(arc).junctions)[0]]
         for time, slope in zip(arc.breaks[at], crossings(arc)[at], strict=True)
     }
+    switches |= {(arc.index, end.time): end.slope for arc in arcs for end in end_switches(arc)}
     met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
     times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
     known, found = [Singular.of(arc) for arc in arcs], list[Piece]()
@@ -80,14 +82,59 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept
     }
     values = {name: time for (_, time), name in times.items()} | dict.fromkeys(impulses.values(), 0.0)
     p = SimpleNamespace(**vars(arcs[0].p), **values)
+    varied = (*names, *impulses.values(), *times.values())
     for arc in arcs:
-        edges = [0.0, *(times.get((arc.index, t), t) for t in arc.edges[1:-1].tolist()), arc.phase.duration]
-        for k in range(len(edges) - 1):
-            varied = (*names, *impulses.values(), *times.values())
+        stretches = _stretches(arc, {time: name for (i, time), name in times.items() if i == arc.index})
+        for stretch in stretches:
             own = kept.get(arc.index, Kept())
-            found.append(Piece(arc, p, varied, list(switches.values()), k, edges[k : k + 2], own, finer))
-            found[-1].transform(known[arc.index].places[k], impulses.get((arc.index, k)))
+            found.append(Piece(arc, p, varied, list(switches.values()), stretch, own, finer))
+            if stretch.place is not None:
+                k = stretch.place
+                found[-1].transform(known[arc.index].places[k], impulses.get((arc.index, k)))
     return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stretch:
+    """From one edge of an arc to the next.
+
+    Attributes
+    ----------
+    span, edges
+        Times at both ends [s], and the same as numbers or as names of parameters.
+    first, last
+        Whether the arc begins and ends with it.
+    place
+        Of the stretch between the edges of the arc; None for one of no length beyond a switch at an end of the flight.
+    across
+        What of the control is other there than on the arc beside it: its place, and its value [SI].
+    """
+
+    span: tuple[float, float]
+    edges: tuple[str | float, str | float]
+    first: bool
+    last: bool
+    place: int | None = None
+    across: tuple[int, float] | None = None
+
+
+def _stretches(arc: Arc, names: Mapping[float, str]) -> list[Stretch]:
+    """Every stretch of an arc, whose times have `names` where they are parameters."""
+    times, places = arc.edges.tolist(), list[int | None](range(len(arc.edges) - 1))
+    edges: list[str | float] = [0.0, *(names.get(t, t) for t in times[1:-1]), arc.phase.duration]
+    across = dict[int, tuple[int, float]]()
+    for end in end_switches(arc):
+        k = 0 if end.time == 0.0 else len(places)
+        times.insert(k + bool(k), end.time)
+        edges.insert(1 if k == 0 else len(edges) - 1, names[end.time])
+        places.insert(k, None)
+        across = {i + (k == 0): value for i, value in across.items()} | {k: (end.at, end.across)}
+    return [
+        Stretch(
+            span=(times[k], times[k + 1]), edges=(edges[k], edges[k + 1]), first=k == 0, last=k == len(places) - 1,
+            place=place, across=across.get(k),
+        ) for k, place in enumerate(places)
+    ]  # fmt: skip
 
 
 class Piece:
@@ -96,8 +143,8 @@ class Piece:
     Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
     the length times L; `yields` (d, N): those of the length times mu.c, of
     what variations leave; d counts states, the parameters `names` and the tangent directions of the control that may
-    vary. The last of `names` are the switching times, whose D are `curvature`. `edges` are the times at both ends:
-    numbers, or names of parameters. `crossing` is where the rates jump at its end, if they do. On a singular piece
+    vary. The last of `names` are the switching times, whose D are `curvature`. `crossing` is where the rates jump at
+    its end, if they do. On a singular piece
     (`perilune.proof.singular`) the integral of the singular control has its place, `kelley` is its curvature, and
     `leap` how it is left, with the place of its impulse among `names`, where the singular arc ends with the piece.
     """
@@ -108,21 +155,22 @@ class Piece:
         p: SimpleNamespace,
         names: Sequence[str],
         curvature: Sequence[float],
-        index: int,
-        edges: Sequence[str | float],
+        stretch: Stretch,
         kept: Kept,
         finer: int = 1,
     ) -> None:
-        self.arc, self.p, self.names, self.curvature, self.edges = arc, p, tuple(names), curvature, edges
-        self.index, self.kept = index, kept
-        self.first, self.last = index == 0, index == len(arc.edges) - 2
-        left, right = self.span = arc.edges[index : index + 2].tolist()
+        self.arc, self.p, self.names, self.curvature, self.stretch = arc, p, tuple(names), curvature, stretch
+        self.kept, self.edges, self.span = kept, stretch.edges, stretch.span
+        self.first, self.last = stretch.first, stretch.last
+        left, right = self.span
         self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
         self.steps = finer * max(FEWEST, round(STEPS * (right - left) / arc.duration))
         t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
         x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
         basis, partly_held = _moves(arc, x, self.u)
         self.held, self.basis, settled = held_along(arc, x, self.u, self.lam, basis, kept.released)
+        if stretch.across is not None:  # for no time: nothing of the control can vary there
+            self.u[stretch.across[0]], self.basis = stretch.across[1], basis[:, :0]
         self.partly_held = partly_held or not settled
         n, m, k = len(x), len(names), self.basis.shape[1]
         self.sizes = n, m, k
@@ -173,7 +221,7 @@ class Piece:
         if self.kept.rides == self.kept.released:
             return self
         kept = Kept(released=self.kept.rides)
-        return Piece(self.arc, self.p, self.names, self.curvature, self.index, self.edges, kept)
+        return Piece(self.arc, self.p, self.names, self.curvature, self.stretch, kept)
 
     def parameters(self, values: Any) -> SimpleNamespace:
         """All parameters in SI with `names` replaced."""
