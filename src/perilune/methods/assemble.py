@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -25,7 +25,7 @@ from perilune.words.types import Matrix, Vector
 # burn, and 3e-11 rad of a few m/s^2 over 1000 s stays below 1e-6 m/s.
 _STATES, _COSTATES, _CONTROLS = 1e-10, 3e-10, 3e-11
 _PLAIN = 3.0  # times their sizes a control moves the states on a plain landing, for which these numbers are
-_CHANGED = 2.0  # times its size an error of a costate may change H: 6e-10, where the proof allows 1e-9
+_CHANGED = 6e-10  # of H, by all errors together, where the proof allows 1e-9
 _LOOKS, _DIFFERENCE = 16, 1e-6  # nodes of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 _CLEAR, _DECADES = 1e-6, 8  # a control that changes by less in that is told; how much longer a moment is looked at
@@ -114,16 +114,20 @@ def _trajectory(
     scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
     plain = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], np.full(width, _CONTROLS)])
 
+    def changed(error: Matrix, rate: Matrix) -> Vector:
+        """H is lam.f, and its size J over the whole flight: dH = x'.dlam - lam'.dx, as u minimises it."""
+        of_state, of_costate = slice(n), slice(n, 2 * n)
+        change = (error[:, of_costate] * rate[:, of_state] - rate[:, of_costate] * error[:, of_state]).sum(axis=1)
+        return np.abs(change) * whole / _CHANGED
+
     def told(tolerance: Vector) -> tuple[Vector, Matrix, Matrix]:
-        nodes, values, rates = _nodes(extremal, arc, tolerance, extremal_parameters(problem))
+        nodes, values, rates = _nodes(extremal, arc, tolerance, extremal_parameters(problem), changed)
         return nodes, values * scale, rates * scale / problem.scales.time
 
     nodes, values, rates = told(plain)
     some = values[:: 1 + len(values) // _LOOKS]
     leverage = _leverage(problem, phase, problem.parameters(free), (some[:, :n].T, some[:, 2 * n :].T), size[:n])
-    # H is lam.f, and its size J over the whole flight: an error of a costate counts by how far f takes the state in it.
-    changed = size[half : half + n] * whole * problem.scales.time * np.abs(rates[:, :n]).max(axis=0) / x_scale
-    finer = np.concatenate([np.ones(n), np.maximum(1.0, changed / _CHANGED), leverage])
+    finer = np.concatenate([np.ones(2 * n), leverage])
     if (finer > 1.0).any():
         nodes, values, rates = told(plain / finer)
     cut, time = np.split(np.arange(2 * n + width), [n, 2 * n]), nodes * problem.scales.time
@@ -131,7 +135,9 @@ def _trajectory(
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
 
 
-def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) -> tuple[Vector, Matrix, Matrix]:
+def _nodes(
+    extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector, changed: Callable[[Matrix, Matrix], Vector]
+) -> tuple[Vector, Matrix, Matrix]:
     """Times, and state, costate and control there with their rates, canonical; a switch stands there twice.
 
     Where a velocity is free the costate that points the thrust vanishes at the end, and rounding lets it pass through
@@ -156,7 +162,7 @@ def _nodes(extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector) ->
             values = np.hstack([z[:, :n], z[:, half : half + n], u])
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
-        nodes = hermite_nodes(evaluate, right - left, tolerance, shortest=nothing)
+        nodes = hermite_nodes(evaluate, right - left, tolerance, shortest=nothing, together=changed)
         # The last node is the switch itself, not a sum that may miss it by one rounding; a joint is the next piece's.
         piece = np.append(left + nodes[:-1], right), *evaluate(nodes)
         pieces.append([part[:-1] for part in piece] if right in joints else piece)

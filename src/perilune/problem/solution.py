@@ -361,6 +361,7 @@ def hermite_nodes(
     tolerance: Vector,
     limit: int = 6401,
     shortest: float = 0.0,
+    together: Callable[[Matrix, Matrix], Vector] | None = None,
 ) -> Vector:
     """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point.
 
@@ -376,6 +377,8 @@ def hermite_nodes(
         Most nodes; reached only by curves with a kink.
     shortest
         Width of pieces that are not halved any more [s]: about a jump there would be no end to it.
+    together
+        What the errors of all components do together, of errors and rates (n, k) at mid-points, (n,): at most 1.
     """
     time = np.linspace(0.0, duration, 101)
     values, rates = evaluate(time)
@@ -386,7 +389,10 @@ def hermite_nodes(
         middle = 0.5 * (right[0] + left[0])
         exact, slopes = evaluate(middle)
         interpolated = 0.5 * (left[1] + right[1]) + 0.125 * width[:, None] * (left[2] - right[2])
-        bad = ((np.abs(interpolated - exact) / tolerance).max(axis=1) > 1.0) & (width > shortest)
+        missed = (np.abs(interpolated - exact) / tolerance).max(axis=1)
+        if together is not None:
+            missed = np.maximum(missed, together(interpolated - exact, slopes))
+        bad = (missed > 1.0) & (width > shortest)
         if not bad.any():
             break
         # What is good enough stays so: only the halves of the others are looked at again.

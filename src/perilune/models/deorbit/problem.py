@@ -32,6 +32,7 @@ from perilune.models.deorbit.records import (
     Returner,
     Separation,
     Transition,
+    exhaust_speed,
 )
 from perilune.models.landing import mass_state
 from perilune.problem.declared import given_of
@@ -56,6 +57,9 @@ def _transition_time(x: Any, p: Any, m: Any) -> Any:
 
 
 def _minus_mass(x: Any, p: Any, m: Any) -> Any:
+    """Less what is left of the whole vehicle, of which another part may go on into the air."""
+    if hasattr(p, "separation_mass"):
+        return p.vehicle_thrust / exhaust_speed(p) * p.burn_time - p.vehicle_mass
     return -x.m
 
 
