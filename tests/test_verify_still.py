@@ -14,6 +14,7 @@ import pytest
 import perilune as pl
 from perilune.problem.solution import Curve, Solution
 from perilune.problem.variables import Given, Variable
+from perilune.words.types import Physics
 
 DRIFTS = [1e-6, 1e-9, 1e-12, 1e-13, 1e-15, 1e-17, -1e-13]
 GIVEN = {
@@ -43,48 +44,42 @@ def claimed(problem: pl.Problem, state: Curve, control: Curve, costate: Curve, *
     )  # fmt: skip
 
 
+def for_a_second(
+    name: str, states: tuple[Variable, ...], dynamics: Physics, *, bound: float = np.inf, free: tuple[pl.Free, ...] = ()
+) -> pl.Problem:
+    """One phase from 0, whose last state counts J."""
+    phase = pl.Phase(
+        name="go", states=states, controls=(pl.Bounded(name="u", unit="m/s", lower=-bound, upper=bound),),
+        dynamics=dynamics, duration="T",
+    )  # fmt: skip
+    return pl.Problem(
+        name=name, phases=(phase,), start=lambda p, m: (0.0 * p.L, 0.0)[-len(states) :], given=GIVEN, free=free,
+        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+    )  # fmt: skip
+
+
 def idle(bound: float = np.inf) -> pl.Problem:
     """The control alone tells: J = int (u^2/2 - a u + k), least at u = a."""
-    phase = pl.Phase(
-        name="go",
-        states=variables(w="m", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-bound, upper=bound),),
-        dynamics=lambda x, u, p, m: (p.a, 0.5 * u.u * u.u - p.a * u.u + p.k),
-        duration="T",
-    )
-    return pl.Problem(
-        name="idle", phases=(phase,), start=lambda p, m: (0.0 * p.L, 0.0), given=GIVEN,
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+    return for_a_second(
+        "idle", variables(w="m", c="m^2/s"),
+        lambda x, u, p, m: (p.a, 0.5 * u.u * u.u - p.a * u.u + p.k), bound=bound,
     )  # fmt: skip
 
 
 def resting() -> pl.Problem:
     """The state tells: x' = u, J = int (u^2/2 - g x + k), least at u = g (T - t)."""
-    phase = pl.Phase(
-        name="go",
-        states=variables(x="m", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u - p.g * x.x + p.k),
-        duration="T",
-    )
-    return pl.Problem(
-        name="resting", phases=(phase,), start=lambda p, m: (0.0 * p.L, 0.0), given=GIVEN,
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+    return for_a_second(
+        "resting", variables(x="m", c="m^2/s"),
+        lambda x, u, p, m: (u.u, 0.5 * u.u * u.u - p.g * x.x + p.k),
     )  # fmt: skip
 
 
 def chosen() -> pl.Problem:
     """A free parameter tells: J = int (q^2/2 - a q + k + (u - a)^2/2), least at q = a."""
-    phase = pl.Phase(
-        name="go",
-        states=variables(c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (0.5 * p.q * p.q - p.a * p.q + p.k + 0.5 * (u.u - p.a) ** 2,),
-        duration="T",
-    )
-    return pl.Problem(
-        name="chosen", phases=(phase,), start=lambda p, m: (0.0 * p.k * p.T,), given=GIVEN,
-        free=(pl.Free(name="q", unit="m/s", typical=1.0),), objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+    return for_a_second(
+        "chosen", variables(c="m^2/s"),
+        lambda x, u, p, m: (0.5 * p.q * p.q - p.a * p.q + p.k + 0.5 * (u.u - p.a) ** 2,),
+        free=(pl.Free(name="q", unit="m/s", typical=1.0),),
     )  # fmt: skip
 
 

@@ -43,6 +43,11 @@ def verdict(holds: bool) -> str:
     return "yes" if holds else "**no**"
 
 
+def worst(*proved: Solution) -> Solution:
+    """The solution of the worst outcome, and among equal ones of the lowest level of proof."""
+    return max(proved, key=lambda s: (s.outcome.exit_code, -s.verification.level))
+
+
 def highest(solution: Solution, name: str) -> float:
     """Largest value of a column along the flight."""
     return max(float(column.values.max()) for _, column in flight_columns(solution, name))

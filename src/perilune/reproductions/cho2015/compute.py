@@ -12,6 +12,7 @@ from perilune.models.landing import Retro
 from perilune.problem.extremal import Extremal
 from perilune.problem.solution import Solution
 from perilune.reproductions.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, problem
+from perilune.reproductions.paper import worst
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.watch import Watch
@@ -38,7 +39,7 @@ class Reproduction:
     @property
     def proved(self) -> Solution:
         """Of the two landings that are proved, the worse."""
-        return max((self.hybrid, self.ordinary), key=lambda s: (s.outcome.exit_code, -s.verification.level))
+        return worst(self.hybrid, self.ordinary)
 
 
 def compute(watch: Watch, level: int = 3) -> Reproduction:

@@ -29,6 +29,7 @@ from perilune.reproductions.liu2019.case import (
 )
 from perilune.reproductions.liu2019.equations import Comparison, compare, corrected_rates, costate_matrix
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3, GridPoint
+from perilune.reproductions.paper import worst
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome, PeriluneError
@@ -119,9 +120,7 @@ class Reproduction:
     @property
     def proved(self) -> Solution:
         """Of the flights that are proved, the worst."""
-        return max(
-            (self.site_fixed, *self.site_free.values()), key=lambda s: (s.outcome.exit_code, -s.verification.level)
-        )
+        return worst(self.site_fixed, *self.site_free.values())
 
 
 def compute(watch: Watch, level: int = 3) -> Reproduction:
