@@ -19,7 +19,7 @@ from cho import cho_landing
 from perilune.problem.problem import Problem
 from perilune.problem.tape import Tape
 from perilune.problem.variables import Given, Variable
-from perilune.proof.numerics import COMPLEX
+from perilune.words.derivatives import COMPLEX
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from test_problem import slider

@@ -14,8 +14,8 @@ import perilune as pl
 from perilune.problem.form import trace
 from perilune.problem.rates import acts, component, derivatives, gathered, rate
 from perilune.problem.tape import Expression, Recorder
-from perilune.proof.numerics import COMPLEX, STEP
 from perilune.scenario import load_file
+from perilune.words.derivatives import COMPLEX, STEP
 from perilune.words.maths import NUMERIC, NUMPY_NAMES
 from perilune.words.outcome import PeriluneError
 

@@ -23,7 +23,7 @@ import numpy as np
 from perilune.problem.controls import Bounded, admissible, normalised, placed, tangents
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
-from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
+from perilune.words.derivatives import COMPLEX, STEP, jacobian, stacked
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 

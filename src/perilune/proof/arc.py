@@ -17,7 +17,6 @@ from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Variable
 from perilune.proof.allowed import ON_BOUND, Allowed
 from perilune.proof.crossings import Crossing, Guarded
-from perilune.proof.numerics import COMPLEX, STEP, jacobian, stacked
 from perilune.proof.pieces import (
     BLOCK,
     IN_HALVES,
@@ -31,6 +30,7 @@ from perilune.proof.pieces import (
     slopes_joined,
     through,
 )
+from perilune.words.derivatives import COMPLEX, STEP, jacobian, stacked
 from perilune.words.types import Matrix, Vector
 
 # Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they

@@ -24,8 +24,8 @@ from perilune.problem.controls import normalised
 from perilune.problem.phase import Phase
 from perilune.problem.solution import Trajectory
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import jacobian
 from perilune.proof.pieces import ENDS, IN_HALVES, POINTS, Pieces, ends_and_turns, just_before, polynomial, through
+from perilune.words.derivatives import jacobian
 from perilune.words.types import Matrix, Vector
 
 # A guard this close to zero, in canonical units of the state, vanishes: by so much a table may differ from the flight.

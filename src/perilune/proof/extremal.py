@@ -39,9 +39,10 @@ from perilune.proof.arc import (
 )
 from perilune.proof.flight import MOST_GROWTH, Flight, costate_deviation
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import COMPLEX, STEP, telling
+from perilune.proof.numerics import telling
 from perilune.proof.pieces import just_before
 from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality, with_limits
+from perilune.words.derivatives import COMPLEX, STEP
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: costates 1.3e-10, derivatives in parameters 2e-11.

@@ -28,8 +28,9 @@ from perilune.problem.phase import Phase
 from perilune.problem.solution import Curve, Solution
 from perilune.proof.arc import Arc, slopes_at_end
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import COMPLEX, telling
+from perilune.proof.numerics import telling
 from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, just_before
+from perilune.words.derivatives import COMPLEX
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.phase import Phase
-from perilune.proof.numerics import COMPLEX, stacked
+from perilune.words.derivatives import COMPLEX, stacked
 from perilune.words.maths import Table
 
 _COMPARISONS = {np.less, np.less_equal, np.greater, np.greater_equal}

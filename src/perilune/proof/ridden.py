@@ -20,8 +20,8 @@ from numpy.polynomial import Chebyshev
 
 from perilune.problem.controls import Bounded
 from perilune.proof.arc import Arc
-from perilune.proof.numerics import COMPLEX, jacobian, stacked
 from perilune.structures.structure import Condition
+from perilune.words.derivatives import COMPLEX, jacobian, stacked
 from perilune.words.types import Matrix, Vector
 
 # The multiplier along an arc is a polynomial in time, to rounding; its derivatives are noise below a share of it.

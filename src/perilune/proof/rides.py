@@ -44,13 +44,13 @@ from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, end_slopes, free_size, slopes_at_end
 from perilune.proof.extremal import end_multipliers, varied
-from perilune.proof.numerics import COMPLEX, STEP, stacked
 from perilune.proof.ridden import ALONG, Ridden
 from perilune.proof.switching import control_sizes, gain, product_of
 from perilune.proof.touched import MET, SIDEWAYS, STRICT
 from perilune.proof.variations import Kept
 from perilune.structures.restate import sums_of, with_sums
 from perilune.structures.structure import Condition, Structure, conditions_of
+from perilune.words.derivatives import COMPLEX, STEP, stacked
 from perilune.words.types import Matrix, Vector
 
 _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried

@@ -48,13 +48,14 @@ from perilune.proof.arc import Arc
 from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
 from perilune.proof.held import strict_conditions
-from perilune.proof.numerics import COMPLEX, hessian, jacobian, stacked
+from perilune.proof.numerics import hessian
 from perilune.proof.pieces import just_before
 from perilune.proof.quadratic import Form, gain_beside, kappa
 from perilune.proof.singular import Leap, Singular
 from perilune.proof.strict import crossings, end_switches, strictness
 from perilune.proof.switching import HAMILTONIAN_LIMIT
 from perilune.proof.variations import Kept, Piece, pieces_of
+from perilune.words.derivatives import COMPLEX, jacobian, stacked
 from perilune.words.types import Matrix, Vector
 
 CURVATURE_LIMIT = -1e-4

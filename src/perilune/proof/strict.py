@@ -31,7 +31,6 @@ import numpy as np
 from perilune.problem.controls import scalars
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
-from perilune.proof.numerics import jacobian
 from perilune.proof.pieces import just_before
 from perilune.proof.singular import Singular, slopes_beside
 from perilune.proof.switching import (
@@ -42,6 +41,7 @@ from perilune.proof.switching import (
     on_bounds,
     row_of,
 )
+from perilune.words.derivatives import jacobian
 from perilune.words.types import Matrix, Vector
 
 STRICT_LIMIT = -1e-4

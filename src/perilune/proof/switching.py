@@ -17,8 +17,9 @@ from perilune.problem.controls import Bounded, Direction, control_scales, normal
 from perilune.problem.verification import Check
 from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
 from perilune.proof.arc import Arc
-from perilune.proof.numerics import STEP, telling
+from perilune.proof.numerics import telling
 from perilune.proof.pieces import just_before
+from perilune.words.derivatives import STEP
 from perilune.words.types import Matrix, Vector
 
 # In canonical units. Measured on good answers: H 7e-11, slopes of directions 2e-11, at switches 2e-12.

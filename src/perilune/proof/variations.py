@@ -17,10 +17,11 @@ import numpy as np
 from perilune.problem.controls import Bounded, normalised, placed, tangents
 from perilune.proof.arc import Arc
 from perilune.proof.held import held_along
-from perilune.proof.numerics import hessian, jacobian
+from perilune.proof.numerics import hessian
 from perilune.proof.singular import Singular, goh
 from perilune.proof.strict import crossings, end_switches
 from perilune.proof.switching import control_rates, on_bounds, varied_sizes, with_limits
+from perilune.words.derivatives import jacobian
 from perilune.words.types import Matrix, Vector
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
