@@ -217,6 +217,14 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         "check", "Validate a scenario and compare it with what physics allows, without solving.", _FILE, _SET
     )  # fmt: skip
     command(
+        "opportunities",
+        "List the passes from which the site of a return can be reached, with the turn each needs.",
+        _FILE,
+        _option("--days", metavar="N", type=_real, default=1.0, help="How far ahead to look. Usually 1."),
+        _switch("--all", "Show passes that are out of reach too.", dest="every"),
+        _SET,
+    )
+    command(
         "verify",
         "Prove a saved solution again, from its file alone.",
         _option("directory", metavar="DIR", type=Path, help="What `perilune solve --out` wrote."),

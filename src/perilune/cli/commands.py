@@ -123,6 +123,22 @@ def _check(typed: Namespace) -> Answer:
     return Answer(text="\n".join(lines), document=document)
 
 
+def _opportunities(typed: Namespace) -> Answer:
+    from perilune.models.deorbit.opportunities import opportunities, refuse_none
+    from perilune.report.opportunities import opportunities_document, opportunities_text
+    from perilune.scenario import load_file
+
+    found = opportunities(load_file(typed.file, typed.changes).problem, typed.days)
+    document, text = opportunities_document(found), opportunities_text(found, every=typed.every)
+    try:
+        refuse_none(found, typed.days)
+    except InfeasibleError as error:
+        said = refusal(error, error.exit_code)
+        told = f"{text}\n{error}" if typed.every else str(error)
+        return replace(said, text=told, document={**said.document, **document})
+    return Answer(text=text, document=document)
+
+
 def _verify(typed: Namespace) -> Answer:
     from perilune.report.beside import proved_directory
 
@@ -174,6 +190,7 @@ COMMANDS: dict[str, Callable[[Namespace], Answer]] = {
     "solve": _solve,
     "sweep": _sweep,
     "check": _check,
+    "opportunities": _opportunities,
     "verify": _verify,
     "reproduce": _reproduce,
     "new": _new,

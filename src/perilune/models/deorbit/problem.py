@@ -283,7 +283,7 @@ def deorbit_entry(
         result_variables=told.of_flight(names),
         views=told.views(air=flown is not None, heat=nose, coasts=_is_the_earth(body)),
         declared=stated,
-        preflight=partial(compare_return, angles=angles, air=flown),
+        preflight=partial(compare_return, angles=angles, air=flown, drifts="drift" in names),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),
         rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),

@@ -159,30 +159,53 @@ def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tu
     return np.array([begun, *row]), at
 
 
+@dataclass(frozen=True, kw_only=True)
+class Down:
+    """A way from the orbit down to the interface: velocity change [m/s], burn and all of it [s], angle swept [rad]."""
+
+    velocity_change: float
+    burn: float
+    whole: float
+    swept: float
+
+
+def mean_rate(p: Any, angle: float) -> float:
+    """Rate [rad/s] of a circular orbit through the place at an argument of latitude."""
+    return math.sqrt(p.body_gravitational_parameter / float(shape(angle, p, NUMERIC)[0]) ** 3)
+
+
+def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
+    """A typical way down that begins with a coast, which is not counted, at an argument of latitude [rad]."""
+    radius, gate = float(shape(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
+    down = impulsive(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
+    exhaust, mean, change = exhaust_speed(p), mean_rate(p, angle), down.velocity_change
+    burn = p.vehicle_mass * exhaust / p.vehicle_thrust * (1 - math.exp(-change / exhaust))
+    whole = down.time + 0.5 * burn
+    if not drifts:
+        return Down(velocity_change=change, burn=whole, whole=whole, swept=mean * whole)
+    burn = min(burn, 0.8 * whole)
+    last, _ = descent(p, angle, coast, burn, 2 * whole)
+    if abs(last[1] / gate - 1) < _NEAR:
+        whole, swept = float(last[0]) - coast, float(last[2]) - mean * coast
+        return Down(velocity_change=change, burn=burn, whole=whole, swept=swept)
+    return Down(velocity_change=change, burn=burn, whole=whole, swept=mean * whole)
+
+
 def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, drifts: bool) -> dict[str, float]:
     """Rough lengths [s] of the phases, by the names of their durations."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
-    radius, gate = float(shape(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
-    down = impulsive(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
-    exhaust = exhaust_speed(p)
-    burn = p.vehicle_mass * exhaust / p.vehicle_thrust * (1 - math.exp(-down.velocity_change / exhaust))
-    whole = down.time + 0.5 * burn
     times = {"coast_time": 0.3 * p.orbit_longest_coast} if coasts else {}
-    times["burn_time"] = min(burn, 0.8 * whole) if drifts else whole
-    mean = math.sqrt(p.body_gravitational_parameter / radius**3)
-    swept = mean * whole
+    down = way_down(p, angle, drifts=drifts, coast=times.get("coast_time", 0.0))
+    times["burn_time"] = down.burn
     if drifts:
-        last, _ = descent(p, angle, times.get("coast_time", 0.0), times["burn_time"], 2 * whole)
-        if abs(last[1] / gate - 1) < _NEAR:
-            before = times.get("coast_time", 0.0)
-            whole, swept = float(last[0]) - before, float(last[2]) - mean * before
-        times["drift_time"] = max(whole - times["burn_time"], 0.1 * whole)
+        times["drift_time"] = max(down.whole - down.burn, 0.1 * down.whole)
     if air is None:
         return times
     entry = fall(p, air)
     times["entry_time"] = entry.time
     if hasattr(p, "site_longitude"):
-        more = _to_the_site(p, angle, node, mean, whole + entry.time, swept + float(entry.rows[-1, 1]))
+        whole, swept = down.whole + entry.time, down.swept + float(entry.rows[-1, 1])
+        more = _to_the_site(p, angle, node, mean_rate(p, angle), whole, swept)
         if coasts:
             times["coast_time"] = min(more, p.orbit_longest_coast)
         else:
@@ -233,8 +256,7 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
 
 def _bent(p: Any, angle: float, time: float, parts: list[float], gate: float) -> Any:
     """A row of the orbit, bent down evenly from the end of the coast on."""
-    radius = float(shape(angle, p, NUMERIC)[0])
-    mean = math.sqrt(p.body_gravitational_parameter / radius**3)
+    radius, mean = float(shape(angle, p, NUMERIC)[0]), mean_rate(p, angle)
     share = max(time - parts[0], 0.0) / sum(parts[1:])
     return radius + share * (gate - radius), mean * time, 0.0, mean * radius
 

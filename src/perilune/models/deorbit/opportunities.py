@@ -1,0 +1,175 @@
+"""Opportunities to come down to a site: the passes of the days ahead, the turn each needs, and who can make it.
+
+Three verdicts: *reachable*, where there is a tenth more than what a typical descent with the turn in its burn takes;
+*out of reach*, where no flight comes to the site on that pass, by the bound that also refuses to solve; *doubtful* in
+between.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from perilune.models.deorbit.passes import Pass, nearest, passes, velocity_change
+from perilune.models.deorbit.preflight import OFF_PLANE
+from perilune.models.deorbit.records import Aim, Manoeuvre
+from perilune.models.deorbit.secular import Drift, drift
+from perilune.models.rotating import dot
+from perilune.problem.problem import Problem
+from perilune.words.asked import demand
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import InfeasibleError, PeriluneError
+
+MOST_DAYS = 60.0  # after which secular rates of first order, and no drag on the orbit, say little
+_DAY = 86400.0  # s
+_SPARE = 1.1  # times what a typical descent takes
+REACHABLE, DOUBTFUL, OUT_OF_REACH = "reachable", "doubtful", "out of reach"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opportunity(Pass):
+    """A pass, and what can be made of it; SI units and radians.
+
+    Parameters
+    ----------
+    distance
+        Of the site from the plane of the orbit, along the ground [m].
+    available
+        Velocity change of all propellant [m/s].
+    verdict
+        ``"reachable"``, ``"doubtful"`` or ``"out of reach"``.
+    utc
+        Time of ignition, where the problem has an epoch.
+    settings
+        Changes of the scenario, by key, with which the flight to this pass is solved.
+    """
+
+    distance: float
+    available: float
+    verdict: str
+    utc: datetime | None
+    settings: Mapping[str, str]
+
+
+def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
+    """All passes over the site of a return, whose ignition is within some days from t = 0.
+
+    Parameters
+    ----------
+    problem
+        A return of `perilune.models.deorbit.problem.deorbit_entry` to a place, as its own model or a scenario made it.
+    days
+        How far ahead to look, at most `MOST_DAYS`.
+
+    Raises
+    ------
+    PeriluneError
+        If the problem is none, names no site or no dry mass, or the days are out of range.
+    """
+    demand(problem, Problem, "a problem to list opportunities of")
+    _refuse_unfit(problem, days)
+    p = problem.parameters({})
+    state = [float(value) for value in problem.start(p, NUMERIC)]
+    orbit, entry = drift(state[:3], state[3:6], p), _entry(problem, p)
+    found = passes(p, orbit, entry, drifts="drift_time" in problem.free_names, until=days * _DAY)
+    return tuple(_judged(problem, p, one, orbit, entry) for one in found)
+
+
+def refuse_none(found: Sequence[Opportunity], days: float) -> None:
+    """InfeasibleError if no pass can be made, with the nearest."""
+    if any(one.verdict != OUT_OF_REACH for one in found):
+        return
+    near = min(found, key=lambda one: abs(one.away), default=None)
+    raise InfeasibleError(
+        f"the site is out of reach on every pass within {days:g} days",
+        got="no pass"
+        if near is None
+        else f"the nearest is {math.degrees(abs(near.away)):.3g} deg"
+        f" ({near.distance / 1e3:.0f} km) off, {near.ignition / 3600:.2f} h after t = 0",
+        expected="a pass to which the propellant can turn the plane of the orbit",
+        advice="more --days, more propellant, or another site",
+    )
+
+
+def _refuse_unfit(problem: Problem, days: float) -> None:
+    if problem.name != "deorbit_entry" or problem.rough_flight is None:
+        raise PeriluneError(
+            "only a return from orbit has opportunities", got=f"a problem called {problem.name}"[:80],
+            expected='a scenario of kind = "deorbit_entry"',
+        )  # fmt: skip
+    if "site_longitude" not in problem.given:
+        raise PeriluneError(
+            "there is no site to have opportunities of", expected="site.longitude and site.latitude",
+            advice="without a place any time will do",
+        )  # fmt: skip
+    if "vehicle_dry_mass" not in problem.given:
+        raise PeriluneError(
+            "it is not said how much propellant there is", expected="vehicle.dry_mass",
+            advice="state what must be left after the burn",
+        )  # fmt: skip
+    if not 0 < days <= MOST_DAYS:
+        raise PeriluneError(
+            "the days to look ahead are out of range", got=f"{days:g}", expected=f"above 0, at most {MOST_DAYS:g}",
+            advice="drag on the orbit, which is left out, matters sooner: begin from a newer orbit",
+        )  # fmt: skip
+
+
+def _entry(problem: Problem, p: Any) -> tuple[float, float]:
+    """Time [s] of a typical fall through the air, and the angle swept [rad] in axes that do not turn."""
+    assert problem.ranges is not None and problem.rough_flight is not None
+    times = {name: typical for name, (_, _, typical) in problem.ranges(p, NUMERIC).items()}
+    rows = problem.rough_flight(problem.parameters(times))[problem.duration_names.index("entry_time")]
+    place = rows[:, :3] / np.linalg.norm(rows[:, :3], axis=1)[:, None]
+    first, last, turned = place[0], place[-1], p.body_rotation_rate * times["entry_time"]
+    carried = [
+        last[0] * math.cos(turned) - last[1] * math.sin(turned),
+        last[0] * math.sin(turned) + last[1] * math.cos(turned),
+        last[2],
+    ]
+    return times["entry_time"], math.acos(max(-1.0, min(1.0, dot(first, carried))))
+
+
+def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[float, float]) -> Opportunity:
+    available = velocity_change(p)
+    start = max(found.ignition - 0.5 * getattr(p, "orbit_longest_coast", 0.0), 0.0)
+    if _SPARE * found.velocity_change <= available:
+        verdict = REACHABLE
+    else:
+        away, turned = nearest(p, orbit.later(start), entry, found.landing - start)
+        beyond = away > turned + OFF_PLANE and not hasattr(p, "vehicle_lift_to_drag")
+        verdict = OUT_OF_REACH if beyond else DOUBTFUL
+    aim = next((record for record in problem.declared if isinstance(record, Aim)), Aim())
+    epoch = aim.instant()
+    utc = None if epoch is None else epoch.astimezone(UTC) if epoch.tzinfo else epoch.replace(tzinfo=UTC)
+    settings = _settings(problem, p, orbit, start)
+    if utc is not None:
+        settings["problem.epoch"] = f"{utc + timedelta(seconds=start):%Y-%m-%dT%H:%M:%SZ}"
+    return Opportunity(
+        **vars(found), distance=abs(found.away) * float(p.body_radius), available=available, verdict=verdict,
+        utc=None if utc is None else utc + timedelta(seconds=found.ignition), settings=settings,
+    )  # fmt: skip
+
+
+def _settings(problem: Problem, p: Any, orbit: Drift, start: float) -> dict[str, str]:
+    """The orbit at a time [s], in the keys by which the problem states where it is."""
+    angle, node = (float(value) for value in orbit.at(start))
+    perigee = {}
+    if hasattr(p, "orbit_argument_of_perigee"):
+        perigee["orbit.argument_of_perigee"] = _degrees(orbit.perigee + orbit.perigee_rate * start)
+    if any(isinstance(record, Manoeuvre) for record in problem.declared):
+        sine = math.sin(p.orbit_inclination) * math.sin(angle)
+        east = node + math.atan2(math.cos(p.orbit_inclination) * math.sin(angle), math.cos(angle))
+        return {
+            "manoeuvre.longitude": _degrees(east), "manoeuvre.latitude": _degrees(math.asin(sine)),
+            "manoeuvre.pass": "ascending" if math.cos(angle) > 0 else "descending", **perigee,
+        }  # fmt: skip
+    return {"orbit.node_longitude": _degrees(node), "orbit.argument_of_latitude": _degrees(angle), **perigee}
+
+
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(math.remainder(angle, 2 * math.pi)):.6f} deg"

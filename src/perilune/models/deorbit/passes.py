@@ -1,0 +1,180 @@
+"""Passes of an orbit over a site, as they are for who comes down, and how far the propellant turns the orbit to it.
+
+A typical descent lasts T and sweeps an angle F along the orbit, from ignition to the site's altitude. It ends abeam of
+the site where the argument of latitude of the vehicle at ignition, and F, is that of the site's foot in the plane of
+the orbit T later; the body turns below the plane meanwhile. The angle d of the site from the plane is what must be
+turned away: by a plane that is turned by a at ignition,
+
+    sin d = sin a sin F
+
+To do so in the burn of the descent takes, from the speed V on the orbit to V - D in the other plane, the velocity
+change sqrt(V^2 + (V - D)^2 - 2 V (V - D) cos a). A lift L/D, banked by 45 degrees, reaches an angle pi^2/48 (L/D)^2 to
+the side (Eggers, Allen, Neice, NACA TN 4046, 1957), which is taken off d.
+
+*What is out of reach for certain.* All propellant at right angles to the plane turns it by no more than dV/V_a, V_a the
+least speed of the orbit. Along the orbit it moves the vehicle by no more than (dV/V)(3 n t + 4) (Clohessy and
+Wiltshire's equations), and air holds it back. Where the site is further from the plane whenever the vehicle can be
+abeam of it, no flight without lift comes there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from perilune.models import ellipsoid
+from perilune.models.deorbit.orbit import plane, shape
+from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.deorbit.secular import Drift
+from perilune.models.deorbit.times import way_down
+from perilune.models.rotating import cross, dot
+from perilune.words.maths import NUMERIC
+
+_STEP = 30.0  # s, between looks at where the vehicle and the site are
+_AROUND = 24  # places on an ellipse from which the way down is looked at
+_DAY = 86400.0  # s
+_LEFT = 0.05  # of the mass, of which a vehicle that says no more of it could burn all else
+_LONGEST_ENTRY = 3600.0  # s
+_SURELY = 1.2  # times what linear equations say of a path that is bent
+_ROUGHLY = 0.1  # rad, of oblateness and what the air does
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pass:
+    """One pass, SI units and radians.
+
+    Parameters
+    ----------
+    ignition, landing
+        Times after t = 0.
+    going
+        Ascending or descending where it comes to the site.
+    away
+        Angle of the site from the plane of the orbit, positive to the left of the way.
+    turn, velocity_change
+        Angle by which the plane is turned at ignition, and what that takes together with the way down; infinite where
+        no turn there leads to the site.
+    """
+
+    ignition: float
+    landing: float
+    going: str
+    away: float
+    turn: float
+    velocity_change: float
+
+
+def site_beside(p: Any, node: Any) -> tuple[Any, Any]:
+    """The site beside a plane whose node [rad] is given: argument of latitude of its foot, and how far left [rad]."""
+    to_node, beyond = plane(0.0, node, p, NUMERIC)
+    site = ellipsoid.at(p.site_longitude, p.site_latitude, p.site_altitude, p, NUMERIC)
+    distance = math.sqrt(dot(site, site))
+    left = dot(site, cross(to_node, beyond)) / distance
+    return np.arctan2(dot(site, beyond), dot(site, to_node)), np.arcsin(np.clip(left, -1.0, 1.0))
+
+
+def passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: bool, until: float) -> list[Pass]:
+    """All passes whose ignition is not later than a time.
+
+    Parameters
+    ----------
+    p
+        Given parameters of the return.
+    orbit
+        Where the vehicle is.
+    entry
+        Time [s] from the interface to the site, and angle swept [rad].
+    drifts
+        Whether the vehicle coasts to the interface after its burn.
+    until
+        Time [s].
+    """
+    count = 1 if hasattr(p, "orbit_radius") else _AROUND
+    around = np.linspace(-math.pi, math.pi, count + 1)
+    downs = [way_down(p, float(angle), drifts=drifts) for angle in around[:-1]]
+    rows = np.array([[down.whole + entry[0], down.swept + entry[1], down.velocity_change] for down in downs])
+    rows = np.vstack([rows, rows[:1]])
+
+    def descent(time: Any) -> tuple[Any, ...]:
+        angle, _ = orbit.at(time)
+        lasts, sweeps, change = (np.interp(_turned(angle), around, row) for row in rows.T)
+        _, node = orbit.at(time + lasts)
+        foot, left = site_beside(p, node)
+        return _turned(angle + sweeps - foot), lasts, sweeps, change, left, angle, foot
+
+    times = np.arange(0.0, until + _STEP, _STEP)
+    past = descent(times)[0]
+    before = np.flatnonzero((past[:-1] < 0) & (past[1:] >= 0) & (past[1:] - past[:-1] < 1))
+    ignition = times[before] - _STEP * past[before] / (past[before + 1] - past[before])
+    ignition = ignition[ignition <= until]
+    _, lasts, sweeps, change, left, angle, foot = descent(ignition)
+    missed = np.maximum(np.abs(left) - side_reach(p), 0.0)
+    with np.errstate(divide="ignore"):
+        sine = np.sin(missed) / np.abs(np.sin(sweeps))
+    turn = np.where(sine <= 1, np.arcsin(np.minimum(sine, 1.0)), math.inf)
+    speed = np.array([math.hypot(*(float(v) for v in shape(a, p, NUMERIC)[1:])) for a in angle])
+    slower, cosine = speed - change, np.cos(np.where(sine <= 1, turn, 0.0))
+    needs = np.sqrt(speed * speed + slower * slower - 2 * speed * slower * cosine)
+    return [
+        Pass(
+            ignition=float(ignition[k]), landing=float(ignition[k] + lasts[k]),
+            going="ascending" if math.cos(foot[k]) > 0 else "descending", away=float(left[k]), turn=float(turn[k]),
+            velocity_change=float(needs[k]) if sine[k] <= 1 else math.inf,
+        )
+        for k in range(len(ignition))
+    ]  # fmt: skip
+
+
+def side_reach(p: Any) -> float:
+    """Angle [rad] that lift reaches to the side in the air."""
+    return math.pi**2 / 48 * getattr(p, "vehicle_lift_to_drag", 0.0) ** 2
+
+
+def velocity_change(p: Any, m: Any = NUMERIC) -> Any:
+    """Velocity change [m/s] of all propellant; infinite where it is not said how much there is."""
+    if not hasattr(p, "vehicle_dry_mass"):
+        return math.inf
+    return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)
+
+
+def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None) -> tuple[float, float]:
+    """How far the site stays from the plane at least while a flight from t = 0 can last, and what is turned by then.
+
+    Both [rad], at the time at which they are nearest to each other; less than half a turn from a landing [s] where that
+    is given.
+    """
+    rate = p.vehicle_thrust / exhaust_speed(p)
+    burn = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", _LEFT * p.vehicle_mass)) / rate
+    longest = getattr(p, "orbit_longest_coast", 0.0) + getattr(p, "transition_longest_coast", 0.0)
+    time = np.arange(0.0, longest + min(burn, _DAY) + _LONGEST_ENTRY, 0.1 * _STEP)
+    if landing is not None:
+        time = time[np.abs(time - landing) * orbit.turn_rate < math.pi]
+    angle, node = orbit.at(time)
+    foot, left = site_beside(p, node)
+    spent = np.minimum(time, burn) * rate  # what may be burnt by then
+    change = exhaust_speed(p) * np.log(p.vehicle_mass / (p.vehicle_mass - spent))
+    low, high = extremes(p)
+    mu = p.body_gravitational_parameter
+    slow, fast = (math.sqrt(2 * mu * one / (other * (low + high))) for one, other in ((low, high), (high, low)))
+    moved = _SURELY * change / slow * (3 * orbit.turn_rate * time + 4) + _ROUGHLY + 2 * orbit.eccentricity
+    behind = 2 * max(fast / low * entry[0] - entry[1], 0.0)
+    ahead = _turned(angle - foot - behind / 2)  # of the site, by as much as half of what the air may hold back
+    away, turned = np.abs(left), change / slow
+    short = away - turned + np.where(np.abs(ahead) <= moved + behind / 2, 0.0, 2 * math.pi)
+    k = int(np.argmin(short))
+    return float(away[k]), float(turned[k])
+
+
+def extremes(p: Any) -> tuple[Any, Any]:
+    """Distances [m] of perigee and apogee."""
+    if hasattr(p, "orbit_radius"):
+        return p.orbit_radius, p.orbit_radius
+    return p.body_radius + p.orbit_perigee_altitude, p.body_radius + p.orbit_apogee_altitude
+
+
+def _turned(angle: Any) -> Any:
+    """The same direction between -pi and pi."""
+    return angle - 2 * math.pi * np.round(angle / (2 * math.pi))

@@ -1,0 +1,49 @@
+"""Passes over a site, for people as a table and for programs as a document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models.deorbit.opportunities import DOUBTFUL, OUT_OF_REACH, REACHABLE, Opportunity
+
+_HEAD = f"{'ignition':>21} {'landing':>10}  {'pass':10} {'off the plane':>22} {'turn':>9} {'delta-V':>11}  verdict"
+
+
+def opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
+    """All passes with their numbers in SI and radians; what no turn reaches has none."""
+    rows = [
+        {**vars(one), "utc": one.utc and f"{one.utc:%Y-%m-%dT%H:%M:%SZ}", "settings": dict(one.settings)}
+        for one in found
+    ]
+    for row in rows:
+        row |= {name: row[name] if math.isfinite(row[name]) else None for name in ("turn", "velocity_change")}
+    return {"opportunities": rows}
+
+
+def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
+    """A table of the passes that may be made, or of all, and how to solve the first of them."""
+    shown = [one for one in found if every or one.verdict != OUT_OF_REACH]
+    if not shown:
+        return f"no pass of {len(found)} can be made"
+    lines = [_HEAD, *map(_row, shown)]
+    good = (next((one for one in shown if one.verdict == verdict), None) for verdict in (REACHABLE, DOUBTFUL))
+    best = next(filter(None, good), None)
+    if not every and len(shown) < len(found):
+        lines.append(f"{len(found) - len(shown)} more are out of reach: --all")
+    if best is not None:
+        changes = " ".join(f'--set "{key}={value}"' for key, value in best.settings.items())
+        lines += [f"all propellant gives {best.available:.1f} m/s; of the first that is {best.verdict}:"]
+        lines += [f"  perilune solve FILE {changes}"]
+    return "\n".join(lines)
+
+
+def _row(one: Opportunity) -> str:
+    when = f"{one.utc:%Y-%m-%d %H:%M:%S}Z" if one.utc is not None else f"{one.ignition / 3600:.3f} h"
+    side = "left" if one.away > 0 else "right"
+    off = f"{math.degrees(abs(one.away)):.2f} deg {one.distance / 1e3:.0f} km {side}"
+    turn = f"{math.degrees(one.turn):.2f} deg" if math.isfinite(one.turn) else "-"
+    change = f"{one.velocity_change:.0f} m/s" if math.isfinite(one.velocity_change) else "-"
+    after = f"{one.landing / 3600:.3f} h"
+    return f"{when:>21} {after:>10}  {one.going:10} {off:>22} {turn:>9} {change:>11}  {one.verdict}"
