@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from perilune.models.bodies import Body, UniformGravity, known_like
+from perilune.models.deorbit.records import Interface
 from perilune.models.descent import Ignition
 from perilune.models.landing import LandingSite, Orbit
 from perilune.models.precision import Approach
@@ -22,6 +23,7 @@ GRAVITATIONAL_CONSTANT = 6.6743e-11  # m^3/(kg s^2), CODATA 2018; only for the p
 # 1e9-fold.
 DENSITIES = (50.0, 50_000.0)
 FURTHEST_FLAT = 1e6  # m; over a hundredth of that the ground of the Earth falls by 8 m
+HIGHEST_GROUND = 1e-3  # of the radius
 DEEPEST_SITE = 0.1  # of the radius; the deepest basin known, on Vesta, has about 0.08
 
 
@@ -39,6 +41,8 @@ def refuse_slips(records: Mapping[str, Any]) -> None:
             _check_away(f"approach.{name}", getattr(approach, name), body)
     if isinstance(landing := records.get("landing"), LandingSite):
         _check_site(landing, body)
+    if isinstance(interface := records.get("interface"), Interface):
+        _check_interface(interface, body)
     _check_vehicle(records["vehicle"])
 
 
@@ -112,6 +116,17 @@ def _check_site(landing: LandingSite, body: Body) -> None:
             got=f"{landing.altitude / 1e3:g} km",
             expected=f"at least {-DEEPEST_SITE * body.radius / 1e3:.3g} km",
             advice="altitudes are above the radius of the body; look for km in place of m",
+        )
+
+
+def _check_interface(interface: Interface, body: Body) -> None:
+    """Refuse an interface down where mountains are."""
+    if interface.altitude < HIGHEST_GROUND * body.radius:
+        _refuse(
+            "interface.altitude is lower than mountains",
+            got=f"{interface.altitude:g} m",
+            expected=f"at least {HIGHEST_GROUND * body.radius / 1e3:.3g} km",
+            advice="look for m in place of km",
         )
 
 

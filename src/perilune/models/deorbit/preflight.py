@@ -6,7 +6,11 @@ that of an impulse at the apogee r_2, against the velocity there, to an ellipse 
     dV = sqrt(2 mu/r_2) (sqrt(r_1/(r_1 + r_2)) - sqrt(r_a/(r_a + r_2))),   r_1 the perigee of the orbit
 
 No finite burn does better, and drag begins at the interface only. Oblateness moves the height of a flight by some
-kilometres within a turn: `_SLACK` stands for that.
+kilometres within a turn: `SLACK` stands for that.
+
+*At the interface.* What `bounds` says of its speed and its angle.
+
+*Slow enough.* What `fall` says of arriving at the site.
 
 *Sideways.* What `passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
 warned.
@@ -21,16 +25,17 @@ from typing import Any
 import numpy as np
 
 from perilune.models.atmosphere import Air
+from perilune.models.deorbit.bounds import SLACK, furthest_moved, interface_speeds, steepest_angle
+from perilune.models.deorbit.fall import always_faster, fall, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
 from perilune.models.deorbit.passes import Pass, extremes, nearest, passes, velocity_change
 from perilune.models.deorbit.secular import drift
-from perilune.models.deorbit.times import fall
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Physics
 
+_DEGREE = math.degrees(1.0)
 OFF_PLANE = math.radians(0.5)  # of oblateness and of what the air does
-_SLACK = 25e3  # m
 _DAY = 86400.0  # s
 _AHEAD = 3 * _DAY  # looked at for a pass that can be made
 
@@ -40,7 +45,9 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
     low, high = extremes(p)
     found = [_above_interface(p, low)]
     if hasattr(p, "vehicle_dry_mass"):
-        found.append(_comes_down(p, m, low, high))
+        found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
+        if not hasattr(p, "transition_longest_coast"):
+            found.append(_burns_down(p, m, low))
     if air is not None and _of_one(p, low):
         found += [
             *_slow_enough(p, air),
@@ -71,7 +78,7 @@ def _least_change(p: Any, m: Any, low: Any, high: Any, gate: Any) -> Any:
 def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
     return Finding(
         name="velocity change that comes down to the interface",
-        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + _SLACK),
+        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + SLACK),
         limit=velocity_change(p, m),
         at_least=False,
         unit="m/s",
@@ -81,6 +88,47 @@ def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
     )
 
 
+def _burns_down(p: Any, m: Any, low: Any) -> Finding:
+    return Finding(
+        name="way down to the interface",
+        value=(low - p.body_radius - p.interface_altitude - SLACK) / 1e3,
+        limit=furthest_moved(p, m, velocity_change(p, m)) / 1e3,
+        at_least=False,
+        unit="km",
+        binding=True,
+        meaning="the burn, which lasts all the way to the interface, takes longer than there is propellant",
+        advice="transition.longest_coast, for a way down after the burn; or more propellant, less thrust",
+    )
+
+
+def _at_interface(p: Any, m: Any) -> list[Finding]:
+    """What is stated of speed and angle at the interface, against what the velocity change can give."""
+    found = list[Finding]()
+    slowest, fastest = interface_speeds(p, m)
+    for ending, limit, at_least in (("upper", slowest, True), ("lower", fastest, False)):
+        stated = getattr(p, "interface_speed", getattr(p, f"interface_speed_{ending}", None))
+        if stated is not None:
+            found.append(
+                Finding(
+                    name=f"{'greatest' if at_least else 'least'} speed at the interface", value=stated, limit=limit,
+                    at_least=at_least, unit="m/s", binding=True,
+                    meaning="the velocity change of all propellant gives no such speed at the interface",
+                    advice="another interface.speed, beside the turning body; look for m/s in place of km/s",
+                )
+            )  # fmt: skip
+    stated = getattr(p, "interface_angle", getattr(p, "interface_angle_upper", None))
+    if stated is not None:
+        found.append(
+            Finding(
+                name="path angle at the interface below the horizon", value=-stated * _DEGREE,
+                limit=steepest_angle(p, m) * _DEGREE, at_least=False, unit="deg", binding=True,
+                meaning="the velocity change of all propellant gives no flight so steep at the interface",
+                advice="a flatter interface angle, or more propellant (a lower vehicle.dry_mass)",
+            )
+        )  # fmt: skip
+    return found
+
+
 def _of_one(p: Any, low: Any) -> bool:
     """Whether it is one problem, all of it known: of many at once flights are not looked at."""
     numbers = [*vars(p).values(), low]
@@ -88,19 +136,37 @@ def _of_one(p: Any, low: Any) -> bool:
 
 
 def _slow_enough(p: Any, air: Air) -> tuple[Finding, ...]:
-    """How fast a fall without lift arrives that begins at a typical angle; no proof of others, and so only said."""
-    return (
-        Finding(
-            name="landing speed of a fall without lift",
-            value=float(fall(p, air).rows[-1, 2]),
-            limit=p.site_speed_upper,
-            at_least=False,
-            unit="m/s",
-            binding=False,
-            meaning="the vehicle may arrive faster than site.speed_upper, which a parachute can take",
-            advice="more drag area, a higher site.altitude, or a greater site.speed_upper",
-        ),
-    )
+    """How fast a typical fall without lift arrives, which is no proof of others; and whether all arrive too fast."""
+    advice = "more drag area, a higher site.altitude, or a greater site.speed_upper"
+    fallen, found = fall(p, air), list[Finding]()
+    if fallen.lands:
+        found.append(
+            Finding(
+                name="landing speed of a fall without lift", value=float(fallen.rows[-1, 2]), limit=p.site_speed_upper,
+                at_least=False, unit="m/s", binding=False,
+                meaning="the vehicle may arrive faster than site.speed_upper, which a parachute can take",
+                advice=advice,
+            )
+        )  # fmt: skip
+    if hasattr(p, "vehicle_lift_to_drag") or all(one.passed for one in found):
+        return tuple(found)
+    steep = steepest_angle(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else math.inf
+    speeds = interface_speeds(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else (0.0, math.inf)
+    slowest = slowest_arrival(p, air, -float(steep), (float(speeds[0]), float(speeds[1])))
+    steady = terminal_speed(p, air)
+    for name, value, sure in (
+        ("landing speed of the slowest fall, less a tenth", 0.9 * slowest, True),
+        ("speed of a steady fall at the site", steady, steady > p.site_speed_upper and always_faster(p, air)),
+    ):
+        if sure:
+            found.append(
+                Finding(
+                    name=name, value=value, limit=p.site_speed_upper, at_least=False, unit="m/s", binding=True,
+                    meaning="no entry without lift arrives as slowly as site.speed_upper, which a parachute can take",
+                    advice=advice,
+                )
+            )  # fmt: skip
+    return tuple(found)
 
 
 def _in_plane(p: Any, angles: Physics, air: Air, *, drifts: bool) -> tuple[Finding, ...]:

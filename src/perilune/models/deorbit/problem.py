@@ -343,6 +343,12 @@ def _refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | N
     """Refuse air of which nothing is known somewhere on the way: a table goes on beyond its ends, but says nothing."""
     if air is None or site is None:
         return
+    if site.altitude >= interface.altitude:
+        raise PeriluneError(
+            "the site is above the air", got=f"site.altitude = {site.altitude / 1e3:g} km",
+            expected=f"below interface.altitude = {interface.altitude / 1e3:g} km",
+            advice="look for m in place of km, or km in place of m",
+        )  # fmt: skip
     reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
     for name, altitude in reached.items():
         if not air.bottom <= altitude <= air.top:

@@ -24,6 +24,8 @@ _LATITUDE: dict[str, Any] = {
 }  # fmt: skip
 _SPEED: dict[str, Any] = {"above": 0.0, "most": 1e5, "hint": "look for km/s in place of m/s"}
 _ANGLE: dict[str, Any] = {"least": -0.5 * math.pi, "most": 0.5 * math.pi, "hint": "negative is below the horizon"}
+_DOWN: dict[str, Any] = {**_ANGLE, "most": 0.0, "outside": "leads up, and the way comes from above"}
+_ENTERING: dict[str, Any] = {"least": 100.0, "most": 1e5, "hint": "is it in m/s, or in km/s?"}
 
 
 def _one_of(section: str, stated: dict[str, Any], *, needed: bool) -> None:
@@ -200,11 +202,11 @@ class Interface:
     """Where the air begins: above it there is none. Speed and angle are relative to the turning body."""
 
     altitude: float = quantity("m", "120 km", above=0.0, about="of the entry interface")
-    speed: float | None = quantity("m/s", "7.5 km/s", default=None, **_SPEED, about="fixes the speed there")
-    speed_lower: float | None = quantity("m/s", "7.5 km/s", default=None, **_SPEED, about="least speed there")
-    speed_upper: float | None = quantity("m/s", "8.8 km/s", default=None, **_SPEED, about="greatest speed there")
-    angle: float | None = quantity("rad", "-6 deg", default=None, **_ANGLE, about="fixes the path angle there")
-    angle_lower: float | None = quantity("rad", "-9 deg", default=None, **_ANGLE, about="steepest path angle there")
+    speed: float | None = quantity("m/s", "7.5 km/s", default=None, **_ENTERING, about="fixes the speed there")
+    speed_lower: float | None = quantity("m/s", "7.5 km/s", default=None, **_ENTERING, about="least speed there")
+    speed_upper: float | None = quantity("m/s", "8.8 km/s", default=None, **_ENTERING, about="greatest speed there")
+    angle: float | None = quantity("rad", "-6 deg", default=None, **_DOWN, about="fixes the path angle there")
+    angle_lower: float | None = quantity("rad", "-9 deg", default=None, **_DOWN, about="steepest path angle there")
     angle_upper: float | None = quantity("rad", "-6 deg", default=None, **_ANGLE, about="flattest path angle there")
 
     def __post_init__(self) -> None:

@@ -20,18 +20,14 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.models.aerodynamics import drag_acceleration, heat_rate
 from perilune.models.atmosphere import Air
+from perilune.models.deorbit.fall import POINTS, carried, fall, typical_angle
 from perilune.models.deorbit.orbit import AXIS, plane, shape
 from perilune.models.deorbit.records import exhaust_speed
 from perilune.models.rotating import combine, cross, dot, local_axes
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Physics, Vector
 
-_STEEP = math.radians(-2.0)  # a path angle at the interface of no statement
-_FLATTEST = math.radians(-0.2)
-_POINTS = 81  # of a phase's picture
-_LONGEST_FALL = 1500.0  # s; what is flatter skips
 _NEAR = 0.01  # of the distance: an end of the flight in the plane that is an end at the interface
 _SHORTER = 0.1  # of a turn: by so much the way to a site may be shorter than the typical one
 
@@ -61,64 +57,6 @@ def impulsive(radius: float, interface: float, angle: float, mu: float) -> Deorb
     time = math.sqrt(semi**3 / mu) * ((there - eccentricity * math.sin(there)) - math.pi)
     swept = 2 * math.atan(math.sqrt((1 + eccentricity) / (1 - eccentricity)) * math.tan(there / 2)) + math.pi
     return Deorbit(velocity_change=(1 - left) * circular, time=time, swept=swept)
-
-
-def typical_angle(p: Any) -> float:
-    """A path angle [rad] at the interface within what is stated, below the horizon."""
-    angle = getattr(p, "interface_angle", _STEEP)
-    lower, upper = getattr(p, "interface_angle_lower", -math.inf), getattr(p, "interface_angle_upper", math.inf)
-    return min(max(angle, lower), upper, _FLATTEST)
-
-
-def typical_speed(p: Any, radius: float) -> float:
-    """A speed [m/s] beside the body at the interface, within what is stated, on the way down from a radius."""
-    gate = p.body_radius + p.interface_altitude
-    inertial = math.sqrt(2 * p.body_gravitational_parameter / gate * radius / (radius + gate))
-    speed = getattr(p, "interface_speed", inertial - _carried(p, gate))
-    return min(max(speed, getattr(p, "interface_speed_lower", 0.0)), getattr(p, "interface_speed_upper", math.inf))
-
-
-def _carried(p: Any, distance: float) -> float:
-    """Speed [m/s] of the body's turning along the orbit."""
-    return p.body_rotation_rate * distance * math.cos(p.orbit_inclination)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fall:
-    """A fall through the air in a plane: its time [s], and rows evenly apart in it.
-
-    A row is height [m], angle swept [rad], speed [m/s] and path angle [rad] beside the body, heat load [J/m^2].
-    """
-
-    time: float
-    rows: Matrix
-
-
-def fall(p: Any, air: Air) -> Fall:
-    """From the interface to the altitude of the site."""
-    radius = float(p.body_radius + p.interface_altitude)
-    heats, mass = hasattr(p, "vehicle_nose_radius"), getattr(p, "separation_mass", p.vehicle_mass)
-
-    def slope(_: float, y: Any) -> list[float]:
-        height, _, v, gamma, _ = y
-        r, density = p.body_radius + height, float(air.density(height, p, NUMERIC))
-        pull, velocity = p.body_gravitational_parameter / (r * r), (v, 0.0, 0.0)
-        slowed = drag_acceleration(density, velocity, mass, p, NUMERIC)
-        level = v + _carried(p, r)
-        return [
-            v * math.sin(gamma), v * math.cos(gamma) / r, -slowed - pull * math.sin(gamma),
-            (level * level / r - pull) / v * math.cos(gamma),
-            heat_rate(density, velocity, p, NUMERIC) if heats else 0.0,
-        ]  # fmt: skip
-
-    def landed(_: float, y: Any) -> float:
-        return y[0] - p.site_altitude
-
-    landed.terminal = True  # type: ignore[attr-defined]
-    start = [p.interface_altitude, 0.0, typical_speed(p, radius + 3e5), typical_angle(p), 0.0]
-    flown = solve_ivp(slope, (0.0, _LONGEST_FALL), start, rtol=1e-6, atol=1e-6, events=landed, dense_output=True)
-    time = float(flown.t[-1])
-    return Fall(time=time, rows=flown.sol(np.linspace(0.0, time, _POINTS)).T)
 
 
 def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tuple[Matrix, Any]:
@@ -236,7 +174,7 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     turned = 0.0
     for name in (name for name in names if name != "entry"):
         rows = []
-        for since in np.linspace(0.0, lengths[name], _POINTS):
+        for since in np.linspace(0.0, lengths[name], POINTS):
             row = at(time + since) if flies else _bent(p, angle, time + since, parts, gate)
             rows.append([*_state(p, angle, node, time + since, row), mass - (rate * since if name == "burn" else 0.0)])
             turned = row[1]
@@ -244,9 +182,9 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
         found.append(np.array(rows, dtype=float))
     if air is not None:
         fallen, rows = fall(p, air), []
-        for share, (height, swept, speed, gamma, load) in zip(np.linspace(0, 1, _POINTS), fallen.rows, strict=True):
+        for share, (height, swept, speed, gamma, load) in zip(np.linspace(0, 1, POINTS), fallen.rows, strict=True):
             distance = p.body_radius + height
-            level = speed * math.cos(gamma) + _carried(p, distance)
+            level = speed * math.cos(gamma) + carried(p, distance)
             row = distance, turned + swept, speed * math.sin(gamma), level
             moved = _state(p, angle, node, time + share * fallen.time, row)
             rows.append([*moved, getattr(p, "separation_mass", mass), *((load,) if heat else ())])

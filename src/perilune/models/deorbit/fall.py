@@ -1,0 +1,162 @@
+"""Falls through the air without lift, in a plane: a typical one, and whether any arrives slowly enough.
+
+Beside the turning body, with the speed V, the path angle g, the height h and the distance r,
+
+    h' = V sin g,   V' = -drag - mu/r^2 sin g,   g' = ((V + turning)^2/r - mu/r^2) cos g / V
+
+*Whether any arrives slowly enough* is flown from the angles and speeds that there can be at the interface, where these
+are steep enough to lead down at once. It is also flown backwards, from the site, where the vehicle is as slow as a
+parachute bears, at each angle. Back in time the air makes it faster, or gravity makes it slower until it climbs and
+turns, below the interface, from where it would have had to be thrown. If it does so from every angle, no entry ends
+there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from perilune.models.aerodynamics import drag_acceleration, heat_rate
+from perilune.models.atmosphere import Air
+from perilune.words.maths import NUMERIC
+from perilune.words.types import Matrix
+
+POINTS = 81  # of a phase's picture
+_STEEP = math.radians(-2.0)  # a path angle at the interface of no statement
+_FLATTEST = math.radians(-0.2)
+_LONGEST = 16_000.0  # s, some three turns
+_ANGLES = np.radians(np.linspace(-2.0, -90.0, 23))
+_SHARES = (1.05, 0.8, 0.5)  # of a speed; the first with some to spare for what a plane leaves out
+_STILL, _SLOWEST, _FASTEST = 5.0, 100.0, 2e4  # m/s
+_SURELY_DOWN = math.radians(-1.0)  # a path angle from which no vehicle leaves the air again
+_ANGLES_TRIED, _SPEEDS_TRIED = 6, 4
+
+
+def typical_angle(p: Any) -> float:
+    """A path angle [rad] at the interface within what is stated, below the horizon."""
+    angle = getattr(p, "interface_angle", _STEEP)
+    lower, upper = getattr(p, "interface_angle_lower", -math.inf), getattr(p, "interface_angle_upper", math.inf)
+    return min(max(angle, lower), upper, _FLATTEST)
+
+
+def typical_speed(p: Any, radius: float) -> float:
+    """A speed [m/s] beside the body at the interface, within what is stated, on the way down from a radius."""
+    gate = p.body_radius + p.interface_altitude
+    inertial = math.sqrt(2 * p.body_gravitational_parameter / gate * radius / (radius + gate))
+    speed = getattr(p, "interface_speed", inertial - carried(p, gate))
+    return min(max(speed, getattr(p, "interface_speed_lower", 0.0)), getattr(p, "interface_speed_upper", math.inf))
+
+
+def carried(p: Any, distance: float) -> float:
+    """Speed [m/s] of the body's turning along the orbit."""
+    return p.body_rotation_rate * distance * math.cos(p.orbit_inclination)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fall:
+    """A fall through the air in a plane: its time [s], whether it comes to the site, and rows evenly apart in it.
+
+    A row is height [m], angle swept [rad], speed [m/s] and path angle [rad] beside the body, heat load [J/m^2].
+    """
+
+    time: float
+    lands: bool
+    rows: Matrix
+
+
+def _rates(p: Any, air: Air) -> Callable[[float, Any], list[float]]:
+    """Rates of a row."""
+    heats, mass = hasattr(p, "vehicle_nose_radius"), getattr(p, "separation_mass", p.vehicle_mass)
+
+    def slope(_: float, y: Any) -> list[float]:
+        height, _, v, gamma, _ = y
+        r, density = p.body_radius + height, float(air.density(height, p, NUMERIC))
+        pull, velocity = p.body_gravitational_parameter / (r * r), (v, 0.0, 0.0)
+        slowed = drag_acceleration(density, velocity, mass, p, NUMERIC)
+        level = v + carried(p, r)
+        return [
+            v * math.sin(gamma), v * math.cos(gamma) / r, -slowed - pull * math.sin(gamma),
+            (level * level / r - pull) / v * math.cos(gamma),
+            heat_rate(density, velocity, p, NUMERIC) if heats else 0.0,
+        ]  # fmt: skip
+
+    return slope
+
+
+def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None) -> Fall:
+    """From the interface to the altitude of the site; at a typical path angle and speed where none is given."""
+    radius = float(p.body_radius + p.interface_altitude)
+    angle = typical_angle(p) if angle is None else angle
+    speed = typical_speed(p, radius + 3e5) if speed is None else speed
+
+    def landed(_: float, y: Any) -> float:
+        return y[0] - p.site_altitude
+
+    landed.terminal = True  # type: ignore[attr-defined]
+    start = [p.interface_altitude, 0.0, speed, angle, 0.0]
+    flown = solve_ivp(_rates(p, air), (0.0, _LONGEST), start, rtol=1e-6, atol=1e-6, events=landed, dense_output=True)
+    time = float(flown.t[-1])
+    return Fall(time=time, lands=flown.status == 1, rows=flown.sol(np.linspace(0.0, time, POINTS)).T)
+
+
+def terminal_speed(p: Any, air: Air) -> float:
+    """Speed [m/s] of a steady vertical fall at the altitude of the site."""
+    radius, mass = p.body_radius + p.site_altitude, getattr(p, "separation_mass", p.vehicle_mass)
+    slowed = drag_acceleration(air.density(p.site_altitude, p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
+    return math.sqrt(p.body_gravitational_parameter / (radius * radius) / float(slowed))
+
+
+def slowest_arrival(p: Any, air: Air, steepest: float, speeds: tuple[float, float]) -> float:
+    """Least speed [m/s] at which falls arrive, of path angles that are stated and of speeds at the interface.
+
+    Where no angle is stated that surely leads down at once there may be any speed, and so it is 0.
+
+    Parameters
+    ----------
+    p, air
+        The return and its air.
+    steepest
+        Path angle [rad], negative, below which none comes.
+    speeds
+        Least and greatest [m/s].
+    """
+    flattest = getattr(p, "interface_angle", getattr(p, "interface_angle_upper", 0.0))
+    if flattest > _SURELY_DOWN:
+        return 0.0
+    steepest = getattr(p, "interface_angle", max(getattr(p, "interface_angle_lower", -math.inf), steepest))
+    angles = np.linspace(flattest, min(steepest, flattest), 1 if steepest >= flattest else _ANGLES_TRIED)
+    least = max(speeds[0], getattr(p, "interface_speed", getattr(p, "interface_speed_lower", 0.0)), _SLOWEST)
+    most = min(speeds[1], getattr(p, "interface_speed", getattr(p, "interface_speed_upper", math.inf)), _FASTEST)
+    tried = np.linspace(least, max(most, least), _SPEEDS_TRIED)
+    falls = [fall(p, air, float(angle), float(speed)) for angle in angles for speed in tried]
+    return min((float(one.rows[-1, 2]) for one in falls if one.lands), default=math.inf)
+
+
+def always_faster(p: Any, air: Air) -> bool:
+    """Whether no fall without lift from the interface arrives as slowly as ``site_speed_upper``."""
+    speeds = [share * p.site_speed_upper for share in _SHARES]
+    return all(_was_thrown(p, air, speed, float(angle)) for speed in speeds for angle in _ANGLES)
+
+
+def _was_thrown(p: Any, air: Air, speed: float, angle: float) -> bool:
+    """Whether a fall that arrives so has turned below the interface."""
+    forward = _rates(p, air)
+
+    def turns(_: float, y: Any) -> float:
+        return min(-y[3] - 1e-3, y[2] - _STILL)
+
+    def comes(_: float, y: Any) -> float:
+        return min(p.interface_altitude - y[0], _FASTEST - y[2])
+
+    turns.terminal = comes.terminal = True  # type: ignore[attr-defined]
+    start = [p.site_altitude, 0.0, speed, angle, 0.0]
+    flown = solve_ivp(
+        lambda t, y: [-rate for rate in forward(t, y)], (0.0, _LONGEST), start, rtol=1e-4, atol=1e-4,
+        events=(turns, comes),
+    )  # fmt: skip
+    return bool(len(flown.t_events[0])) and not len(flown.t_events[1])
