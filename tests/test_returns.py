@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import perilune as pl
@@ -21,6 +23,7 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.scenario import load_file
+from perilune.solve import verify
 
 NEIGHBOUR_B = Path(__file__).parents[1] / "examples" / "minimum_duration_return.toml"
 FREE_IGNITION = (
@@ -38,6 +41,29 @@ def test_a_return_of_four_phases_is_proved() -> None:
     constant = checks["coast_hamiltonian_constant"]
     assert constant.limit == 1e-9 and 1e-12 < constant.value < 8e-10
     assert solution.objective == pytest.approx(-478.397229, abs=1e-6)
+
+
+def test_costates_of_a_fall_follow_from_its_end(tmp_path: Path) -> None:
+    """A fall of 177 kg/m^2 forgets its speed by a factor of a million; a costate that is told wrongly still fails.
+
+    Flown from the interface on, errors of the last digits of its costates grow by as much.
+    """
+    light = NEIGHBOUR_B.read_text(encoding="utf-8").replace(
+        'drag_area = "0.6 m^2" ', 'ballistic_coefficient = "177 kg/m^2" #'
+    )
+    (tmp_path / "light.toml").write_text(light, encoding="utf-8")
+    solution = pl.solve(load_file(tmp_path / "light.toml", FREE_IGNITION).problem, level=0)
+    assert not [check for check in verify(solution, level=2).failed]
+    for column in (0, 3):
+        entry = solution.trajectories[-1]
+        assert entry.costate is not None
+        values = entry.costate.values.copy()
+        values[len(values) // 2, column] += 1e-6 * np.abs(values[:, column]).max()
+        wrong = replace(entry, costate=replace(entry.costate, values=values))
+        failed = verify(replace(solution, trajectories=(*solution.trajectories[:-1], wrong)), level=2).failed
+        assert {check.name for check in failed} & {
+            f"entry_costate_{name}" for name in ("x", "y", "z", "vx", "vy", "vz")
+        }
 
 
 def test_propellant_is_that_of_the_whole_vehicle_whatever_enters_the_air() -> None:

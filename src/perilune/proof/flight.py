@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, pairwise
 from typing import Any
 
@@ -61,6 +61,11 @@ class Deviation:
         """Of each component, (n,)."""
         every = np.concatenate([self.inside, self.ends], axis=2)
         return np.abs(every).max(axis=(1, 2)) + self.still_open
+
+    @property
+    def turned(self) -> Deviation:
+        """The same of a flight from the end to the start, in order of time."""
+        return replace(self, inside=self.inside[:, ::-1, ::-1], ends=self.ends[:, ::-1, ::-1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +168,11 @@ def state_deviation(arc: Arc, start: Vector, sizes: Vector | None = None) -> Dev
 
 
 def costate_deviation(arc: Arc) -> Deviation:
-    """Costates flown from their own first value along the table of the state, less their table."""
+    """Costates flown along the table of the state from their own value at an end, less their table.
+
+    From the end from which errors grow less: what comes down through air forgets how fast it was, so that costates at
+    its start follow from those at its end, and not the other way round.
+    """
     pieces, slopes, still = arc.looked_at
     n, unit = len(arc.state_scale), arc.costate_scale[:, None, None]
     curve = arc.trajectory.costate
@@ -184,7 +193,10 @@ def costate_deviation(arc: Arc) -> Deviation:
         *(many[:, None, None] * v for v in (at, ends, slopes.costate)),
     )
     matrix = -_rescaled(slopes.matrix.swapaxes(2, 3), many)
-    return carried(pieces, at, ends, slope, matrix, joints, many * still[n:], sizes)
+    ahead = carried(pieces, at, ends, slope, matrix, joints, many * still[n:], sizes)
+    turned = at[:, ::-1, ::-1], ends[:, ::-1, ::-1], -slope[:, ::-1, ::-1], -matrix[::-1, ::-1]
+    back = carried(pieces[::-1], *turned, joints.turned, many * still[n:], sizes).turned
+    return back if back.growth.sum() < ahead.growth.sum() else ahead
 
 
 def _rescaled(matrix: Any, many: Vector) -> Any:
@@ -209,6 +221,16 @@ class Joints:
     first: Vector
     jumps: Matrix
     over: dict[int, Matrix]
+
+    @property
+    def turned(self) -> Joints:
+        """The same from the end to the start, where nothing deviates: d- = M^-1 (d+ - jump)."""
+        last = self.jumps.shape[1] - 1
+        over = {last - i: np.linalg.inv(matrix) for i, matrix in self.over.items()}
+        jumps = -self.jumps[:, ::-1]
+        for i, matrix in over.items():
+            jumps[:, i] = matrix @ jumps[:, i]
+        return Joints(np.zeros_like(self.first), jumps, over)
 
 
 def carried(
