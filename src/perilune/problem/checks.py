@@ -53,7 +53,8 @@ def check_structure(problem: Any) -> None:
         for phase in problem.phases
         for name in (*phase.state_names, *phase.control_names, *(v.name for v in phase.output_variables))
     }
-    check_views(problem.views, quantities, {*problem.given, *problem.free_names}, results)
+    names = [phase.name for phase in problem.phases]
+    check_views(problem.views, quantities, {*problem.given, *problem.free_names}, results, names)
 
 
 def check_given(problem: Any) -> None:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from perilune.problem.controls import normalised
+from perilune.problem.dispersion import dispersion
 from perilune.problem.extremal import Extremal
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.peaks import peaks
@@ -259,9 +261,9 @@ class Solution:
         """Record ``p`` of all parameters in SI, as the physics receives it."""
         return self.problem.parameters(self.free)
 
-    @property
-    def results(self) -> dict[str, Result]:
-        """What the problem asks of its flight, by name: its `results`, the phases' `marks` and `integrals`, its peaks.
+    @cached_property
+    def results(self) -> Mapping[str, Result]:
+        """What the problem asks of its flight, by name: `results`, `marks` and `integrals` of phases, `views`.
 
         Of a problem that asks nothing, the flight time and the objective. NaN where they cannot be computed.
         """
@@ -287,7 +289,7 @@ class Solution:
             for name, part in _named(phase.integral_variables, self._integrals(k)).items():
                 so_far = found[name].value if name in found else 0.0
                 found[name] = replace(part, value=so_far + part.value)
-        return Named("result", found | _named(*peaks(self)))
+        return MappingProxyType(Named("result", found | _named(*peaks(self)) | _named(*dispersion(self))))
 
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
         """State (states, n) and control (components, n) at times t [s], as the physics receives them.

@@ -72,6 +72,46 @@ class Corridor:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Disturbance:
+    """Something that comes out other than it was meant.
+
+    Parameters
+    ----------
+    name
+        What there is one of: ``percent_thrust``.
+    shares
+        (parameter, percent): by how much one such disturbance changes given parameters.
+    begins, without
+        Or the name of a phase that begins one second later, and the parameters that are 0 until then.
+    """
+
+    name: str
+    shares: tuple[tuple[str, float], ...] = ()
+    begins: str = ""
+    without: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dispersion:
+    """How far the landing point moves by disturbances (`perilune.problem.dispersion`).
+
+    Parameters
+    ----------
+    disturbances
+        Each makes two results, ``along_track_per_<name>`` and ``across_track_per_<name>``.
+    position, velocity
+        Names of the states in axes that turn with the body, from its centre.
+    track
+        Name of the phase at whose begin the track is that is meant: what is along it lies on its great circle.
+    """
+
+    disturbances: tuple[Disturbance, ...]
+    position: tuple[str, ...]
+    velocity: tuple[str, ...]
+    track: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Views:
     """How a problem is looked at.
 
@@ -96,6 +136,8 @@ class Views:
         What a map shows, or None.
     corridor
         What height is shown against speed, or None.
+    dispersion
+        By what the landing point moves, or None.
     floor
         What the fourth value of `Phase.track` is, the least height there [m]; "" where there is none.
     """
@@ -110,9 +152,12 @@ class Views:
     floor: str = ""
     ground: Ground | None = None
     corridor: Corridor | None = None
+    dispersion: Dispersion | None = None
 
 
-def check_views(views: Views, quantities: Iterable[str], parameters: Iterable[str], results: Iterable[str]) -> None:
+def check_views(
+    views: Views, quantities: Iterable[str], parameters: Iterable[str], results: Iterable[str], phases: Iterable[str]
+) -> None:
     """Refuse names that are not there.
 
     Raises
@@ -124,9 +169,14 @@ def check_views(views: Views, quantities: Iterable[str], parameters: Iterable[st
     ground = (views.ground.longitude, views.ground.latitude) if views.ground else ()
     plane = views.corridor
     shown = (plane.height, plane.speed, *plane.equal, *plane.position, *plane.velocity) if plane else ()
+    moved = views.dispersion
+    by = moved.disturbances if moved else ()
+    axes = (*moved.position, *moved.velocity) if moved else ()
+    disturbed = [name for d in by for name in (*d.without, *(share[0] for share in d.shares))]
     asked = (
-        ("quantity", [views.height, *views.peaks, *ground, *shown], quantities),
-        ("parameter", [views.radius, *(name for name, _ in fixed)], parameters),
+        ("quantity", [views.height, *views.peaks, *ground, *shown, *axes], quantities),
+        ("parameter", [views.radius, *(name for name, _ in fixed), *disturbed], parameters),
+        ("phase", [*(d.begins for d in by), *([moved.track] if moved else [])], phases),
         ("result", [name for _, name, _, _ in Formatter().parse(views.label) if name], results),
     )
     for kind, names, known in asked:

@@ -281,7 +281,7 @@ def deorbit_entry(
         objective_scale=_size_of(objective_unit, time),
         results=partial(told.results, names=names),
         result_variables=told.of_flight(names),
-        views=told.views(air=flown is not None, heat=nose, coasts=_is_the_earth(body)),
+        views=told.views(air=flown is not None, heat=nose, coasts=_is_the_earth(body), given=given),
         declared=stated,
         preflight=partial(compare_return, angles=angles, air=flown, drifts="drift" in names),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),

@@ -6,7 +6,7 @@ and latitude are those of the point below, geodetic above an ellipsoid.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from perilune.models import aerodynamics, ellipsoid
@@ -17,7 +17,7 @@ from perilune.models.deorbit.orbit import AXIS
 from perilune.models.deorbit.records import exhaust_speed
 from perilune.models.rotating import INERTIAL_AXES, Triple, combine, cross, dot, gravity, seen_inertially
 from perilune.problem.variables import Variable
-from perilune.problem.views import Corridor, Ground, History, Views
+from perilune.problem.views import Corridor, Dispersion, Disturbance, Ground, History, Views
 
 PLACED = (
     Variable(name="altitude", unit="m"),
@@ -138,7 +138,28 @@ def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[
     return seen_inertially(where(x), how_fast(x), (none, none, none), t, p, m)
 
 
-def views(*, air: bool, heat: bool, coasts: bool) -> Views:
+# Of each way to state a drag, the percent that its parameters change by where drag and lift grow by one percent.
+_DRAG = (
+    (("vehicle_ballistic_coefficient", -1.0),),
+    (("vehicle_drag_area", 1.0),),
+    (("vehicle_base_radius", 0.5), ("vehicle_nose_radius", 0.5)),
+)
+
+
+def dispersion(given: Iterable[str]) -> Dispersion:
+    """What moves the landing point, of a problem with these given parameters."""
+    shares = next(found for ways in _DRAG if (found := tuple(way for way in ways if way[0] in given)))
+    return Dispersion(
+        disturbances=(
+            Disturbance(name="second_late", begins="burn", without=("vehicle_thrust",)),
+            Disturbance(name="percent_thrust", shares=(("vehicle_thrust", 1.0),)),
+            Disturbance(name="percent_drag", shares=shares),
+        ),
+        position=("x", "y", "z"), velocity=("vx", "vy", "vz"), track="entry",
+    )  # fmt: skip
+
+
+def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str]) -> Views:
     """Figures of a return, with air or without, with heat or without, over a body whose coasts are known or not."""
     peaks = (("dynamic_pressure", "load") if air else ()) + (("heat_rate",) if air and heat else ())
     return Views(
@@ -160,4 +181,5 @@ def views(*, air: bool, heat: bool, coasts: bool) -> Views:
         corridor=Corridor(
             height="altitude", speed="speed", equal=peaks[1:], position=("x", "y", "z"), velocity=("vx", "vy", "vz")
         ) if air else None,
+        dispersion=dispersion(given) if air else None,
     )  # fmt: skip

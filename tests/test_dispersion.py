@@ -1,0 +1,183 @@
+"""How far the landing point moves by disturbances: against flights that are flown with them, by SciPy.
+
+Those flights know nothing of the derivatives. They are not optimal either: what is told is true of any flight.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import perilune as pl
+from perilune.io.export import save
+from perilune.io.reload import load
+from perilune.models.atmosphere import tabulated
+from perilune.models.bodies import EARTH
+from perilune.models.deorbit.problem import deorbit_entry
+from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Orbit, Returner, Separation, Transition
+from perilune.problem.solution import Curve, Solution
+from perilune.problem.views import Disturbance
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+
+EXACT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-9}
+ORBIT = Orbit(
+    perigee_altitude=380e3, apogee_altitude=400e3, argument_of_perigee=0.3, inclination=math.radians(51.6),
+    node_longitude=0.2, argument_of_latitude=2.0,
+)  # fmt: skip
+CAPSULE = Returner(mass=7000.0, thrust=3190.0, specific_impulse=302.0, drag_area=5.8)
+INTERFACE = Interface(altitude=100e3, angle_lower=-0.1)
+COASTS = {"coast_time": 200.0, "burn_time": 280.0, "drift_time": 1.0, "entry_time": 1.0}
+
+
+def returning(vehicle: Returner = CAPSULE, **more: Any) -> pl.Problem:
+    known: dict[str, Any] = {
+        "transition": Transition(longest_coast=3000.0), "air": Atmosphere(model="us1976"),
+        "site": Landing(altitude=30e3),
+        "separation": Separation(mass=2900.0), "minimise": "propellant",
+    }  # fmt: skip
+    return deorbit_entry(vehicle, replace(ORBIT, longest_coast=3000.0), INTERFACE, EARTH, **{**known, **more})
+
+
+def steering(phase: Any, t: float, x: Any, p: Any) -> Any:
+    """Against the velocity and a little sideways, swinging to and fro; a bank that turns."""
+    if phase.name == "burn":
+        back = -np.array([x[3] - p.body_rotation_rate * x[1], x[4] + p.body_rotation_rate * x[0], x[5]])
+        sideways = np.cross(x[:3], back)
+        d = back / np.linalg.norm(back) + 0.2 * math.sin(0.02 * t) * sideways / np.linalg.norm(sideways)
+        return d / np.linalg.norm(d)
+    return np.array([math.cos(0.01 * t), math.sin(0.01 * t)])[: len(phase.control_names)]
+
+
+def fly(problem: pl.Problem, free: Any, law: Any, changed: Any = {}, late: float = 0.0) -> list[Any]:  # noqa: B006
+    """Each phase by SciPy: to its length, or to where its first end condition is met; ``(times, states, rates)``."""
+    p = SimpleNamespace(**{**vars(problem.parameters(free)), **changed})
+    x, found = np.array(problem.start(p, NUMERIC), dtype=float), list[Any]()
+    for k, phase in enumerate(problem.phases):
+        if k:
+            x = np.array(problem.links[k - 1](problem.phases[k - 1].state_record(*x), p, NUMERIC), dtype=float)
+
+        def slope(t: float, y: Any, phase: Any = phase, k: int = k) -> Any:
+            return np.array(phase.rates(y, law(k, t, y), p), dtype=float)
+
+        if phase.name == "burn" and late:
+            idle = SimpleNamespace(**{**vars(p), "vehicle_thrust": 0.0})
+            x = solve_ivp(lambda t, y: phase.rates(y, law(1, 0.0, y), idle), (0.0, late), x, **EXACT).y[:, -1]  # noqa: B023
+
+        def met(t: float, y: Any, phase: Any = phase) -> float:
+            return float(phase.evaluate("end", y, (), p)[0]) if t > 1 else 1.0
+
+        met.terminal = True  # type: ignore[attr-defined]
+        stops = [met] if phase.end_conditions else []
+        length = 1e4 if stops else getattr(p, phase.duration)
+        flown = solve_ivp(slope, (0.0, length), x, events=stops, dense_output=True, **EXACT)
+        assert not stops or flown.status == 1
+        t = np.linspace(0.0, flown.t[-1], 1501)
+        found.append((t, flown.sol(t).T, slope))
+        x = flown.y[:, -1]
+    return found
+
+
+def by_hand(problem: pl.Problem, free: Any) -> Solution:
+    """A flight as a solution: `steering`, and durations as they come."""
+    p = problem.parameters(free)
+    flown = fly(problem, free, lambda k, t, x: steering(problem.phases[k], t, x, p))
+    trajectories = []
+    for phase, (t, x, slope) in zip(problem.phases, flown, strict=True):
+        u = np.array([steering(phase, *at, p) for at in zip(t, x, strict=True)]).reshape(len(t), -1)
+        rates = np.array([slope(*at) for at in zip(t, x, strict=True)])
+        state = Curve(time=t, values=x, rates=rates)
+        control = Curve(time=t, values=u, rates=np.array(np.gradient(u, t, axis=0, edge_order=2)))
+        trajectories.append(pl.Trajectory(phase=phase.name, state=state, control=control))
+    lengths = {phase.duration: float(t[-1]) for phase, (t, *_) in zip(problem.phases, flown, strict=True)}
+    return Solution(
+        problem=problem, method="by hand", outcome=pl.Outcome.SOLVED, objective=0.0, free={**free, **lengths},
+        trajectories=tuple(trajectories),
+    )  # fmt: skip
+
+
+def differences(solution: Solution) -> dict[str, float]:
+    """What the results say, by flights with a hundredth of each disturbance to either side."""
+    problem, p = solution.problem, solution.parameters
+
+    def law(k: int, t: float, x: Any) -> Any:
+        flown = solution.trajectories[k]
+        u = flown.control(min(t, flown.duration))
+        return u / np.linalg.norm(u) if len(u) else u
+
+    def landed(**more: Any) -> Any:
+        return fly(problem, solution.free, law, **more)[-1][1][-1, :3]
+
+    x = solution.trajectories[-1].state.values[0]
+    normal, up = np.cross(x[:3], x[3:6]), solution.trajectories[-1].state.values[-1, :3]
+    along = np.cross(normal, up)
+    across = np.cross(up, along)
+    found = {}
+    changes: dict[str, Any] = {"second_late": lambda s: {"late": s}}
+    assert problem.views.dispersion is not None
+    for by in problem.views.dispersion.disturbances[1:]:
+        changes[by.name] = lambda s, by=by: {
+            "changed": {name: getattr(p, name) * (1 + 0.01 * s * share) for name, share in by.shares}
+        }
+    for name, change in changes.items():
+        moved = (landed(**change(0.01)) - landed(**change(-0.01))) / 0.02
+        for way, axis in (("along", along), ("across", across)):
+            found[f"{way}_track_per_{name}"] = float(moved @ axis) / np.linalg.norm(axis)
+    return found
+
+
+VEHICLES = {
+    "drag area": CAPSULE,
+    "ballistic coefficient": replace(CAPSULE, drag_area=None, ballistic_coefficient=400.0, lift_to_drag=0.25),
+    "sphere-cone": replace(CAPSULE, drag_area=None, base_radius=1.1, cone_angle=0.4, nose_radius=0.5),
+}
+
+
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_what_is_told_is_what_flights_do(vehicle: str) -> None:
+    """With a coast and a drift, a separation, lift, J2 and an ellipsoid."""
+    solution = by_hand(returning(VEHICLES[vehicle]), COASTS)
+    found, right = solution.results, differences(solution)
+    assert len(right) == 6
+    for name, value in right.items():
+        _, _, by = name.partition("_track_per_")
+        size = math.hypot(*(right[f"{way}_track_per_{by}"] for way in ("along", "across")))
+        assert found[name].value == pytest.approx(value, abs=2e-5 * size), name
+        assert found[name].unit == ("m/s" if by == "second_late" else "m")
+
+
+def test_a_file_tells_the_same(tmp_path: Path) -> None:
+    """Also one that no model makes again, as with air of a table. A flight that ends above the air tells nothing."""
+    heights = np.linspace(0.0, 130e3, 66)
+    air = tabulated(heights, 1.225 * np.exp(-heights / 7200.0), "air of mine")
+    solution = by_hand(returning(air=air), COASTS)
+    save(solution, tmp_path)
+    told = json.loads((tmp_path / "solution.json").read_text(encoding="utf-8"))["results"]
+    again = load(tmp_path).results
+    for name in (f"{way}_track_per_{by}" for way in ("along", "across") for by in ("second_late", "percent_drag")):
+        assert told[name]["value"] == pytest.approx(solution.results[name].value, rel=1e-12)
+        assert again[name].value == pytest.approx(solution.results[name].value, rel=1e-9)
+    assert returning(air=None, site=None, separation=None).views.dispersion is None
+
+
+def test_disturbances_of_what_is_not_there_are_refused() -> None:
+    problem = returning()
+    stated = problem.views.dispersion
+    assert stated is not None
+    wrong = [
+        replace(stated, disturbances=(Disturbance(name="luck", shares=(("vehicle_luck", 1.0),)),)),
+        replace(stated, disturbances=(Disturbance(name="late", begins="landing"),)),
+        replace(stated, position=("x", "y", "up")),
+        replace(stated, track="air"),
+    ]
+    for spoilt, name in zip(wrong, ("vehicle_luck", "landing", "up", "air"), strict=True):
+        with pytest.raises(PeriluneError, match=rf"unknown \w+.*{name}|{name}"):
+            replace(problem, views=replace(problem.views, dispersion=spoilt))
