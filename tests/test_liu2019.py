@@ -32,9 +32,12 @@ from perilune.reproductions.liu2019.compute import (
 from perilune.reproductions.liu2019.equations import compare, corrected_rates
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune.reproductions.liu2019.report import figures, markdown, table_2, table_3
+from perilune.reproductions.liu2019.searches import Searches, by_hybrid
 from perilune.reproductions.liu2019.surfaces import surfaces
+from perilune.reproductions.papers import reproduce
+from perilune.reproductions.starts import Starts, starts
 from perilune.solve import solve
-from perilune.words.outcome import Outcome
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 FIRST, REACHED = 22, 3  # manoeuvre points of Table 2 that are solved here; the others stand as not solved
 
@@ -58,7 +61,12 @@ def made() -> Reproduction:
         site_fixed=fixed,
         grid=grid,
         experiments=(*near, *nowhere[len(TABLE_2) + REACHED :]),
-    )
+        searches=Searches(
+            cold=0.5, ours=Starts(flight_times=(2631.7156256,), processor_times=(0.01,)),
+            hybrid=Starts(flight_times=(2631.7156256, 3000.0, math.nan), processor_times=(1.0, 2.0, 9.0)),
+            on_fixed=Starts(flight_times=(math.nan,), processor_times=(3.0,)),
+        ),
+    )  # fmt: skip
 
 
 # -- the printed tables and equations -------------------------------------------------------------------------------
@@ -199,6 +207,43 @@ def test_a_cubic_is_predicted_and_a_quartic_not() -> None:
 
 
 PLACES = (("longitude", 16.0), ("latitude", 39.5))
+
+
+# -- the paper's own method -----------------------------------------------------------------------------------------
+
+
+def test_the_hybrid_method_finds_neighbour_a() -> None:
+    """From random values the same flight as without any."""
+    found = starts(lambda seed: by_hybrid(site_free("descending"), seed + 1), 2, lambda _: None)
+    assert found.found(2631.7156256) == 2
+    assert found.spread(2631.7156256) < 1e-8
+
+
+def test_a_start_without_an_answer_counts() -> None:
+    """As not found, with the time that it took."""
+
+    def attempt(seed: int) -> float:
+        if seed == 1:
+            raise NotConvergedError("no")
+        return 472.0 + seed
+
+    found = starts(attempt, 4, lambda _: None)
+    assert [math.isnan(t) for t in found.flight_times] == [False, True, False, False]
+    assert (found.found(472.0), found.elsewhere(472.0), len(found.processor_times)) == (1, 2, 4)
+    assert found.spread(472.0) == 0.0
+    assert math.isnan(found.spread(471.0))
+
+
+def test_how_often_the_method_found_it_is_told(made: Reproduction) -> None:
+    row = next(line for line in markdown(made).splitlines() if line.startswith("| A, hybrid"))
+    assert row == "| A, hybrid | 1 of 3 | 1 | 0e+00 | 2.000 | 9.000 |"
+
+
+def test_seeds_of_a_paper_without_a_search_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["reproduce", "cho-2015", "--out", str(tmp_path / "out"), "--seeds", "3"]) == 2
+    assert "no setting of cho-2015 of this name" in capsys.readouterr().err
+    with pytest.raises(PeriluneError, match="seed"):
+        reproduce("liu-2019", tmp_path / "out", seed=3)
 
 
 # -- what is written ------------------------------------------------------------------------------------------------

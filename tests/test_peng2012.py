@@ -7,7 +7,6 @@ import io
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,16 +34,15 @@ from perilune.reproductions.peng2012.case import (
 from perilune.reproductions.peng2012.compute import (
     AT_FIFTY,
     Reproduction,
-    Starts,
     computed_numbers,
     converge,
     fitting_gravity,
     missed_by_reintegration,
-    starts,
 )
 from perilune.reproductions.peng2012.report import convergence_csv, figures, markdown, point_times, scaled_hamiltonian
+from perilune.reproductions.starts import Starts
 from perilune.solve import solve
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune.words.outcome import Outcome, PeriluneError
 
 
 def silent(_: Any) -> None:
@@ -120,25 +118,6 @@ def test_printed_numbers_imply_what_is_not_printed(made: Reproduction) -> None:
     mu = fitting_gravity(made.indirect)
     at = solve(made.indirect.problem.with_given(body_gravitational_parameter=mu), guess=made.indirect, level=0)
     assert at.free["flight_time"] == pytest.approx(PRINTED["flight time"][0], abs=1e-4)
-
-
-def test_a_start_without_an_answer_counts() -> None:
-    """As not found, with the time that it took."""
-
-    def attempt(seed: int) -> Any:
-        if seed == 1:
-            raise NotConvergedError("no")
-        return answer(seed)
-
-    found = starts(attempt, 3, silent)
-    assert [math.isnan(t) for t in found.flight_times] == [False, True, False]
-    assert found.found(472.0) == 1
-    assert len(found.processor_times) == 3
-
-
-def answer(seed: int) -> Any:
-    """Stand-in for a solution: a flight time that only seed 0 has right."""
-    return SimpleNamespace(free={"flight_time": 472.0 + seed})
 
 
 # -- what is written

@@ -237,6 +237,7 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         "Compute every number and figure of a paper and set them beside the printed ones.",
         _option("paper", metavar="PAPER", help=" or ".join(PAPERS)),
         _option("--out", metavar="DIR", type=Path, required=True, help="Where the report goes."),
+        _option("--seeds", metavar="N", type=_number(1), help="Tries of the paper's random search, where it has one."),
         _VERBOSE,
         _FORCE,
         _NO_CACHE,

@@ -150,7 +150,8 @@ def _reproduce(typed: Namespace) -> Answer:
 
     refuse_used(typed.out, typed.force)
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        proved = reproduce_paper(typed.paper, typed.out, force=typed.force, watch=watch).proved
+        asked = {} if typed.seeds is None else {"seeds": typed.seeds}
+        proved = reproduce_paper(typed.paper, typed.out, force=typed.force, watch=watch, **asked).proved
     report = str(typed.out / "report.md")
     document = {
         "paper": typed.paper,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch
     watch
         Receives lines of text and iterations.
     settings
-        Of the paper's own ``compute``, the verification level (`level`) among them.
+        Of the paper's own ``compute``: the verification level (`level`), and of a paper with a random search how often
+        it is tried (`seeds`).
 
     Returns
     -------
@@ -37,7 +39,7 @@ def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch
     Raises
     ------
     PeriluneError
-        If the paper is not known, or the directory cannot be written.
+        If the paper or a setting is not known, or the directory cannot be written.
     """
     from perilune.io.files import fresh_directory
 
@@ -46,6 +48,10 @@ def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch
     compute, report = (
         import_module(f"perilune.reproductions.{PAPERS[paper]}.{part}") for part in ("compute", "report")
     )
+    known = [name for name in signature(compute.compute).parameters if name != "watch"]
+    for name in settings:
+        if name not in known:
+            raise unknown_name(f"setting of {paper}", name, known)
     with fresh_directory(out_dir, force) as work:
         made = compute.compute(watch or silent, **settings)
         report.write(made, work)

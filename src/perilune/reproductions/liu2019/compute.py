@@ -29,6 +29,7 @@ from perilune.reproductions.liu2019.case import (
 )
 from perilune.reproductions.liu2019.equations import Comparison, compare, corrected_rates, costate_matrix
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3, GridPoint
+from perilune.reproductions.liu2019.searches import Searches, searched
 from perilune.reproductions.paper import worst
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
@@ -101,6 +102,8 @@ class Reproduction:
         Neighbour B.
     grid, experiments
         B at the manoeuvre points of Table 2, and of Tables 1 and 3.
+    searches
+        The paper's hybrid method, and ours, from `CASE.place`.
     """
 
     equations: Comparison
@@ -111,6 +114,7 @@ class Reproduction:
     site_fixed: Solution
     grid: tuple[Member, ...]
     experiments: tuple[Member, ...]
+    searches: Searches
 
     @property
     def outcome(self) -> Outcome:
@@ -123,7 +127,7 @@ class Reproduction:
         return worst(self.site_fixed, *self.site_free.values())
 
 
-def compute(watch: Watch, level: int = 3) -> Reproduction:
+def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
     """Compute everything.
 
     Parameters
@@ -132,7 +136,11 @@ def compute(watch: Watch, level: int = 3) -> Reproduction:
         Receives lines of text and iterations.
     level
         Verification level to prove of the neighbours from `CASE.place`; the other manoeuvre points are solved only.
+    seeds
+        Tries of the paper's hybrid method.
     """
+    watch("the paper's hybrid method, and ours")
+    searches = searched(seeds, watch)
     watch("the printed equations")
     equations = compare()
     watch("the printed example")
@@ -155,6 +163,7 @@ def compute(watch: Watch, level: int = 3) -> Reproduction:
         site_fixed=fixed,
         grid=grid,
         experiments=experiments,
+        searches=searches,
     )
 
 

@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.style import lines
 from perilune.report.summary import solution_summary, table
-from perilune.reproductions.liu2019.case import CASE, PRINTED_TIMES, paper_costates
+from perilune.reproductions.liu2019.case import CASE, paper_costates
 from perilune.reproductions.liu2019.compute import (
     Member,
     Reproduction,
@@ -32,6 +31,7 @@ from perilune.reproductions.liu2019.compute import (
 from perilune.reproductions.liu2019.equations import NAMES, SAMPLES
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune.reproductions.liu2019.surfaces import nine, surfaces
+from perilune.reproductions.liu2019.times import times
 from perilune.reproductions.paper import claims, illustrated, verdict, versions_line, write_report
 from perilune.words.types import Vector
 
@@ -99,8 +99,8 @@ def markdown(made: Reproduction) -> str:
         *_failures(made),
         "### In the form of Table 3",
         _landings(made),
-        "### Time",
-        _time(made),
+        "## Time",
+        *times(made),
         "## Figures",
         *illustrated(_CAPTIONS),
         "## Data",
@@ -302,17 +302,6 @@ def _landings(made: Reproduction) -> str:
         f"{_range(_column(TABLES_1_AND_3, 'mass'), 1)} kg. Speed at the end, 10 km over the site, {_range(speeds, 4)} "
         f"km/s; printed, at the ground, {_range(_column(TABLES_1_AND_3, 'landing_speed'), 3)} km/s, of a vehicle that "
         "air hardly brakes. Every row is in `table3.csv`."
-    )
-
-
-def _time(made: Reproduction) -> str:
-    took = [m.processor_time for m in made.experiments if m.solution is not None]
-    printed = ", ".join(f"{seconds:g} s ({name})" for name, seconds in PRINTED_TIMES.items())
-    return (
-        f"From a neighbouring manoeuvre point {median(took):.2f} s of processor time, median of {len(took)}; without "
-        f"any start {made.site_fixed.statistics.wall_time:.1f} s. The paper prints {printed}, on another machine."
-        if took
-        else "Nothing was solved."
     )
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -28,6 +26,7 @@ from perilune.reproductions.peng2012.case import (
     problem,
     problem_of_the_paper,
 )
+from perilune.reproductions.starts import Starts, starts
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome, PeriluneError
@@ -36,8 +35,6 @@ from perilune.words.watch import Watch
 
 POINTS = (4, 5, 6, 7, 8, 9, 10, 12, 15, 20, 30, 40, 50, 60, 80)
 RANDOM_STARTS = 12  # most; some of them take a minute each, and the genetic search is what the paper is about
-# A start that ends this near to the indirect method's flight time [s] has found the optimum.
-FOUND = 1e-5
 AT_FIFTY = Pseudospectral(nodes=PRINTED_POINTS, refine=0)
 
 
@@ -63,23 +60,6 @@ class Convergence:
     velocity: float
     angle: float
     processor_time: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Starts:
-    """Solutions from random values: for each seed the flight time [s] (NaN: none) and the processor time [s]."""
-
-    flight_times: tuple[float, ...]
-    processor_times: tuple[float, ...]
-
-    def found(self, flight_time: float) -> int:
-        """How many found the optimum."""
-        return sum(abs(t - flight_time) < FOUND for t in self.flight_times)
-
-    @property
-    def median_time(self) -> float:
-        """Median of the processor time [s]."""
-        return median(self.processor_times)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,32 +209,18 @@ def missed_by_reintegration(direct: Solution) -> tuple[float, float]:
     return float(np.linalg.norm(end[:3])), float(np.linalg.norm(end[3:]))
 
 
-def starts(run: Callable[[int], Solution], seeds: int, watch: Watch) -> Starts:
-    """Run every seed; one that ends without an answer counts as NaN."""
-    flight_times, processor_times = [], []
-    for seed in range(seeds):
-        began = time.process_time()
-        try:
-            flight_times.append(run(seed).free["flight_time"])
-        except PeriluneError:
-            flight_times.append(math.nan)
-        processor_times.append(time.process_time() - began)
-        watch(f"seed {seed}: flight time {flight_times[-1]:.6f} s after {processor_times[-1]:.1f} s")
-    return Starts(flight_times=tuple(flight_times), processor_times=tuple(processor_times))
+def from_a_population(seed: int) -> float:
+    """Flight time [s] as the paper finds it: a genetic search from random values within the bounds, 50 Gauss points."""
+    return Hybrid(Genetic(seed=seed, best=1), AT_FIFTY).run(problem_of_the_paper()).free["flight_time"]
 
 
-def from_a_population(seed: int) -> Solution:
-    """Solve as the paper does: a genetic search from random values within the bounds, then 50 Gauss points."""
-    return Hybrid(Genetic(seed=seed, best=1), AT_FIFTY).run(problem_of_the_paper())
-
-
-def from_random_values(seed: int) -> Solution:
-    """Solve at 50 points from one random individual: what the genetic search begins with, without the search."""
+def from_random_values(seed: int) -> float:
+    """Flight time [s] at 50 points from one random individual: what the genetic search begins with, without it."""
     stated = problem_of_the_paper()
     fitness = ControlFitness(stated)
     share = np.random.default_rng(seed).random(len(fitness.lower))
     guess = fitness.guess(fitness.lower + share * (fitness.upper - fitness.lower))
-    return AT_FIFTY.run(stated, guess)
+    return AT_FIFTY.run(stated, guess).free["flight_time"]
 
 
 def fitting_gravity(indirect: Solution) -> float:

@@ -32,7 +32,8 @@ from perilune.reproductions.peng2012.case import (
     implied_gravity,
     parking_altitude,
 )
-from perilune.reproductions.peng2012.compute import Convergence, Reproduction, Starts, computed_numbers
+from perilune.reproductions.peng2012.compute import Convergence, Reproduction, computed_numbers
+from perilune.reproductions.starts import Starts
 
 _CAPTIONS = {
     "fig2": "Fig 2. The path from the side and from above. Both methods; the lines cover each other.",
@@ -266,8 +267,7 @@ def _random(made: Reproduction) -> str:
 
     def row(name: str, tried: Starts) -> list[str]:
         times = tried.processor_times
-        elsewhere = sum(math.isfinite(t) for t in tried.flight_times) - tried.found(truth)
-        counts = [f"{tried.found(truth)} of {len(times)}", str(elsewhere)]
+        counts = [f"{tried.found(truth)} of {len(times)}", str(tried.elsewhere(truth))]
         return [name, *counts, f"{tried.median_time:.1f}", f"{max(times):.1f}"]
 
     straight = next(c for c in made.convergence if c.points == PRINTED_POINTS)
@@ -281,7 +281,7 @@ def _random(made: Reproduction) -> str:
             f"{PRINTED_POINTS} points in the paper's coordinates; success is the optimum's flight time. Times are of "
             "the processor.",
             table(["start", "found the optimum", "ended elsewhere", "median time (s)", "longest (s)"], rows),
-            "The use of the search shows with many seeds (`reproduce(..., seeds=50)`): random starts become reliable, "
+            "The use of the search shows with many seeds (`--seeds 50`): random starts become reliable, "
             "in a predictable time. It does not beat the straight line from the start to the site, which needs none.",
         ]
     )
