@@ -9,12 +9,10 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import perilune as pl
 from perilune.io.export import save
@@ -25,10 +23,9 @@ from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Orbit, Returner, Separation, Transition
 from perilune.problem.solution import Curve, Solution
 from perilune.problem.views import Disturbance
-from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
+from return_by_scipy import backwards, fly
 
-EXACT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-9}
 ORBIT = Orbit(
     perigee_altitude=380e3, apogee_altitude=400e3, argument_of_perigee=0.3, inclination=math.radians(51.6),
     node_longitude=0.2, argument_of_latitude=2.0,
@@ -50,40 +47,11 @@ def returning(vehicle: Returner = CAPSULE, **more: Any) -> pl.Problem:
 def steering(phase: Any, t: float, x: Any, p: Any) -> Any:
     """Against the velocity and a little sideways, swinging to and fro; a bank that turns."""
     if phase.name == "burn":
-        back = -np.array([x[3] - p.body_rotation_rate * x[1], x[4] + p.body_rotation_rate * x[0], x[5]])
+        back = backwards(x, p)
         sideways = np.cross(x[:3], back)
-        d = back / np.linalg.norm(back) + 0.2 * math.sin(0.02 * t) * sideways / np.linalg.norm(sideways)
+        d = back + 0.2 * math.sin(0.02 * t) * sideways / np.linalg.norm(sideways)
         return d / np.linalg.norm(d)
     return np.array([math.cos(0.01 * t), math.sin(0.01 * t)])[: len(phase.control_names)]
-
-
-def fly(problem: pl.Problem, free: Any, law: Any, changed: Any = {}, late: float = 0.0) -> list[Any]:  # noqa: B006
-    """Each phase by SciPy: to its length, or to where its first end condition is met; ``(times, states, rates)``."""
-    p = SimpleNamespace(**{**vars(problem.parameters(free)), **changed})
-    x, found = np.array(problem.start(p, NUMERIC), dtype=float), list[Any]()
-    for k, phase in enumerate(problem.phases):
-        if k:
-            x = np.array(problem.links[k - 1](problem.phases[k - 1].state_record(*x), p, NUMERIC), dtype=float)
-
-        def slope(t: float, y: Any, phase: Any = phase, k: int = k) -> Any:
-            return np.array(phase.rates(y, law(k, t, y), p), dtype=float)
-
-        if phase.name == "burn" and late:
-            idle = SimpleNamespace(**{**vars(p), "vehicle_thrust": 0.0})
-            x = solve_ivp(lambda t, y: phase.rates(y, law(1, 0.0, y), idle), (0.0, late), x, **EXACT).y[:, -1]  # noqa: B023
-
-        def met(t: float, y: Any, phase: Any = phase) -> float:
-            return float(phase.evaluate("end", y, (), p)[0]) if t > 1 else 1.0
-
-        met.terminal = True  # type: ignore[attr-defined]
-        stops = [met] if phase.end_conditions else []
-        length = 1e4 if stops else getattr(p, phase.duration)
-        flown = solve_ivp(slope, (0.0, length), x, events=stops, dense_output=True, **EXACT)
-        assert not stops or flown.status == 1
-        t = np.linspace(0.0, flown.t[-1], 1501)
-        found.append((t, flown.sol(t).T, slope))
-        x = flown.y[:, -1]
-    return found
 
 
 def by_hand(problem: pl.Problem, free: Any) -> Solution:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +14,8 @@ from scipy.integrate import quad, solve_ivp
 
 from perilune.models import aerodynamics, ellipsoid
 from perilune.models.aerodynamics import sphere_cone_drag_area
+from perilune.models.atmosphere import exponential
+from perilune.models.deorbit.flight import falling
 from perilune.models.flight_path import FlightPath, cartesian, flight_path, path_axes, rates
 from perilune.models.rotating import combine, dot, free_acceleration, gravity, local_axes, potential
 from perilune.problem.symbolic import SYMBOLIC
@@ -234,3 +237,49 @@ def test_the_peak_load_of_a_steep_entry_is_that_of_allen_and_eggers() -> None:
     assert loads.max() == pytest.approx(speed**2 * math.sin(-angle) / (2 * math.e * height), rel=1e-4)
     at_peak = np.linalg.norm(flight.y[3:, loads.argmax()])
     assert at_peak == pytest.approx(speed / math.sqrt(math.e), rel=1e-2)
+
+
+@pytest.mark.parametrize("lift_to_drag", [1.0, 2.0])
+def test_a_glide_in_equilibrium_is_that_of_its_closed_form(lift_to_drag: float) -> None:
+    """Lift and centrifugal force bear the weight, the path being nearly level; exact as the scale height H goes to 0.
+
+    With v = V/sqrt(g R): rho V^2 (L/D)/(2 B) = g (1 - v^2), sin gamma = -2 H/(R (L/D) v^2), and from v_1 to v_2
+
+        way/R = (L/D)/2 ln[(1 - v_2^2)/(1 - v_1^2)]
+        time sqrt(g/R) = (L/D)/2 ln[(1 + v_1)(1 - v_2)/((1 - v_1)(1 + v_2))]
+
+    (Eggers, Allen, Neice, NACA TR 1382, 1957). What is left out is of first order in H/R.
+    """
+    circular, first, last = math.sqrt(MU / RADIUS), 0.9, 0.3
+    ballistic, vehicle = 300.0, namedtuple("Flight", "x y z vx vy vz m")
+    up = SimpleNamespace(lift_up=1.0, lift_right=0.0)
+
+    def off(scale_height: float) -> list[float]:
+        """Errors of the way and of the time."""
+        p = SimpleNamespace(
+            body_gravitational_parameter=MU, body_radius=RADIUS, body_j2=0.0, body_rotation_rate=0.0,
+            vehicle_ballistic_coefficient=ballistic, vehicle_lift_to_drag=lift_to_drag,
+            atmosphere_density=1.225, atmosphere_scale_height=scale_height,
+        )  # fmt: skip
+        air = exponential(1.225, scale_height)
+        density = 2 * ballistic * (1 - first**2) / (RADIUS * lift_to_drag * first**2)
+        angle = math.asin(-2 * scale_height / (RADIUS * lift_to_drag * first**2))
+        height, speed = scale_height * math.log(1.225 / density), first * circular
+        start = [RADIUS + height, 0.0, 0.0, speed * math.sin(angle), speed * math.cos(angle), 0.0]
+
+        def slow(t: float, y: Any) -> float:
+            return math.hypot(y[3], y[4]) - last * circular
+
+        slow.terminal = True  # type: ignore[attr-defined]
+        flight = solve_ivp(
+            lambda t, y: falling(vehicle._make([*y, 1.0]), up, p, NUMERIC, air=air)[:6], (0.0, 1e4), start,
+            method="DOP853", rtol=1e-10, atol=1e-3, events=slow,
+        )  # fmt: skip
+        way = 0.5 * lift_to_drag * math.log((1 - last**2) / (1 - first**2))
+        whole = 0.5 * lift_to_drag * math.log((1 + first) * (1 - last) / ((1 - first) * (1 + last)))
+        swept = math.atan2(flight.y[1, -1], flight.y[0, -1]) % (2 * math.pi)
+        return [swept / way - 1, flight.t[-1] * circular / RADIUS / whole - 1]
+
+    errors = np.array([off(7200.0 / part) for part in (1, 2, 4, 8)])
+    assert (errors[0] < 0.065).all()
+    np.testing.assert_allclose(errors[:-1] / errors[1:], 2.0, rtol=0.03)
