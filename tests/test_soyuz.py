@@ -74,7 +74,7 @@ def test_soyuz_ms_11_from_a_circular_orbit() -> None:
 
 
 def test_soyuz_ms_11_from_orbits_that_are_not_quite_circular() -> None:
-    """An eccentricity of 0.002, perigee all round: within 6 % with ignition near the apogee, else as far off as 15 %."""
+    """An eccentricity of 0.002, perigee all round: within 6 % if ignition is near the apogee, else up to 15 %."""
     perigees = np.radians(np.arange(0, 360, 45))
     found = np.array([soyuz(0.002, float(perigee)) for perigee in perigees])
     off = found[:, :2] / (TO_INTERFACE, TO_PARACHUTE) - 1
