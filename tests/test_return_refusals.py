@@ -163,7 +163,7 @@ def test_a_slow_fall_is_followed_to_its_end() -> None:
         (["interface.speed_lower=9 km/s"], 3, "gives no such speed at the interface"),
         (["interface.speed_upper=5 km/s"], 3, "gives no such speed at the interface"),
         (["interface.altitude=120 m"], 2, "lower than mountains"),
-        (["site.altitude=10000 km"], 2, "the site is above the air"),
+        (["site.altitude=10000 km"], 2, "site.altitude is not below interface.altitude"),
         (["vehicle.drag_area=0.02 m^2"], 3, "arrives as slowly as site.speed_upper"),
         (["vehicle.drag_area=0.6 cm^2"], 3, "arrives as slowly as site.speed_upper"),
         (["site.speed_upper=100 m/s"], 3, "arrives as slowly as site.speed_upper"),
@@ -197,5 +197,5 @@ def test_a_burn_longer_than_the_propellant_is_refused() -> None:
 
 
 def test_a_site_above_the_interface_is_refused() -> None:
-    with pytest.raises(PeriluneError, match="the site is above the air"):
+    with pytest.raises(PeriluneError, match=r"site\.altitude is not below interface\.altitude"):
         landing(0.6, 130e3)

@@ -27,7 +27,7 @@ _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
 _MISSED = 2e-11  # canonical, of what a flight leaves at its end: five times below the limit of the proof
 _MENDED = 0.1  # of that, which the flight in pieces may leave
 _SEGMENTS = 6
-_JOINED = 300  # unknowns at joints, which cost their number cubed
+_JOINED = 350  # unknowns at joints, which cost their number cubed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -152,12 +152,13 @@ def _deorbit(
     separation: deorbit.Separation | None,
     heating: deorbit.Heating | None,
     limits: deorbit.Limits | None,
+    parachute: deorbit.Parachute | None,
     site: deorbit.Landing | None,
 ) -> Problem:
     return deorbit_entry(
         vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
         heating=heating, separation=separation, limits=limits, minimise=problem.minimise,
-        epoch=problem.epoch,
+        epoch=problem.epoch, parachute=parachute,
     )  # fmt: skip
 
 
@@ -241,6 +242,7 @@ DEORBIT = Kind(
         "separation": Section(record=deorbit.Separation, required=False, absent="left out, all of it enters the air"),
         "heating": Section(record=deorbit.Heating, required=False),
         "limits": Section(record=deorbit.Limits, required=False),
+        "parachute": Section(record=deorbit.Parachute, required=False, absent="left out, the entry ends at the site"),
         "site": Section(record=deorbit.Landing, required=False, absent="left out, any place will do"),
     },
     make=_deorbit,

@@ -48,10 +48,11 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
         if name == problem.views.height:  # from the ground: 0, or a site below it
             lowest = min(float(column.values.min()) for parts in flown.values() for _, column in parts)
             ax.set_ylim(bottom=min(0.0, factor * lowest))
-    begins = [float(time[0]) for flown in sampled.values() for parts in flown.values() for time, _ in parts]
-    begin = min(begins, default=0.0)  # what is there in a last phase alone is shown for that phase
+    times = [time for flown in sampled.values() for parts in flown.values() for time, _ in parts]
+    # What is there in some phases alone is shown for them.
+    begin, last = (float(pick([time[at] for time in times], default=0.0)) for pick, at in ((min, 0), (max, -1)))
     if len(flights) == 1:
-        mark_phases(axes, next(iter(flights.values())), begin)
+        mark_phases(axes, next(iter(flights.values())), begin, last)
     axes[-1].set_xlabel(time_text(problem))
     axes[-1].set_xlim(left=begin)
     figure.align_ylabels()
@@ -59,16 +60,16 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
     return figure
 
 
-def mark_phases(axes: Any, solution: Solution, begin: float) -> None:
-    """Dotted lines in all panels where one phase ends and the next begins, from a time on; names of long phases."""
+def mark_phases(axes: Any, solution: Solution, begin: float, last: float) -> None:
+    """Dotted lines in all panels where one phase ends and the next begins, between times; names of long phases."""
     ends = np.cumsum([0.0, *(trajectory.duration for trajectory in solution.trajectories)])
     if len(ends) < 3:
         return
     for ax in axes:
-        for end in ends[1:-1][ends[1:-1] > begin]:
+        for end in ends[1:-1][(ends[1:-1] > begin) & (ends[1:-1] < last)]:
             ax.axvline(end, color=GREY, linewidth=0.6, linestyle=":")
     for k, phase in enumerate(solution.problem.phases):
-        if ends[k] >= begin and (ends[k + 1] - ends[k] > 0.12 * ends[-1] or k == len(ends) - 2):
+        if begin <= ends[k] < last and (ends[k + 1] - ends[k] > 0.12 * ends[-1] or k == len(ends) - 2):
             axes[0].annotate(
                 phase.name.replace("_", " "), (0.5 * (ends[k] + ends[k + 1]), 1.0), (0, 1),
                 xycoords=axes[0].get_xaxis_transform(), textcoords="offset points", ha="center", va="bottom",

@@ -88,14 +88,19 @@ def _rates(p: Any, air: Air) -> Callable[[float, Any], list[float]]:
     return slope
 
 
+def lowest(p: Any) -> Any:
+    """Altitude [m] at which the entry ends: that of the site, or that at which a parachute opens."""
+    return getattr(p, "parachute_altitude", p.site_altitude)
+
+
 def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None) -> Fall:
-    """From the interface to the altitude of the site; at a typical path angle and speed where none is given."""
+    """From the interface to the end of the entry; at a typical path angle and speed where none is given."""
     radius = float(p.body_radius + p.interface_altitude)
     angle = typical_angle(p) if angle is None else angle
     speed = typical_speed(p, radius + 3e5) if speed is None else speed
 
     def landed(_: float, y: Any) -> float:
-        return y[0] - p.site_altitude
+        return y[0] - lowest(p)
 
     landed.terminal = True  # type: ignore[attr-defined]
     start = [p.interface_altitude, 0.0, speed, angle, 0.0]
@@ -105,9 +110,9 @@ def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = Non
 
 
 def terminal_speed(p: Any, air: Air) -> float:
-    """Speed [m/s] of a steady vertical fall at the altitude of the site."""
-    radius, mass = p.body_radius + p.site_altitude, getattr(p, "separation_mass", p.vehicle_mass)
-    slowed = drag_acceleration(air.density(p.site_altitude, p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
+    """Speed [m/s] of a steady vertical fall where the entry ends."""
+    radius, mass = p.body_radius + lowest(p), getattr(p, "separation_mass", p.vehicle_mass)
+    slowed = drag_acceleration(air.density(lowest(p), p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
     return math.sqrt(p.body_gravitational_parameter / (radius * radius) / float(slowed))
 
 
@@ -154,7 +159,7 @@ def _was_thrown(p: Any, air: Air, speed: float, angle: float) -> bool:
         return min(p.interface_altitude - y[0], _FASTEST - y[2])
 
     turns.terminal = comes.terminal = True  # type: ignore[attr-defined]
-    start = [p.site_altitude, 0.0, speed, angle, 0.0]
+    start = [lowest(p), 0.0, speed, angle, 0.0]
     flown = solve_ivp(
         lambda t, y: [-rate for rate in forward(t, y)], (0.0, _LONGEST), start, rtol=1e-4, atol=1e-4,
         events=(turns, comes),

@@ -30,6 +30,7 @@ STATES = (
     *(Variable(name=name, unit="m") for name in ("x", "y", "z")),
     *(Variable(name=name, unit="m/s", description="beside the turning body") for name in ("vx", "vy", "vz")),
 )
+SITE = ("site_up", "site_north", "site_east")
 HEAT = Variable(name="heat", unit="J/m^2", description="heat load at the stagnation point", scale=1e7)
 
 
@@ -113,10 +114,20 @@ def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
     return ends
 
 
-def at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """End of the flight: the height above the site, how far north and east of it, and the speed."""
+def beside_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """End of the flight, `SITE` [m]: the height above the site, and how far north and east of a place."""
     if not hasattr(p, "site_longitude"):
-        return ellipsoid.altitude(where(x), p, m) - p.site_altitude, speed(x, m)
+        return (ellipsoid.altitude(where(x), p, m) - p.site_altitude,)
     site = ellipsoid.at(p.site_longitude, p.site_latitude, p.site_altitude, p, m)
     away = combine((1, where(x)), (-1, site))
-    return *(dot(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m)), speed(x, m)
+    return tuple(dot(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m))
+
+
+def at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """The same with the speed."""
+    return *beside_site(x, p, m), speed(x, m)
+
+
+def at_opening(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """End of the entry where a parachute opens: the height above that altitude, and the speed."""
+    return ellipsoid.altitude(where(x), p, m) - p.parachute_altitude, speed(x, m)

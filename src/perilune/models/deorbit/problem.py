@@ -1,9 +1,9 @@
 """From orbit to the ground: coast, finite burn, coast to the entry interface, entry; Liu, Liu, Wu 2019, and beyond.
 
 The phases are `coast` (where the orbit has a `longest_coast`: ignition is chosen), `burn`, `drift` (where the
-transition has a `longest_coast`; otherwise the engine burns all the way, as in the paper) and `entry` (where there is
-an atmosphere). There is no air above the interface, and `burn` and `drift` never come below it. `flight_time` counts
-from ignition; a coast before it has a time of its own.
+transition has a `longest_coast`; otherwise the engine burns all the way, as in the paper), `entry` (where there is an
+atmosphere) and `parachute` (where there is one). There is no air above the interface, and `burn` and `drift` never come
+below it. `flight_time` counts from ignition; a coast before it has a time of its own.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from perilune.models.atmosphere import Air
 from perilune.models.bodies import EARTH, Planet
 from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
-from perilune.models.deorbit import flight, orbit, times, told
+from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
 from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
     Aim,
@@ -29,6 +29,7 @@ from perilune.models.deorbit.records import (
     Limits,
     Manoeuvre,
     Orbit,
+    Parachute,
     Returner,
     Separation,
     Transition,
@@ -44,12 +45,19 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 from perilune.words.units import STANDARD_GRAVITY, Scales
 
-_DURATIONS = {"coast": "coast_time", "burn": "burn_time", "drift": "drift_time", "entry": "entry_time"}
+_DURATIONS = {
+    "coast": "coast_time",
+    "burn": "burn_time",
+    "drift": "drift_time",
+    "entry": "entry_time",
+    "parachute": "parachute_time",
+}
 _CONDITIONS = {"altitude": "m", "speed": "m/s", "angle": "rad"}
 
 
 def _flight_time(x: Any, p: Any, m: Any) -> Any:
-    return sum(getattr(p, name) for name in ("burn_time", "drift_time", "entry_time") if hasattr(p, name))
+    names = ("burn_time", "drift_time", "entry_time", "parachute_time")
+    return sum(getattr(p, name) for name in names if hasattr(p, name))
 
 
 def _transition_time(x: Any, p: Any, m: Any) -> Any:
@@ -133,8 +141,9 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) ->
     )
 
 
-def _entry(air: Air, *, bank: str | None, nose: bool, heat: bool, placed: bool, limits: Limits) -> Phase:
-    names = ("site_up", "site_north", "site_east") if placed else ("site_up",)
+def _entry(air: Air, *, bank: str | None, nose: bool, heat: bool, placed: bool, limits: Limits, opens: bool) -> Phase:
+    names = flight.SITE if placed else flight.SITE[:1]
+    ends = ("height_above_opening",) if opens else names
     limited = [name for name in flight.LIMITED if getattr(limits, name) is not None]
     return Phase(
         name="entry",
@@ -142,11 +151,13 @@ def _entry(air: Air, *, bank: str | None, nose: bool, heat: bool, placed: bool, 
         controls=() if bank is None else (flight.BANKS[bank],),
         dynamics=partial(flight.falling, air=air),
         duration=_DURATIONS["entry"],
-        end=flight.at_site,
+        end=flight.at_opening if opens else flight.at_site,
         end_conditions=(
-            *(Variable(name=name, unit="m") for name in names),
-            Variable(name="landing_speed", unit="m/s", upper="site_speed_upper"),
+            *(Variable(name=name, unit="m") for name in ends),
+            Variable(name="opening_speed" if opens else "landing_speed", unit="m/s", upper="site_speed_upper"),
         ),
+        marks=told.at_opening if opens else None,
+        mark_variables=told.AT_OPENING if opens else (),
         path=partial(flight.within_limits, air=air) if limited else None,
         path_conditions=tuple(Variable(name=f"{name}_left", unit=flight.LIMITED[name]) for name in limited),
         outputs=partial(told.felt, air=air),
@@ -176,6 +187,7 @@ def _ranges(
         "burn_time": burnt,
         "drift_time": getattr(p, "transition_longest_coast", math.inf),
         "entry_time": 10 * typical.get("entry_time", 0.0),
+        "parachute_time": 10 * typical.get("parachute_time", 0.0),
     }
     least = {"coast_time": SHORTEST, "drift_time": SHORTEST}
     return {
@@ -196,6 +208,7 @@ def deorbit_entry(
     heating: Heating | None = None,
     separation: Separation | None = None,
     limits: Limits | None = None,
+    parachute: Parachute | None = None,
     minimise: str = "flight_time",
     epoch: str | None = None,
 ) -> Problem:
@@ -219,6 +232,8 @@ def deorbit_entry(
         What enters the air; None: the whole vehicle.
     limits
         Greatest load, heat rate and dynamic pressure in the air.
+    parachute
+        What takes over from the entry above the site; None: the flight ends where the entry does.
     minimise
         ``"flight_time"`` from ignition to the end, ``"transition_time"`` to the interface, ``"propellant"`` or
         ``"heat_load"``.
@@ -229,7 +244,8 @@ def deorbit_entry(
     -------
     Problem
         States x, y, z [m], vx, vy, vz [m/s] beside the turning body, m [kg]; free `burn_time` [s], and `coast_time`,
-        `drift_time`, `entry_time` [s] of the phases that there are.
+        `drift_time`, `entry_time`, `parachute_time` [s] of the phases that there are. Below the parachute the velocity
+        is no state.
 
     Raises
     ------
@@ -242,10 +258,24 @@ def deorbit_entry(
     site = Landing() if site is None and flown is not None else site
     if heating is None and flown is not None and vehicle.nose_radius is not None:
         heating = Heating()
-    _refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
-    _refuse_beyond_data(flown, interface, site)
-    _refuse_without_effect(vehicle, flown, heating, separation, limits)
-    stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, site)
+    checks.refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
+    checks.refuse_out_of_order(interface, site if flown is not None else None, parachute)
+    checks.refuse_beyond_data(flown, interface, site)
+    checks.refuse_without_effect(vehicle, flown, heating, separation, limits, parachute)
+    stated = (
+        aim,
+        body,
+        orbit_,
+        manoeuvre,
+        vehicle,
+        transition,
+        interface,
+        separation,
+        heating,
+        limits,
+        site,
+        parachute,
+    )
     stated = tuple(record for record in (*stated, air if isinstance(air, Atmosphere) else None) if record is not None)
     # Of air in a table nothing but the table is left to be changed.
     numbers = (record for record in stated if not isinstance(record, Atmosphere) or record.model == "exponential")
@@ -255,17 +285,25 @@ def deorbit_entry(
     angles = orbit.from_node if manoeuvre is None else orbit.from_place(manoeuvre.going)
     names = ("coast",) * (orbit_.longest_coast is not None) + ("burn",)
     names += ("drift",) * (transition.longest_coast is not None) + ("entry",) * (flown is not None)
+    names += ("parachute",) * (parachute is not None)
+    above = [name for name in names if name not in ("entry", "parachute")]
     dry, heat, nose = "vehicle_dry_mass" in given, minimise == "heat_load", vehicle.nose_radius is not None
     phases = [
-        _above_the_air(name, last=name == names[-1 if flown is None else -2], interface=interface, dry=dry)
-        for name in names if name != "entry"
+        _above_the_air(name, last=name == above[-1], interface=interface, dry=dry) for name in above
     ]  # fmt: skip
     if flown is not None and site is not None:
         bank, placed = vehicle.bank if vehicle.lift_to_drag is not None else None, site.longitude is not None
         bound = limits or Limits()
-        phases.append(_entry(flown, bank=bank, nose=nose, heat=heat, placed=placed, limits=bound))
+        phases.append(
+            _entry(flown, bank=bank, nose=nose, heat=heat, placed=placed, limits=bound, opens=parachute is not None)
+        )
+        if parachute is not None:
+            phases.append(parachutes.phase(flown, heat=heat, placed_=placed))
     enter = _into_the_air_with_heat if heat else _into_the_air
-    links = [enter if name == "entry" else _on for name in names[1:]]
+    links = [{"entry": enter, "parachute": parachutes.opened}.get(name, _on) for name in names[1:]]
+    told_results = partial(told.results, names=names)
+    if parachute is not None and flown is not None:
+        told_results = partial(parachutes.results, names=names, air=flown)
     objective, objective_unit = _OBJECTIVES[minimise]
     time = math.sqrt(body.radius**3 / body.gravitational_parameter)
     return Problem(
@@ -279,7 +317,7 @@ def deorbit_entry(
         objective=objective,
         objective_unit=objective_unit,
         objective_scale=_size_of(objective_unit, time),
-        results=partial(told.results, names=names),
+        results=told_results,
         result_variables=told.of_flight(names),
         views=told.views(air=flown is not None, heat=nose, coasts=_is_the_earth(body), given=given),
         declared=stated,
@@ -321,66 +359,3 @@ def _air(air: Atmosphere | Air | None, aim: Aim, site: Landing | None) -> Air | 
     return atmosphere.thermosphere(
         when, site.longitude, site.latitude, f107=air.f107, f107a=air.f107a, ap=air.ap
     )  # fmt: skip
-
-
-def _refuse_without_effect(
-    vehicle: Returner, air: Air | None, heating: Heating | None, separation: Separation | None, limits: Limits | None
-) -> None:
-    """Refuse what only air would make matter, where there is none, and heat without a nose."""
-    named = {"heating": heating, "separation": separation, "limits": limits}
-    for name in (name for name, made in named.items() if made is not None and air is None):
-        raise PeriluneError(
-            f"[{name}] needs air", got=f"a section [{name}], and no [atmosphere]", expected="both of them, or neither"
-        )
-    heated = heating is not None or (limits is not None and limits.heat_rate is not None)
-    if heated and vehicle.nose_radius is None:
-        raise PeriluneError(
-            "vehicle.nose_radius is missing", expected="the radius at the stagnation point, for its heat"
-        )
-
-
-def _refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | None) -> None:
-    """Refuse air of which nothing is known somewhere on the way: a table goes on beyond its ends, but says nothing."""
-    if air is None or site is None:
-        return
-    if site.altitude >= interface.altitude:
-        raise PeriluneError(
-            "the site is above the air", got=f"site.altitude = {site.altitude / 1e3:g} km",
-            expected=f"below interface.altitude = {interface.altitude / 1e3:g} km",
-            advice="look for m in place of km, or km in place of m",
-        )  # fmt: skip
-    reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
-    for name, altitude in reached.items():
-        if not air.bottom <= altitude <= air.top:
-            raise PeriluneError(
-                f"{air.name} ends before the flight does",
-                got=f"data from {air.bottom / 1e3:g} to {air.top / 1e3:g} km, and {name} = {altitude / 1e3:g} km",
-                expected="data from the site up to the interface",
-                advice=f"more rows, or another {name}",
-            )
-
-
-def _refuse_incomplete(
-    aim: Aim, vehicle: Returner, orbit_: Orbit, manoeuvre: Manoeuvre | None, air: Air | None, site: Landing | None
-) -> None:
-    """Refuse what is left out, or stated and of no effect."""
-    if manoeuvre is None and (orbit_.node_longitude is None or orbit_.argument_of_latitude is None):
-        raise PeriluneError(
-            "it is not said where on its orbit the vehicle is",
-            expected="a section [manoeuvre]; or orbit.node_longitude and orbit.argument_of_latitude at t = 0",
-        )
-    if air is not None and not vehicle.flies_through_air:
-        raise PeriluneError(
-            "vehicle.drag_area is missing", got="an atmosphere, and a vehicle without drag",
-            expected="vehicle.drag_area, ballistic_coefficient, or base_radius and cone_angle",
-        )  # fmt: skip
-    if air is None and site is not None:
-        raise PeriluneError(
-            "a site needs air to come down through", got="a section [site], and no [atmosphere]",
-            expected="both of them, or neither: the flight then ends at the interface",
-        )  # fmt: skip
-    if aim.minimise == "heat_load" and (air is None or vehicle.nose_radius is None):
-        raise PeriluneError(
-            "vehicle.nose_radius is missing" if air is not None else "without air there is no heat",
-            expected="an atmosphere and vehicle.nose_radius, for the least heat load",
-        )

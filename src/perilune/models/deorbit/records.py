@@ -291,6 +291,14 @@ class Heating:
     )  # fmt: skip
 
 
+@record("parachute")
+class Parachute:
+    """What takes over from the entry, and falls steadily to the altitude of the site."""
+
+    altitude: float = quantity("m", "10 km", above=0.0, about="at which it opens, no faster than site.speed_upper")
+    drag_area: float = quantity("m^2", "1000 m^2", above=0.0, about="drag coefficient times area of the canopy")
+
+
 @record("site")
 class Landing:
     """Where the flight ends."""
@@ -298,10 +306,13 @@ class Landing:
     longitude: float | None = quantity("rad", "-98 deg", default=None, **_TURNS, about="east; left out, it is free")
     latitude: float | None = quantity("rad", "38 deg", default=None, **_LATITUDE, about="north; left out, it is free")
     altitude: float = quantity(
-        "m", "10 km", default=0.0, about="of the end of the flight, where a parachute takes over"
+        "m",
+        "10 km",
+        default=0.0,
+        about="of the end of the flight, where a parachute takes over or brings the vehicle",
     )
     speed_upper: float = quantity(
-        "m/s", "300 m/s", default=300.0, **_SPEED, about="greatest speed there, which a parachute can take"
+        "m/s", "300 m/s", default=300.0, **_SPEED, about="greatest speed there, or where the [parachute] opens"
     )
 
     def __post_init__(self) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from perilune.models.atmosphere import Air
+from perilune.models.deorbit import parachute
 from perilune.models.deorbit.fall import POINTS, carried, fall, typical_angle
 from perilune.models.deorbit.orbit import AXIS, plane, shape
 from perilune.models.deorbit.records import exhaust_speed
@@ -141,6 +142,8 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
         return times
     entry = fall(p, air)
     times["entry_time"] = entry.time
+    if hasattr(p, "parachute_altitude"):
+        times["parachute_time"] = parachute.typical_time(p, air)
     if hasattr(p, "site_longitude"):
         whole, swept = down.whole + entry.time, down.swept + float(entry.rows[-1, 1])
         more = _to_the_site(p, angle, node, mean_rate(p, angle), whole, swept)
@@ -172,7 +175,7 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     flies = last[0] >= (1 - _NEAR) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
     found, time, mass = list[Matrix](), 0.0, p.vehicle_mass
     turned = 0.0
-    for name in (name for name in names if name != "entry"):
+    for name in (name for name in names if name not in ("entry", "parachute")):
         rows = []
         for since in np.linspace(0.0, lengths[name], POINTS):
             row = at(time + since) if flies else _bent(p, angle, time + since, parts, gate)
@@ -189,6 +192,11 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
             moved = _state(p, angle, node, time + share * fallen.time, row)
             rows.append([*moved, getattr(p, "separation_mass", mass), *((load,) if heat else ())])
         found.append(np.array(rows, dtype=float))
+    if "parachute" in names:
+        sunk = (p.parachute_altitude - p.site_altitude) * np.linspace(0.0, 1.0, POINTS)[:, None]
+        opened = np.array(found[-1][-1])
+        shrinking = 1 - sunk / np.linalg.norm(opened[:3])
+        found.append(np.hstack([opened[:3] * shrinking, np.repeat([opened[6:]], POINTS, axis=0)]))
     return found
 
 

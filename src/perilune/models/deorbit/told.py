@@ -42,13 +42,15 @@ AT_INTERFACE = (
     Variable(name="interface_latitude", unit="rad"),
     Variable(name="mass_at_interface", unit="kg"),
 )
+AT_OPENING = (Variable(name="opening_speed", unit="m/s", description="where the parachute opens, beside the body"),)
 _TIMES = {
     "flight_time": "from ignition to the end",
     "transition_time": "from ignition to the interface",
     "coast_time": "on the orbit, before ignition",
     "burn_time": "engine on",
     "drift_time": "from the end of the burn to the interface",
-    "entry_time": "from the interface to the end",
+    "entry_time": "through the air, without a parachute",
+    "parachute_time": "below the parachute",
 }
 
 
@@ -72,7 +74,8 @@ def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> S
     """Values of `of_flight`."""
     lengths = {name: getattr(p, f"{name}_time") for name in names}
     to_interface = sum(lengths.get(name, 0.0) for name in ("burn", "drift"))
-    times = {"flight_time": to_interface + lengths.get("entry", 0.0), "transition_time": to_interface}
+    in_air = sum(lengths.get(name, 0.0) for name in ("entry", "parachute"))
+    times = {"flight_time": to_interface + in_air, "transition_time": to_interface}
     times |= {f"{name}_time": length for name, length in lengths.items()}
     burnt = p.vehicle_thrust / exhaust_speed(p) * p.burn_time
     change = exhaust_speed(p) * m.log(p.vehicle_mass / (p.vehicle_mass - burnt))
@@ -87,6 +90,11 @@ def _below(x: Any, p: Any, m: Any) -> tuple[Any, Any]:
 def placed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Values of `PLACED`."""
     return ellipsoid.altitude(where(x), p, m), *_below(x, p, m), speed(x, m), path_angle(x, m)
+
+
+def at_opening(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Value of `AT_OPENING`."""
+    return (speed(x, m),)
 
 
 def pushed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:

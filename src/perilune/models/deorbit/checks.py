@@ -1,0 +1,95 @@
+"""What is stated of a return, one by one right, and together incomplete, without effect or impossible."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from perilune.models.atmosphere import Air
+from perilune.models.deorbit.records import (
+    Aim,
+    Heating,
+    Interface,
+    Landing,
+    Limits,
+    Manoeuvre,
+    Orbit,
+    Parachute,
+    Returner,
+    Separation,
+)
+from perilune.words.outcome import PeriluneError
+
+
+def refuse_without_effect(
+    vehicle: Returner,
+    air: Air | None,
+    heating: Heating | None,
+    separation: Separation | None,
+    limits: Limits | None,
+    parachute: Parachute | None,
+) -> None:
+    """Refuse what only air would make matter, where there is none, and heat without a nose."""
+    named = {"heating": heating, "separation": separation, "limits": limits, "parachute": parachute}
+    for name in (name for name, made in named.items() if made is not None and air is None):
+        raise PeriluneError(
+            f"[{name}] needs air", got=f"a section [{name}], and no [atmosphere]", expected="both of them, or neither"
+        )
+    heated = heating is not None or (limits is not None and limits.heat_rate is not None)
+    if heated and vehicle.nose_radius is None:
+        raise PeriluneError(
+            "vehicle.nose_radius is missing", expected="the radius at the stagnation point, for its heat"
+        )
+
+
+def refuse_out_of_order(interface: Interface, site: Landing | None, parachute: Parachute | None) -> None:
+    """Refuse a site above the air, and a parachute that opens above the one or below the other."""
+    named = {"interface": interface, "parachute": parachute, "site": site}
+    found = [(name, made.altitude) for name, made in named.items() if made is not None]
+    for (upper, high), (lower, low) in pairwise(found):
+        if low >= high:
+            raise PeriluneError(
+                f"{lower}.altitude is not below {upper}.altitude", got=f"{low / 1e3:g} km below {high / 1e3:g} km",
+                expected=" above ".join(f"{name}.altitude" for name, _ in found),
+                advice="look for m in place of km, or km in place of m",
+            )  # fmt: skip
+
+
+def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | None) -> None:
+    """Refuse air of which nothing is known somewhere on the way: a table goes on beyond its ends, but says nothing."""
+    if air is None or site is None:
+        return
+    reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
+    for name, altitude in reached.items():
+        if not air.bottom <= altitude <= air.top:
+            raise PeriluneError(
+                f"{air.name} ends before the flight does",
+                got=f"data from {air.bottom / 1e3:g} to {air.top / 1e3:g} km, and {name} = {altitude / 1e3:g} km",
+                expected="data from the site up to the interface",
+                advice=f"more rows, or another {name}",
+            )
+
+
+def refuse_incomplete(
+    aim: Aim, vehicle: Returner, orbit_: Orbit, manoeuvre: Manoeuvre | None, air: Air | None, site: Landing | None
+) -> None:
+    """Refuse what is left out, or stated and of no effect."""
+    if manoeuvre is None and (orbit_.node_longitude is None or orbit_.argument_of_latitude is None):
+        raise PeriluneError(
+            "it is not said where on its orbit the vehicle is",
+            expected="a section [manoeuvre]; or orbit.node_longitude and orbit.argument_of_latitude at t = 0",
+        )
+    if air is not None and not vehicle.flies_through_air:
+        raise PeriluneError(
+            "vehicle.drag_area is missing", got="an atmosphere, and a vehicle without drag",
+            expected="vehicle.drag_area, ballistic_coefficient, or base_radius and cone_angle",
+        )  # fmt: skip
+    if air is None and site is not None:
+        raise PeriluneError(
+            "a site needs air to come down through", got="a section [site], and no [atmosphere]",
+            expected="both of them, or neither: the flight then ends at the interface",
+        )  # fmt: skip
+    if aim.minimise == "heat_load" and (air is None or vehicle.nose_radius is None):
+        raise PeriluneError(
+            "vehicle.nose_radius is missing" if air is not None else "without air there is no heat",
+            expected="an atmosphere and vehicle.nose_radius, for the least heat load",
+        )

@@ -1,0 +1,95 @@
+"""The last way down, below a parachute: steadily, as fast as its drag on the drag area S holds the weight.
+
+    rho V^2 S/2 = m |g|,   r' = g sqrt(2 m/(rho S |g|)),   g with the centrifugal acceleration
+
+in air that turns with the body. The velocity is no state: below a parachute it follows the forces within V/g, seconds,
+and what a costate of it grows by, exp(2 g t/V) over t, is 1e100 and more in a descent of minutes, which no shooting
+bears and no costate needs. So the seconds are left out in which the parachute opens and slows the vehicle, along some
+lengths 2 m/(rho S); with them the Coriolis acceleration (a metre on the ground), and the change of V with the height
+(a part V^2/(2 g H) of it, a thousandth).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.integrate import quad
+
+from perilune.models import ellipsoid
+from perilune.models.atmosphere import Air
+from perilune.models.deorbit import flight, told
+from perilune.models.deorbit.orbit import AXIS
+from perilune.models.landing import mass_state
+from perilune.models.rotating import Triple, apparent_gravity, combine, dot
+from perilune.problem.phase import Phase
+from perilune.problem.variables import Variable
+from perilune.words.maths import NUMERIC
+
+
+def velocity(x: Any, p: Any, m: Any, *, air: Air) -> Triple:
+    """Steady velocity [m/s] beside the turning body."""
+    pull = apparent_gravity(flight.where(x), AXIS, p, m)
+    density = air.density(ellipsoid.altitude(flight.where(x), p, m), p, m)
+    return combine((m.sqrt(2 * x.m / (density * p.parachute_drag_area * m.sqrt(dot(pull, pull)))), pull))
+
+
+def moving(x: Any, p: Any, m: Any, *, air: Air) -> Any:
+    """The state with its velocity."""
+    vx, vy, vz = velocity(x, p, m, air=air)
+    return SimpleNamespace(x=x.x, y=x.y, z=x.z, vx=vx, vy=vy, vz=vz, m=x.m)
+
+
+def sinking(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Rates: x, y, z, m, and the heat load where it is a state."""
+    return *velocity(x, p, m, air=air), 0.0, *((0.0,) if hasattr(x, "heat") else ())
+
+
+def opened(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Link from the entry: all but the velocity."""
+    return tuple(value for name, value in zip(x._fields, x, strict=True) if name not in ("vx", "vy", "vz"))
+
+
+def placed(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Values of `told.PLACED` but for the angle, which is all but straight down."""
+    return told.placed(moving(x, p, m, air=air), u, p, m)[:-1]
+
+
+def inertial(x: Any, u: Any, t: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """`perilune.problem.phase.Phase.inertial`."""
+    return told.inertial_without_thrust(moving(x, p, m, air=air), u, t, p, m)
+
+
+def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str], air: Air) -> Sequence[Any]:
+    """`told.results` of a flight that ends below a parachute."""
+    return told.results(first, moving(last, p, m, air=air), p, m, names=names)
+
+
+def phase(air: Air, *, heat: bool, placed_: bool) -> Phase:
+    """From the altitude at which it opens to that of the site."""
+    names = flight.SITE if placed_ else flight.SITE[:1]
+    return Phase(
+        name="parachute",
+        states=(*flight.STATES[:3], mass_state(False), *((flight.HEAT,) if heat else ())),
+        dynamics=partial(sinking, air=air),
+        duration="parachute_time",
+        end=flight.beside_site,
+        end_conditions=tuple(Variable(name=name, unit="m") for name in names),
+        outputs=partial(placed, air=air),
+        output_variables=told.PLACED[:-1],
+        inertial=partial(inertial, air=air),
+    )
+
+
+def typical_time(p: Any, air: Air) -> float:
+    """Time [s] from the altitude at which it opens to that of the site."""
+    mass = getattr(p, "separation_mass", p.vehicle_mass)
+    pull = p.body_gravitational_parameter / p.body_radius**2
+
+    def slowness(height: float) -> float:
+        return float(np.sqrt(air.density(height, p, NUMERIC) * p.parachute_drag_area / (2 * mass * pull)))
+
+    return float(quad(slowness, p.site_altitude, p.parachute_altitude)[0])
