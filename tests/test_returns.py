@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.methods.starts import held_in
+from perilune.methods.trials import Trials
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
@@ -24,12 +26,20 @@ from perilune.models.deorbit.records import (
 )
 from perilune.scenario import load_file
 from perilune.solve import verify
+from perilune.words.watch import silent
 
 NEIGHBOUR_B = Path(__file__).parents[1] / "examples" / "minimum_duration_return.toml"
 FREE_IGNITION = (
     'orbit.longest_coast="5000 s"', 'transition.longest_coast="3000 s"', 'vehicle.thrust="400 N"',
     'problem.minimise="propellant"', 'interface.angle_upper="-2 deg"', 'vehicle.dry_mass="350 kg"',
 )  # fmt: skip
+
+
+def returning(folder: Path, ballistic_coefficient: int) -> pl.Problem:
+    """Neighbour B with a free ignition and another ballistic coefficient [kg/m^2]."""
+    text, light = NEIGHBOUR_B.read_text(encoding="utf-8"), f'ballistic_coefficient = "{ballistic_coefficient} kg/m^2" #'
+    (folder / "light.toml").write_text(text.replace('drag_area = "0.6 m^2" ', light), encoding="utf-8")
+    return load_file(folder / "light.toml", FREE_IGNITION).problem
 
 
 def test_a_return_of_four_phases_is_proved() -> None:
@@ -85,3 +95,28 @@ def test_propellant_is_that_of_the_whole_vehicle_whatever_enters_the_air() -> No
     assert landed.trajectories[-1].state.values[-1, 6] == pytest.approx(2900.0)
     assert landed.objective == pytest.approx(above.objective, rel=1e-9)
     assert -landed.objective == pytest.approx(7000.0 - landed.results["propellant"].value, rel=1e-12)
+
+
+def test_a_fall_that_forgets_everything_is_solved_and_proved(tmp_path: Path) -> None:
+    """Of 15 kg/m^2: its speed at the interface is forgotten by exp(180), and of its costates nothing can be shot."""
+    solution = pl.solve(returning(tmp_path, 15))
+    assert solution.verification.passed and solution.verification.level == 3
+    landing = {c.name: c.value for c in solution.verification.checks if c.name.startswith("entry_")}
+    assert landing["entry_costate_vx"] < 1e-10
+
+
+def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
+    """By central differences of the residual, at a root and beside it."""
+    problem = returning(tmp_path, 177)
+    solution = pl.solve(problem, level=0)
+    trials = Trials(problem, silent)
+    assert [phase.settles for phase in trials.conditions.phases] == [False, False, False, True]
+    shooting, choice = trials.shooting, held_in(trials, solution, np.array(solution.unknowns))
+    active = shooting.plan.active
+    for y in (np.array(solution.unknowns), 1.01 * np.array(solution.unknowns)):
+        jacobian = shooting.jacobians(y[None], trials.p, choice)[0]
+        for column, at in enumerate(active):
+            step = 1e-6 * np.eye(len(y))[at]
+            ends = shooting.at(np.array([y + step, y - step]), trials.p, choice)
+            change = (ends[0].residual - ends[1].residual)[shooting.plan.rows] / 2e-6
+            np.testing.assert_allclose(jacobian[:, column], change, rtol=1e-5, atol=2e-5 * np.abs(jacobian).max())

@@ -63,6 +63,9 @@ class PhaseExtremal:
         Number of x's own components; z has 2 (state_count + constants) components.
     constants
         Indices of the free parameters that were made constant states.
+    settles
+        Whether nothing steers the phase, and it forgets how it began, as a fall through air does: then its costates
+        grow from start to end without bound, and are what its end makes of them, lambda(0) = (dx(T)/dx(0))^T lambda(T).
     """
 
     modes: tuple[ca.Function, ...]
@@ -74,6 +77,7 @@ class PhaseExtremal:
     mode: ca.Function
     state_count: int
     constants: tuple[int, ...]
+    settles: bool
 
     @property
     def half(self) -> int:
@@ -211,17 +215,25 @@ def canonical_equations(
                 )
             reports.append(function("report", control, ca.jtimes(control, z, rate), value))
         laws.append(law)
+    events = tuple(_events(dynamics, laws, flows, z, function))
     return PhaseExtremal(
         modes=tuple(function("rhs", rate) for rate in flows),
         solved=tuple(solved),
         reports=tuple(reports),
         regimes=tuple(regimes for law in laws for regimes in law.regimes),
         held=tuple(held for law in laws for held in law.held),
-        events=tuple(_events(dynamics, laws, flows, z, function)),
+        events=events,
+        settles=not phase.controls and all(e.jump is None for e in events) and _loses(flows, z),
         mode=function("mode", _mode(dynamics, laws, flows, z)),
         state_count=n,
         constants=constants,
     )
+
+
+def _loses(flows: list[ca.SX], z: ca.SX) -> bool:
+    """Whether volumes of states do not keep their size: drag, which no gravity undoes."""
+    x = z[: z.numel() // 2]
+    return any(not ca.simplify(ca.trace(ca.jacobian(flow[: x.numel()], x))).is_zero() for flow in flows)
 
 
 def _nowhere(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:

@@ -60,6 +60,8 @@ class Conditions:
         (name, unit) of each component, units in SI.
     free_at, costate_at
         Slices of y: the free parameters, and each phase's lambda(0).
+    transversality_at
+        First of the rows of the residual that hold the costates at the ends, in the order of `costate_at`.
     stationarity_at
         Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals; but for
         durations that end where something begins or ceases to be held (`perilune.conditions.joints`).
@@ -82,6 +84,7 @@ class Conditions:
     residuals: tuple[tuple[str, str], ...]
     free_at: slice
     costate_at: tuple[slice, ...]
+    transversality_at: int
     stationarity_at: slice
     ranges: tuple[tuple[int, int], ...]
     silent: tuple[tuple[int, ...], ...]
@@ -187,6 +190,7 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
         residuals=residuals,
         free_at=slice(count, count + len(problem.free)),
         costate_at=_slices([e.half for e in phases]),
+        transversality_at=sum(c.numel() for c in conditions),
         stationarity_at=slice(residual.numel() - len(problem.free), residual.numel()),
         ranges=tuple((row, count + len(problem.free) + row) for row in _range_rows(problem)),
         silent=silent,

@@ -20,7 +20,9 @@ from perilune.kernels import DenseArc
 from perilune.problem.problem import Problem
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST
+from perilune.shooting.plan import legs_of
 from perilune.shooting.propagate import flight
+from perilune.shooting.settling import fallen
 from perilune.words.types import Matrix, Vector
 
 _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
@@ -84,14 +86,35 @@ class Flown:
 
 
 def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[Flown]:
-    """The flight from the unknowns y, whatever it meets; settings as for `flight`."""
-    p, before, flown = extremal_parameters(problem), np.zeros(0), []
-    for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
-        z0, duration = (np.array(out).ravel() for out in start(y[: len(conditions.unknowns)], before, p))
-        arc = flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings})
-        flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=float(duration[0])))
-        before = arc.z[-1]
+    """The flight from the unknowns y, whatever it meets; settings as for `flight`. What settles is in several."""
+    p, before, flown = extremal_parameters(problem), np.zeros(0), list[Flown]()
+    y = y[: len(conditions.unknowns)]
+    for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
+        z0, duration = (np.array(out).ravel() for out in start(y, before, p))
+        if extremal.settles:
+            flown.append(_fallen(conditions, k, y, z0, p, float(duration[0]), **{**_FINE, **settings}))
+        else:
+            arc = flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings})
+            flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=float(duration[0])))
+        before = flown[-1].arcs[-1].z[-1]
     return flown
+
+
+def _fallen(
+    conditions: Conditions, k: int, y: Vector, z0: Vector, p: Vector, duration: float, **settings: float
+) -> Flown:
+    """A phase that settles, its costates from its end on: there they are what its conditions leave open."""
+    half, places = conditions.phases[k].half, np.cumsum([0, *(2 * e.half for e in conditions.phases)])
+    at = conditions.costate_at[k]
+    rows = slice(conditions.transversality_at + at.start, conditions.transversality_at + at.stop)
+
+    def end(x: Vector) -> Vector:
+        ends = np.zeros(places[-1])
+        ends[places[k] : places[k] + half] = x
+        return -np.array(conditions.residual(y, ends, p)[0]).ravel()[rows]
+
+    arcs, begins = fallen(conditions.phases[k], z0[:half], p, duration, end, **settings)
+    return Flown(arcs=tuple(arcs), begins=begins, duration=duration)
 
 
 def exported(
@@ -110,7 +133,7 @@ def exported(
 
 def may_be_cut(conditions: Conditions, segments: int) -> bool:
     """Whether multiple shooting with so many segments for each phase is worth its unknowns."""
-    return (segments - 1) * sum(2 * extremal.half for extremal in conditions.phases) <= _JOINED
+    return sum((legs_of(e, segments) - 1) * 2 * e.half for e in conditions.phases) <= _JOINED
 
 
 def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:
@@ -126,16 +149,22 @@ def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequ
     """The same root by multiple shooting, each piece from its own start."""
     shooting, p = Shooting(conditions, segments=_SEGMENTS), extremal_parameters(problem)
     shares = np.arange(1, _SEGMENTS) / _SEGMENTS
-    joints = [arc(shares * arc.duration).ravel() for arc in whole]
+    cut = [not extremal.settles for extremal in conditions.phases]
+    joints = [arc(shares * arc.duration).ravel() for arc, is_cut in zip(whole, cut, strict=True) if is_cut]
     found = shooting.root(np.concatenate([root.y, *joints]), p, root.choice, accuracy=FINEST)
     if not found.converged:
         return None
     y = found.y[: len(root.y)].copy()
     y[conditions.free_at] = root.y[conditions.free_at]  # as they are reported; Newton moves them by rounding
-    flown, before, at = list[Flown](), np.zeros(0), len(root.y)
+    flown, before, at, leg = list[Flown](), np.zeros(0), len(root.y), 0
     for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
         z, duration = (np.array(out).ravel() for out in start(y, before, p))
-        length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[k * _SEGMENTS].flown.kept
+        leg += legs_of(extremal, _SEGMENTS)
+        if extremal.settles:
+            flown.append(_fallen(conditions, k, y[: len(conditions.unknowns)], z, p, float(duration[0]), **_FINE))
+            before = flown[-1].arcs[-1].z[-1]
+            continue
+        length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[leg - 1].flown.kept
         arcs = [flight(extremal, z, p, length, **_FINE)]
         for _ in shares:
             z = arcs[-1].z[-1].copy()

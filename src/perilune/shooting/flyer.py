@@ -47,6 +47,7 @@ class Flight:
                 rtol=accuracy,
                 atol=accuracy,
                 mode=mode[:, 0],
+                max_steps=leg.most_steps,
             )
             arcs = leg.arcs.bind(asked)
             self.legs.append((opened, arcs))

@@ -12,7 +12,9 @@ which goes through the link into the seeds of the next leg, or into the residual
 Free parameters and end conditions that are ranges may be *held*, each lane of a batch having its own choice: the
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
 
-Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out of all this.
+Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out of all this. A phase
+that settles (`perilune.shooting.settling`) is one leg in any number of segments, and its transversality condition is
+met at its start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T).
 """
 
 from __future__ import annotations
@@ -23,10 +25,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.conditions.canonical import PhaseExtremal
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import Engine
+from perilune.kernels import Engine, Request
 from perilune.shooting.newton import Columns
 from perilune.shooting.propagate import Equations, engine, equations
+from perilune.shooting.settling import MOST_STEPS, settling
 
 #: Up to so many coupled unknowns Newton's step is compiled with the residual; beyond, LAPACK takes over.
 COMPILED = 12
@@ -45,12 +49,15 @@ class Leg:
         among p that the arc knows.
     follows
         Whether the opening takes the end of the leg before.
+    most_steps
+        After which the arc counts as lost.
     """
 
     flown: Equations
     arcs: Engine
     opening: ca.Function
     follows: bool
+    most_steps: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,9 +101,14 @@ def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan
     return _Tracing(conditions, segments, COMPILED if most is None else most).plan()
 
 
+def legs_of(extremal: PhaseExtremal, segments: int) -> int:
+    """How many legs a phase has: what settles needs no more than one."""
+    return 1 if extremal.settles else segments
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _End:
-    """Symbols of a leg's end, and dz/dY there."""
+    """Symbols of a leg's end, and dz/dY there; of what is flown, which of a phase that settles is another z."""
 
     z: ca.SX
     rate: ca.SX
@@ -113,15 +125,14 @@ class _Tracing:
 
     def __init__(self, conditions: Conditions, segments: int, most: int) -> None:
         self.conditions, self.segments, self.most = conditions, segments, most
-        self.flown = [
-            equations(phase, needed, silent)
-            for phase, needed, silent in zip(conditions.phases, conditions.needed, conditions.silent, strict=True)
-        ]
+        self.settling = [settling(phase) if phase.settles else None for phase in conditions.phases]
+        parts = zip(conditions.phases, conditions.needed, conditions.silent, self.settling, strict=True)
+        self.flown = [s.flown if s else equations(phase, needed, silent) for phase, needed, silent, s in parts]
         count, silent = len(conditions.unknowns), {unknown for _, unknown in conditions.silent_rows}
         active, size = [i for i in range(count) if i not in silent], count
         self.nodes: dict[tuple[int, int], list[int]] = {}  # where the start of a later segment lies in the whole Y
         for k, (phase, flown) in enumerate(zip(conditions.phases, self.flown, strict=True)):
-            for j in range(1, segments):
+            for j in range(1, legs_of(phase, segments)):
                 self.nodes[k, j] = [size + i for i in flown.kept.tolist()]
                 active += self.nodes[k, j]
                 size += 2 * phase.half
@@ -134,10 +145,10 @@ class _Tracing:
 
     def plan(self) -> Plan:
         """Trace legs and closing."""
-        legs, ends, gaps = [], [], []
+        legs, ends, gaps, last = [], [], [], []
         before: _End | None = None
         for k in range(len(self.flown)):
-            for j in range(self.segments):
+            for j in range(legs_of(self.conditions.phases[k], self.segments)):
                 leg, end = self._leg(k, j, before)
                 if j and before is not None:
                     node = self.whole[self.nodes[k, j]]
@@ -145,7 +156,8 @@ class _Tracing:
                 legs.append(leg)
                 ends.append(end)
                 before = end
-        closing, columns, compiled = self._closing(ends, gaps)
+            last.append(ends[-1])
+        closing, columns, compiled = self._closing(ends, last, gaps)
         c = self.conditions
         count, silent = len(c.residuals), {row for row, _ in c.silent_rows}
         rows = [i for i in range(count) if i not in silent] + [i for at in self.nodes.values() for i in at]
@@ -174,7 +186,9 @@ class _Tracing:
         if j:
             z0 = ca.SX.zeros(*z0.shape)
             z0[kept] = self.whole[self.nodes[k, j]]
-        start, duration = z0[kept], duration / self.segments
+        start, duration = z0[kept], duration / legs_of(extremal, self.segments)
+        settles = self.settling[k]
+        start = settles.start(start) if settles else start
         slope = ca.jacobian(start, self.Y)
         follows = before is not None and k > 0 and j == 0
         if follows and before is not None:
@@ -192,11 +206,12 @@ class _Tracing:
             arcs=arcs,
             opening=ca.Function("opening", symbols, ca.cse([ca.SX(r) for r in results])),
             follows=follows,
+            most_steps=MOST_STEPS if settles else Request.max_steps,
         )
         return leg, self._end(flown, moving, arcs.system.pattern, duration)
 
     def _end(self, flown: Equations, moving: list[int], pattern: ca.Sparsity, duration: ca.SX) -> _End:
-        size = len(flown.kept)
+        size = flown.modes[0].size1_in(0)
         z, rate = ca.SX.sym("z", size), ca.SX.sym("rate", size)
         columns = ca.SX.sym("S", size * len(moving))
         slope = ca.SX(size, len(self.active))
@@ -206,15 +221,31 @@ class _Tracing:
 
     def _whole(self, k: int, end: _End) -> ca.SX:
         """All of z at the end of phase k: zero where it is not flown."""
-        z = ca.SX.zeros(2 * self.conditions.phases[k].half, 1)
-        z[self.flown[k].kept.tolist()] = end.z
+        z, kept = ca.SX.zeros(2 * self.conditions.phases[k].half, 1), self.flown[k].kept.tolist()
+        z[kept] = end.z[: len(kept)]
         return z
 
-    def _closing(self, ends: list[_End], gaps: list[tuple[ca.SX, ca.SX]]) -> tuple[ca.Function, Columns, bool]:
+    def _residual(self, last: list[_End]) -> tuple[ca.SX, ca.SX]:
+        """Of the ends of all phases; J."""
+        c, whole = self.conditions, [self._whole(k, end) for k, end in enumerate(last)]
+        plain, cost = c.residual(self.y, ca.vertcat(*whole), self.p)
+        if not any(self.settling):
+            return plain, cost
+        met = ca.SX(plain)
+        for k, (settles, end, at) in enumerate(zip(self.settling, last, c.costate_at, strict=True)):
+            if settles:  # where lambda(T) is left out, its row is what the end makes of it, but for the sign
+                rows = slice(c.transversality_at + at.start, c.transversality_at + at.stop)
+                whole[k][c.phases[k].half :] = -plain[rows]
+                met[rows] = self.y[at] + ca.mtimes(settles.transition(end.z).T, plain[rows])
+        rows = slice(c.stationarity_at.start, c.stationarity_at.stop)
+        met[rows] = c.residual(self.y, ca.vertcat(*whole), self.p)[0][rows]
+        return met, cost
+
+    def _closing(
+        self, ends: list[_End], last: list[_End], gaps: list[tuple[ca.SX, ca.SX]]
+    ) -> tuple[ca.Function, Columns, bool]:
         c, Y, n = self.conditions, self.Y, len(self.active)
-        last = ends[self.segments - 1 :: self.segments]
-        zf = ca.vertcat(*(self._whole(k, end) for k, end in enumerate(last)))
-        plain, cost = c.residual(self.y, zf, self.p)
+        plain, cost = self._residual(last)
         free = list(range(c.free_at.start, c.free_at.stop))
         masks, values = (ca.SX.sym(name, len(free) + len(c.ranges)) for name in ("mask", "value"))
         held = [(c.stationarity_at.start + i, self.y[at]) for i, at in enumerate(free)]
