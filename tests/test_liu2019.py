@@ -33,10 +33,12 @@ from perilune.reproductions.liu2019.equations import compare, corrected_rates
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune.reproductions.liu2019.report import figures, markdown, table_2, table_3
 from perilune.reproductions.liu2019.searches import Searches, by_hybrid
-from perilune.reproductions.liu2019.surfaces import surfaces
+from perilune.reproductions.liu2019.surfaces import _between, fits, surfaces
+from perilune.reproductions.liu2019.trajectories import beside, rows, trajectories
 from perilune.reproductions.papers import reproduce
 from perilune.reproductions.starts import Starts, starts
 from perilune.solve import solve
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 FIRST, REACHED = 22, 3  # manoeuvre points of Table 2 that are solved here; the others stand as not solved
@@ -170,6 +172,22 @@ def test_hamiltonian_in_the_papers_units(made: Reproduction, share: float) -> No
         assert float((costates * rates).sum()) == pytest.approx(-1.0, abs=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [("manoeuvre_longitude", 1e-4), ("manoeuvre_latitude", 1e-4), ("orbit_radius", 100.0), ("vehicle_mass", 0.05)],
+)
+def test_costates_at_ignition_are_what_the_time_changes_by(made: Reproduction, name: str, step: float) -> None:
+    """Figs 7 to 12 are slopes of the time of flight over the state: solved again from states beside it."""
+    solution, times, states = made.site_fixed, [], []
+    for sign in (-1, 1):
+        stated = solution.problem.with_given(**{name: solution.problem.given[name].value + sign * step})
+        p = stated.parameters({})
+        states.append(paper_state(np.array(stated.start(p, NUMERIC), dtype=float)))
+        times.append(solve(stated, guess=solution, level=0).objective / units().time)
+    expected = paper_costates(solution, 0, 0.0) @ (states[1] - states[0])
+    assert times[1] - times[0] == pytest.approx(expected, rel=1e-4)
+
+
 def test_members_stand_in_the_order_of_their_points(made: Reproduction) -> None:
     """Each with the flight from its own point."""
     for row, member in zip(TABLE_2[FIRST:][:REACHED], made.grid[FIRST:][:REACHED], strict=True):
@@ -263,6 +281,43 @@ def test_report_states_what_was_computed(made: Reproduction) -> None:
     assert len(list(csv.reader(io.StringIO(table_3(made))))) == 1 + len(TABLES_1_AND_3)
 
 
+def test_what_is_drawn_lies_between_points_that_are_near(made: Reproduction) -> None:
+    """Along the edge of the region no triangle is a sliver from end to end, and none is lost inside."""
+    spread = [replace(m, longitude=r.longitude, latitude=r.latitude) for r, m in zip(TABLE_2, made.grid, strict=True)]
+    between = _between(np.array([(m.longitude, m.latitude) for m in spread]))
+    left = between.get_masked_triangles()
+    corners = np.stack([between.x[left], between.y[left]], axis=-1)
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    assert len(left) < len(between.triangles) and set(left.ravel().tolist()) == set(range(len(TABLE_2)))
+    assert sides.max() < 1.6
+
+
+def test_flights_of_the_figures_point_by_point(made: Reproduction) -> None:
+    """Of the experiments that were solved: from the orbit over the interface to 10 km above the site."""
+    number = next(r.number for r, m in zip(TABLES_1_AND_3, made.experiments, strict=True) if m.solution is not None)
+    assert not trajectories(made).axes[0].lines and "Not solved: No. 5, No. 45, No. 85." in "".join(beside(made))
+    moved = list(made.experiments)
+    moved[44] = moved[number - 1]
+    spoilt = replace(made, experiments=tuple(moved))
+    found = np.array(rows(spoilt))
+    assert set(found[:, 0]) == {45.0}
+    altitude = found[:, 4]
+    assert altitude[0] == pytest.approx(6678.14 - 6371.0) and altitude[-1] == pytest.approx(10.0, abs=1e-6)
+    assert altitude[found[:, 1] < 4000].min() == pytest.approx(120.0, abs=0.05)
+    assert found[-1, 2:4] == pytest.approx([-98.0, 38.0], abs=1e-6)
+    assert (np.diff(found[:, 1]) >= 0).all() and (np.diff(found[:, 7]) <= 0).all()
+    assert [len(ax.lines) for ax in trajectories(spoilt).axes] == [1, 1, 1]
+
+
+def test_fits_are_told_in_the_units_of_the_paper(made: Reproduction) -> None:
+    """At points of the grid itself (16) misses nothing; a quantity that is off by a share of its size is told so."""
+    text = fits(made.grid, [replace(m) for m in made.grid])
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[2:]]
+    assert [c[0] for c in cells] == ["λ_V", "λ_γ", "λ_ψ", "λ_r", "λ_Θ", "λ_m", "V_a", "γ_a", "t_a"]
+    assert all(float(c[3]) < 1e-6 for c in cells)
+    assert cells[8][1] == "5.0e-04 s"
+
+
 def on_target(made: Reproduction) -> Any:
     """The printed costates as if they had led to the interface."""
     return tuple(replace(f, altitude=np.full_like(f.altitude, 120.0)) for f in made.flown)
@@ -304,5 +359,5 @@ def test_the_command_writes_it_all(
     out = tmp_path / "report"
     assert run(["reproduce", "liu-2019", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
     assert "report.md" in capsys.readouterr().out
-    assert {path.name for path in out.iterdir()} == {"report.md", "table2.csv", "table3.csv", "figures"}
+    assert {path.name for path in out.iterdir()} == {"report.md", "table2.csv", "table3.csv", "fig16_18.csv", "figures"}
     assert len(list((out / "figures").glob("*.png"))) == len(figures(made))

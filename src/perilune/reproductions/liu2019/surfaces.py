@@ -1,4 +1,4 @@
-"""Figs 7 to 15 of the paper: nine quantities over the region of manoeuvre points."""
+"""Figs 7 to 15 of the paper, nine quantities over the manoeuvre points, and Figs 19 to 27: how well (16) fits them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,20 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.tri import TriAnalyzer, Triangulation
 
 from perilune.report.style import new_figure, styled
-from perilune.reproductions.liu2019.compute import Member, varies
+from perilune.report.summary import table
+from perilune.reproductions.liu2019.compute import Member, missed_by_cubic, varies
 from perilune.reproductions.liu2019.equations import NAMES
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 
+# Of Figs 19 to 27, in the order of `nine`: what the errors are less than, as printed, and the unit.
+PRINTED_FITS = {
+    "λ_V": (5e-4, ""), "λ_γ": (1.5e-4, ""), "λ_ψ": (1e-3, ""), "λ_r": (8e-3, ""), "λ_Θ": (1.5e-5, ""),
+    "λ_m": (8e-5, ""), "V_a": (5e-8, "km/s"), "γ_a": (4e-5, "°"), "t_a": (5e-4, "s"),
+}  # fmt: skip
+_SLENDER = 0.1  # radius of the circle in a triangle over that of the one about it: 0.5 where its sides are equal
 _TEX = {"V": "V", "γ": r"\gamma", "ψ": r"\psi", "r": "r", "Θ": r"\Theta", "m": "m"}
 
 
@@ -28,6 +36,33 @@ def nine(members: Sequence[Member]) -> dict[str, Vector]:
     return found
 
 
+def _between(place: Matrix) -> Triangulation:
+    """Triangles between points, without the slivers along the edge: nothing is known between ends so far apart."""
+    found = Triangulation(*place.T)
+    flat = TriAnalyzer(found).get_flat_tri_mask(_SLENDER, rescale=False)
+    if not flat.all():
+        found.set_mask(flat)
+    return found
+
+
+def fitted(grid: Sequence[Member], at: Sequence[Member]) -> dict[str, Vector]:
+    """Errors of (16) at the points `at`, each over the largest size of its quantity, by the text of the panel."""
+    right = nine(at)
+    return {text: missed_by_cubic(grid, at, known, right[text]) for text, known in nine(grid).items()}
+
+
+def fits(grid: Sequence[Member], at: Sequence[Member]) -> str:
+    """Table of what the paper says of these errors and what they are, in the paper's units."""
+    rows = []
+    for (name, (printed, unit)), relative, known in zip(
+        PRINTED_FITS.items(), fitted(grid, at).values(), nine(grid).values(), strict=True
+    ):
+        errors = relative[np.isfinite(relative)] * np.abs(known[np.isfinite(known)]).max(initial=0.0)
+        cells = [f"{f(errors):.1e}" for f in (np.median, np.max)] if len(errors) else ["", ""]
+        rows.append([name, f"{printed:.1e} {unit}".strip(), *cells])
+    return table(["quantity", "printed, at most", "ours, median", "ours, at most"], rows)
+
+
 @styled
 def surfaces(members: Sequence[Member]) -> Figure:
     """Contours of each quantity between the points; one that does not vary is told in words."""
@@ -37,7 +72,7 @@ def surfaces(members: Sequence[Member]) -> Figure:
         known = np.isfinite(values)
         if varies(values):
             if np.linalg.matrix_rank(place[known] - place[known][0]) == 2:
-                shown = ax.tricontourf(*place[known].T, values[known], levels=9, cmap="cividis")
+                shown = ax.tricontourf(_between(place[known]), values[known], levels=9, cmap="cividis")
             else:  # points on a line have nothing between them
                 shown = ax.scatter(*place[known].T, c=values[known], s=20, cmap="cividis")
             figure.colorbar(shown, ax=ax, format="%.5g")
