@@ -261,7 +261,8 @@ def _neighbours(flights: dict[str, Solution]) -> str:
     for name, unit, factor in (
         ("flight_time", "s", 1.0), ("transition_time", "s", 1.0), ("mass_at_interface", "kg", 1.0),
         ("interface_speed", "km/s", 1e-3), ("interface_angle", "°", math.degrees(1)), ("landing_speed", "km/s", 1e-3),
-        ("peak_load", "g0", 1.0),
+        ("peak_load", "g0", 1.0), ("along_track_per_second_late", "km", 1e-3),
+        ("along_track_per_percent_thrust", "km", 1e-3), ("along_track_per_percent_drag", "km", 1e-3),
     ):  # fmt: skip
         known = [s.results.get(name) for s in flights.values()]
         cells = [f"{factor * r.value:.4f}" for r in known if r is not None]
