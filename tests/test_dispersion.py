@@ -84,7 +84,7 @@ def differences(solution: Solution) -> dict[str, float]:
     def landed(**more: Any) -> Any:
         return fly(problem, solution.free, law, **more)[-1][1][-1, :3]
 
-    x = solution.trajectories[-1].state.values[0]
+    x = next(t for t in solution.trajectories if t.phase == "entry").state.values[0]
     normal, up = np.cross(x[:3], x[3:6]), solution.trajectories[-1].state.values[-1, :3]
     along = np.cross(normal, up)
     across = np.cross(up, along)
