@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -137,10 +138,10 @@ def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path: Path) -> Non
 
 def test_the_thermosphere_is_that_of_its_program() -> None:
     pymsis = pytest.importorskip("pymsis")
-    place: dict[str, Any] = {"longitude": 0.3, "latitude": -0.6}
+    place = atmosphere.Way.over(0.3, -0.6)
     sun: dict[str, float] = {"f107": 150.0, "f107a": 140.0, "ap": 7.0}
     when = datetime(2024, 2, 21, 20, 40)
-    air = atmosphere.thermosphere(when, **place, **sun)
+    air = atmosphere.thermosphere(when, place, **sun)
     altitude = np.random.default_rng(2).uniform(0.0, 1000e3, 200)
     other = pymsis.calculate(
         np.datetime64(when), np.degrees(0.3), np.degrees(-0.6), altitude / 1e3, f107s=150.0, f107as=140.0,
@@ -148,13 +149,32 @@ def test_the_thermosphere_is_that_of_its_program() -> None:
     )  # fmt: skip
     np.testing.assert_allclose(density(air, altitude), np.ravel(other[..., 0]), rtol=2e-3)
     zoned = datetime(2024, 2, 21, 22, 40, tzinfo=timezone(timedelta(hours=2)))
-    assert atmosphere.thermosphere(zoned, **place, **sun).table == air.table
-    busy = atmosphere.thermosphere(when, **place, f107=250.0, f107a=250.0, ap=50.0)
+    assert atmosphere.thermosphere(zoned, place, **sun).table == air.table
+    busy = atmosphere.thermosphere(when, place, f107=250.0, f107a=250.0, ap=50.0)
     assert density(busy, 400e3) > 2 * density(air, 400e3)
+
+
+def test_the_thermosphere_along_a_flight_is_that_of_each_place() -> None:
+    """At each altitude where and when a flight from 120 km passes it the last time, after it rose once."""
+    pymsis = pytest.importorskip("pymsis")
+    when, sun = datetime(2024, 2, 21, 20, 40), {"f107": 150.0, "f107a": 140.0, "ap": 7.0}
+    time = np.linspace(0.0, 2000.0, 400)
+    altitude = 66e3 + 54e3 * np.cos(time / 2000.0 * math.pi) + 8e3 * np.sin(time / 200.0)
+    longitude = np.mod(3.0 + 2e-4 * time + math.pi, 2 * math.pi) - math.pi  # over the date line
+    way = atmosphere.Way.down(altitude, longitude, 0.9 - 3e-4 * time, time)
+    assert (np.diff(way.altitude) > 0).all() and np.abs(np.diff(way.longitude)).max() < 0.1
+    air = atmosphere.thermosphere(when, way, **sun)
+    for k in range(0, len(way.altitude), 40):
+        at = np.datetime64(when) + np.timedelta64(int(way.time[k]), "s")
+        other = pymsis.calculate(
+            at, np.degrees(way.longitude[k]), np.degrees(way.latitude[k]), way.altitude[k] / 1e3, f107s=150.0,
+            f107as=140.0, aps=[[7.0] * 7], version=2.1,
+        )  # fmt: skip
+        assert density(air, way.altitude[k]) == pytest.approx(float(np.ravel(other[..., 0])[0]), rel=4e-3)
 
 
 def test_what_is_missing_is_said_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pymsis", None)
     with pytest.raises(PeriluneError, match="nrlmsis needs pymsis") as error:
-        atmosphere.thermosphere(datetime(2024, 1, 1), 0.0, 0.0, f107=150, f107a=150, ap=4)
+        atmosphere.thermosphere(datetime(2024, 1, 1), atmosphere.Way.over(0.0, 0.0), f107=150, f107a=150, ap=4)
     assert error.value.advice == 'pip install "perilune[msis]"'

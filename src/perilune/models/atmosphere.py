@@ -35,6 +35,8 @@ LARGEST_FILE = 1_000_000  # bytes
 _KILOMETRE = 1e3  # m, by which tables count altitudes
 _SEA_LEVEL = 1.225  # kg/m^3, by which they count densities
 _FIRST_KNOTS = 12
+_LOWEST = -500.0  # m, of NRLMSIS, so that flights to altitude 0 do not end at the edge of a table
+_PLACE = 3  # digits of degrees at which the air of a day is looked at
 _DIGITS = 10  # of the logarithm, so that a table is the same on every machine
 
 
@@ -112,17 +114,53 @@ def from_file(path: str | Path) -> Air:
     return tabulated(altitude, density, f"air of {path.name}")
 
 
-def thermosphere(
-    epoch: datetime, longitude: float, latitude: float, *, f107: float, f107a: float, ap: float
-) -> Air:  # fmt: skip
-    """Air of NRLMSIS 2.1 above a place, from the ground to 1000 km; needs the extra ``msis``, and no network.
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """Where and when a flight passes each altitude, the last time that it does.
+
+    Parameters
+    ----------
+    altitude
+        In increasing order [m].
+    longitude, latitude
+        Of the point below [rad], the longitude without jumps.
+    time
+        After the epoch [s].
+    """
+
+    altitude: Vector
+    longitude: Vector
+    latitude: Vector
+    time: Vector
+
+    @classmethod
+    def over(cls, longitude: float, latitude: float) -> Way:
+        """Straight above a place [rad], at the epoch."""
+        return cls(**{name: np.array([value]) for name, value in zip(
+            cls.__annotations__, (0.0, longitude, latitude, 0.0), strict=True)})  # fmt: skip
+
+    @classmethod
+    def down(cls, altitude: Vector, longitude: Vector, latitude: Vector, time: Vector) -> Way:
+        """That of a flight from above, its rows in the order of time."""
+        lower = np.append(np.inf, np.minimum.accumulate(altitude)[:-1]) > altitude
+        longitude = np.unwrap(longitude)
+        return cls(**{
+            name: row[lower][::-1]
+            for name, row in zip(cls.__annotations__, (altitude, longitude, latitude, time), strict=True)
+        })  # fmt: skip
+
+
+def thermosphere(epoch: datetime, way: Way, *, f107: float, f107a: float, ap: float) -> Air:
+    """Air of NRLMSIS 2.1 along a flight, from -0.5 to 1000 km; needs the extra ``msis``, and no network.
+
+    At each altitude it is the air where and when the flight passes that; above and below it, where it begins and ends.
 
     Parameters
     ----------
     epoch
         Time; without a zone it is UTC.
-    longitude, latitude
-        Of the place [rad].
+    way
+        Of the flight; one row of it gives the air above a place.
     f107, f107a, ap
         Solar flux of the day before and its mean of 81 days [1e-22 W/m^2/Hz], geomagnetic index.
 
@@ -139,11 +177,16 @@ def thermosphere(
             expected="the extra msis",
             advice='pip install "perilune[msis]"',
         ) from None
-    utc = epoch.astimezone(UTC) if epoch.tzinfo else epoch
-    altitude = np.concatenate([np.arange(0.0, 200e3, 500.0), np.arange(200e3, 1001e3, 2e3)])
+    utc = epoch.astimezone(UTC).replace(tzinfo=None) if epoch.tzinfo else epoch
+    altitude = np.concatenate([np.arange(_LOWEST, 200e3, 500.0), np.arange(200e3, 1001e3, 2e3)])
+    # Rounded, so that a table is the same on every machine.
+    east, north = (np.round(np.degrees(np.interp(altitude, way.altitude, row)), _PLACE)
+                   for row in (way.longitude, way.latitude))  # fmt: skip
+    later = np.round(np.interp(altitude, way.altitude, way.time)).astype("timedelta64[s]")
+    every = len(altitude)
     found = pymsis.calculate(
-        np.datetime64(utc.replace(tzinfo=None)), np.degrees(longitude), np.degrees(latitude), altitude / 1e3,
-        f107s=f107, f107as=f107a, aps=[[ap] * 7], version=2.1,
+        np.datetime64(utc) + later, east, north, altitude / 1e3, f107s=[f107] * every, f107as=[f107a] * every,
+        aps=[[ap] * 7] * every, version=2.1,
     )  # fmt: skip
     density = np.asarray(found, dtype=float)[..., 0].ravel()
     return tabulated(altitude, density, f"NRLMSIS 2.1 of {utc:%Y-%m-%d %H:%M} UTC")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from itertools import pairwise
 
 from perilune.models.atmosphere import Air
@@ -18,6 +19,17 @@ from perilune.models.deorbit.records import (
     Separation,
 )
 from perilune.words.outcome import PeriluneError
+
+
+def epoch_of(aim: Aim) -> datetime:
+    """The epoch, where one is needed."""
+    epoch = aim.instant()
+    if epoch is None:
+        raise PeriluneError(
+            "it is not said when the air of nrlmsis is", expected="problem.epoch, the time at t = 0",
+            advice='model = "us1976" is of no time',
+        )  # fmt: skip
+    return epoch
 
 
 def refuse_without_effect(

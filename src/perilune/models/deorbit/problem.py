@@ -19,6 +19,7 @@ from perilune.models.bodies import EARTH, Planet
 from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
+from perilune.models.deorbit.along import rough_air
 from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
     Aim,
@@ -254,38 +255,28 @@ def deorbit_entry(
     """
     aim, transition = Aim(minimise=minimise, epoch=epoch), transition or Transition()
     demand_records((vehicle, Returner), (orbit_, Orbit), (interface, Interface), (body, Planet))
-    flown = _air(air, aim, site)
+    flown = _air(air)
     site = Landing() if site is None and flown is not None else site
     if heating is None and flown is not None and vehicle.nose_radius is not None:
         heating = Heating()
     checks.refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
     checks.refuse_out_of_order(interface, site if flown is not None else None, parachute)
-    checks.refuse_beyond_data(flown, interface, site)
     checks.refuse_without_effect(vehicle, flown, heating, separation, limits, parachute)
-    stated = (
-        aim,
-        body,
-        orbit_,
-        manoeuvre,
-        vehicle,
-        transition,
-        interface,
-        separation,
-        heating,
-        limits,
-        site,
-        parachute,
-    )
-    stated = tuple(record for record in (*stated, air if isinstance(air, Atmosphere) else None) if record is not None)
+    stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, parachute)
+    named = air if isinstance(air, Atmosphere) else None
+    stated = tuple(record for record in (*stated, site, named) if record is not None)
     # Of air in a table nothing but the table is left to be changed.
     numbers = (record for record in stated if not isinstance(record, Atmosphere) or record.model == "exponential")
     given = {**given_of(*numbers), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
-    if flown is not None:
-        given = {**flown.given, **given}
     angles = orbit.from_node if manoeuvre is None else orbit.from_place(manoeuvre.going)
     names = ("coast",) * (orbit_.longest_coast is not None) + ("burn",)
     names += ("drift",) * (transition.longest_coast is not None) + ("entry",) * (flown is not None)
     names += ("parachute",) * (parachute is not None)
+    if named is not None and named.model == "nrlmsis":
+        flown = rough_air(named, checks.epoch_of(aim), given, angles, names)
+    checks.refuse_beyond_data(flown, interface, site)
+    if flown is not None:
+        given = {**flown.given, **given}
     above = [name for name in names if name not in ("entry", "parachute")]
     dry, heat, nose = "vehicle_dry_mass" in given, minimise == "heat_load", vehicle.nose_radius is not None
     phases = [
@@ -339,23 +330,12 @@ def _size_of(objective_unit: str, time: float) -> float | None:
     return {"s": 10 * time, "J/m^2": flight.HEAT.scale}.get(objective_unit)
 
 
-def _air(air: Atmosphere | Air | None, aim: Aim, site: Landing | None) -> Air | None:
-    """The air that is flown."""
+def _air(air: Atmosphere | Air | None) -> Air | None:
+    """The air that is flown; that of a day is known with the way through it, and the standard stands for it."""
     if not isinstance(air, Atmosphere):
         return air
     if air.density is not None and air.scale_height is not None:
         return atmosphere.exponential(air.density, air.scale_height)
     if air.file is not None:
         return atmosphere.from_file(air.file)
-    if air.f107 is None or air.f107a is None or air.ap is None:
-        return atmosphere.standard()
-    when = aim.instant()
-    if when is None or site is None or site.longitude is None or site.latitude is None:
-        raise PeriluneError(
-            "it is not said when and where the air of nrlmsis is",
-            expected="problem.epoch, and a longitude and a latitude in [site]",
-            advice='model = "us1976" is of no time and no place',
-        )
-    return atmosphere.thermosphere(
-        when, site.longitude, site.latitude, f107=air.f107, f107a=air.f107a, ap=air.ap
-    )  # fmt: skip
+    return atmosphere.standard()

@@ -227,7 +227,7 @@ class Atmosphere:
 
     model: str = words(
         "exponential", *AIRS,
-        about="exponential; us1976 (US Standard Atmosphere); nrlmsis (2.1, by pymsis, above the site); or file",
+        about="exponential; us1976 (US Standard Atmosphere); nrlmsis (2.1, by pymsis, along the flight); or file",
     )  # fmt: skip
     density: float | None = quantity(
         "kg/m^3", "1.225 kg/m^3", default=None, above=0.0, about="of exponential air at altitude 0"
