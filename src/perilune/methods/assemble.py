@@ -18,7 +18,6 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, full, hermite_nodes
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
-from perilune.shooting.plan import legs_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -233,8 +232,7 @@ def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segme
     joints = [np.zeros(0)]
     for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True):
         scale = state_scales(problem, phase)
-        legs = legs_of(extremal, segments)
-        for share in np.arange(1, legs) / legs:
+        for share in np.arange(1, segments) / segments:
             t = share * flown.duration
             lam = flown.costate(t) if flown.costate is not None else np.zeros(len(scale))
             constants = np.zeros(len(extremal.constants))

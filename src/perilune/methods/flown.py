@@ -20,12 +20,12 @@ from perilune.kernels import DenseArc
 from perilune.problem.problem import Problem
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST
-from perilune.shooting.plan import legs_of
 from perilune.shooting.propagate import flight
 from perilune.shooting.settling import fallen
 from perilune.words.types import Matrix, Vector
 
 _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
+_FINEST = {"rtol": 1e-14, "atol": 1e-14}  # the same where a phase settles, as `shooting.flyer.Split` flies them
 _MISSED = 2e-11  # canonical, of what a flight leaves at its end: five times below the limit of the proof
 _MENDED = 0.1  # of that, which the flight in pieces may leave
 _SEGMENTS = 6
@@ -88,16 +88,20 @@ class Flown:
 def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[Flown]:
     """The flight from the unknowns y, whatever it meets; settings as for `flight`. What settles is in several."""
     p, before, flown = extremal_parameters(problem), np.zeros(0), list[Flown]()
-    y = y[: len(conditions.unknowns)]
+    y, settings = y[: len(conditions.unknowns)], {**_fine(conditions), **settings}
     for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
         z0, duration = (np.array(out).ravel() for out in start(y, before, p))
         if extremal.settles:
-            flown.append(_fallen(conditions, k, y, z0, p, float(duration[0]), **{**_FINE, **settings}))
+            flown.append(_fallen(conditions, k, y, z0, p, float(duration[0]), **settings))
         else:
-            arc = flight(extremal, z0, p, float(duration[0]), **{**_FINE, **settings})
+            arc = flight(extremal, z0, p, float(duration[0]), **settings)
             flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=float(duration[0])))
         before = flown[-1].arcs[-1].z[-1]
     return flown
+
+
+def _fine(conditions: Conditions) -> dict[str, float]:
+    return _FINEST if any(extremal.settles for extremal in conditions.phases) else _FINE
 
 
 def _fallen(
@@ -133,7 +137,7 @@ def exported(
 
 def may_be_cut(conditions: Conditions, segments: int) -> bool:
     """Whether multiple shooting with so many segments for each phase is worth its unknowns."""
-    return sum((legs_of(e, segments) - 1) * 2 * e.half for e in conditions.phases) <= _JOINED
+    return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
 
 def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:
@@ -149,27 +153,25 @@ def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequ
     """The same root by multiple shooting, each piece from its own start."""
     shooting, p = Shooting(conditions, segments=_SEGMENTS), extremal_parameters(problem)
     shares = np.arange(1, _SEGMENTS) / _SEGMENTS
-    cut = [not extremal.settles for extremal in conditions.phases]
-    joints = [arc(shares * arc.duration).ravel() for arc, is_cut in zip(whole, cut, strict=True) if is_cut]
+    joints = [arc(shares * arc.duration).ravel() for arc in whole]
     found = shooting.root(np.concatenate([root.y, *joints]), p, root.choice, accuracy=FINEST)
     if not found.converged:
         return None
     y = found.y[: len(root.y)].copy()
     y[conditions.free_at] = root.y[conditions.free_at]  # as they are reported; Newton moves them by rounding
-    flown, before, at, leg = list[Flown](), np.zeros(0), len(root.y), 0
+    flown, before, at, fine = list[Flown](), np.zeros(0), len(root.y), _fine(conditions)
     for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
         z, duration = (np.array(out).ravel() for out in start(y, before, p))
-        leg += legs_of(extremal, _SEGMENTS)
         if extremal.settles:
-            flown.append(_fallen(conditions, k, y[: len(conditions.unknowns)], z, p, float(duration[0]), **_FINE))
-            before = flown[-1].arcs[-1].z[-1]
+            flown.append(_fallen(conditions, k, y[: len(conditions.unknowns)], z, p, float(duration[0]), **fine))
+            before, at = flown[-1].arcs[-1].z[-1], at + len(z) * len(shares)
             continue
-        length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[leg - 1].flown.kept
-        arcs = [flight(extremal, z, p, length, **_FINE)]
+        length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[k * _SEGMENTS].flown.kept
+        arcs = [flight(extremal, z, p, length, **fine)]
         for _ in shares:
             z = arcs[-1].z[-1].copy()
             z[kept] = found.y[at : at + len(z)][kept]
-            arcs.append(flight(extremal, z, p, length, **_FINE))
+            arcs.append(flight(extremal, z, p, length, **fine))
             at += len(z)
         flown.append(Flown(arcs=tuple(arcs), begins=length * np.arange(_SEGMENTS), duration=float(duration[0])))
         before = arcs[-1].z[-1]

@@ -9,16 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import Request, compile_map
+from perilune.kernels import BoundArcs, Engine, Request, compile_map
 from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan
 from perilune.words.types import Matrix, Vector
+
+_FINER, _OF_COLUMNS = 1e-2, 1e-7  # of what is asked; the least tolerance of columns
 
 
 class Code:
@@ -30,12 +34,40 @@ class Code:
         self.closing = compile_map(plan.closing)
 
 
+class Split:
+    """Arcs of a plan in which a phase settles: themselves finer than asked, and their columns no finer than needed.
+
+    The transition matrix of a fall follows its density, which changes by e within a thousandth of the radius: errors of
+    the states are a thousand times as large in it. Newton's method needs its derivatives to a few digits only, and they
+    are all but a tenth of the work.
+    """
+
+    def __init__(self, engine: Engine, asked: Request) -> None:
+        fine, rough = (np.empty_like(asked.rtol) for _ in range(2))
+        self.accuracy, self.fine, self.rough = asked.rtol, fine, rough
+        self._states = engine.bind(replace(asked, seeds=None, rtol=fine, atol=fine))
+        self._columns = engine.bind(replace(asked, rtol=rough, atol=rough))
+        self.z, self.rates, self.columns = self._states.z, self._states.rates, self._columns.columns
+
+    def __call__(self) -> None:
+        """Fly both."""
+        np.multiply(self.accuracy, _FINER, out=self.fine)
+        np.maximum(self.accuracy, _OF_COLUMNS, out=self.rough)
+        self._states()
+        self._columns()
+
+    @property
+    def lost(self) -> NDArray[np.intp]:
+        """Lanes of which either is lost."""
+        return np.union1d(self._states.lost, self._columns.lost)
+
+
 class Flight:
     """A plan bound to arrays, which are read at each call: (lanes, ...) or, for `choice` and `p`, (1, ...)."""
 
     def __init__(self, code: Code, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> None:
         self.plan, self.Y, self.inverse = code.plan, Y, inverse
-        self.legs, ends = [], list[Matrix]()
+        self.legs, ends = list[tuple[Any, BoundArcs | Split]](), list[Matrix]()
         for leg, opening in zip(code.plan.legs, code.openings, strict=True):
             opened = opening.bind(Y, p, *(ends[-3:] if leg.follows else []))
             z0, duration, mode, seeds, numbers = opened.outputs
@@ -49,7 +81,7 @@ class Flight:
                 mode=mode[:, 0],
                 max_steps=leg.most_steps,
             )
-            arcs = leg.arcs.bind(asked)
+            arcs = Split(leg.arcs, asked) if code.plan.settles else leg.arcs.bind(asked)
             self.legs.append((opened, arcs))
             ends += [arcs.z, arcs.rates, arcs.columns.reshape(len(Y), -1)]
         known = [Y, choice, p, inverse] if self.plan.compiled else [Y, choice, p]

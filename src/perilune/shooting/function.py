@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from perilune.conditions.pontryagin import Conditions
 from perilune.shooting.flyer import fleet, jacobians
 from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, newton
-from perilune.shooting.plan import Plan, legs_of
+from perilune.shooting.plan import Plan
 from perilune.shooting.propagate import flight
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
@@ -206,7 +206,7 @@ class Shooting:
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
             z0, duration = (np.array(out).ravel() for out in start(y, before, p))
             curve = flight(extremal, z0, p, float(duration[0]))
-            at = curve(np.linspace(0.0, float(duration[0]), legs_of(extremal, self.segments) + 1))
+            at = curve(np.linspace(0.0, float(duration[0]), self.segments + 1))
             if not np.all(np.isfinite(at)):
                 return None
             nodes.extend(at[1:-1])

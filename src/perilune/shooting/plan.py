@@ -12,9 +12,9 @@ which goes through the link into the seeds of the next leg, or into the residual
 Free parameters and end conditions that are ranges may be *held*, each lane of a batch having its own choice: the
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
 
-Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out of all this. A phase
-that settles (`perilune.shooting.settling`) is one leg in any number of segments, and its transversality condition is
-met at its start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T).
+Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out of all this. Of a
+phase that settles (`perilune.shooting.settling`) legs have states alone, and its transversality condition is met at its
+start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi the product of those of its legs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.canonical import PhaseExtremal
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import Engine, Request
 from perilune.shooting.newton import Columns
@@ -95,15 +94,15 @@ class Plan:
     free: int
     held: int
 
+    @property
+    def settles(self) -> bool:
+        """Whether any phase does."""
+        return any(phase.settles for phase in self.conditions.phases)
+
 
 def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan:
     """Derive the plan; its step is compiled for up to `most` coupled unknowns, by default `COMPILED`."""
     return _Tracing(conditions, segments, COMPILED if most is None else most).plan()
-
-
-def legs_of(extremal: PhaseExtremal, segments: int) -> int:
-    """How many legs a phase has: what settles needs no more than one."""
-    return 1 if extremal.settles else segments
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +131,7 @@ class _Tracing:
         active, size = [i for i in range(count) if i not in silent], count
         self.nodes: dict[tuple[int, int], list[int]] = {}  # where the start of a later segment lies in the whole Y
         for k, (phase, flown) in enumerate(zip(conditions.phases, self.flown, strict=True)):
-            for j in range(1, legs_of(phase, segments)):
+            for j in range(1, segments):
                 self.nodes[k, j] = [size + i for i in flown.kept.tolist()]
                 active += self.nodes[k, j]
                 size += 2 * phase.half
@@ -145,19 +144,19 @@ class _Tracing:
 
     def plan(self) -> Plan:
         """Trace legs and closing."""
-        legs, ends, gaps, last = [], [], [], []
+        legs, ends, gaps = [], [], []
         before: _End | None = None
         for k in range(len(self.flown)):
-            for j in range(legs_of(self.conditions.phases[k], self.segments)):
+            for j in range(self.segments):
                 leg, end = self._leg(k, j, before)
                 if j and before is not None:
                     node = self.whole[self.nodes[k, j]]
-                    gaps.append((before.z - node, before.slope - ca.jacobian(node, self.Y)))
+                    count = node.numel()
+                    gaps.append((before.z[:count] - node, before.slope[:count, :] - ca.jacobian(node, self.Y)))
                 legs.append(leg)
                 ends.append(end)
                 before = end
-            last.append(ends[-1])
-        closing, columns, compiled = self._closing(ends, last, gaps)
+        closing, columns, compiled = self._closing(ends, gaps)
         c = self.conditions
         count, silent = len(c.residuals), {row for row, _ in c.silent_rows}
         rows = [i for i in range(count) if i not in silent] + [i for at in self.nodes.values() for i in at]
@@ -186,7 +185,7 @@ class _Tracing:
         if j:
             z0 = ca.SX.zeros(*z0.shape)
             z0[kept] = self.whole[self.nodes[k, j]]
-        start, duration = z0[kept], duration / legs_of(extremal, self.segments)
+        start, duration = z0[kept], duration / self.segments
         settles = self.settling[k]
         start = settles.start(start) if settles else start
         slope = ca.jacobian(start, self.Y)
@@ -225,27 +224,28 @@ class _Tracing:
         z[kept] = end.z[: len(kept)]
         return z
 
-    def _residual(self, last: list[_End]) -> tuple[ca.SX, ca.SX]:
-        """Of the ends of all phases; J."""
-        c, whole = self.conditions, [self._whole(k, end) for k, end in enumerate(last)]
+    def _residual(self, ends: list[_End]) -> tuple[ca.SX, ca.SX]:
+        """Of the ends of all legs; J."""
+        c, last = self.conditions, ends[self.segments - 1 :: self.segments]
+        whole = [self._whole(k, end) for k, end in enumerate(last)]
         plain, cost = c.residual(self.y, ca.vertcat(*whole), self.p)
         if not any(self.settling):
             return plain, cost
         met = ca.SX(plain)
-        for k, (settles, end, at) in enumerate(zip(self.settling, last, c.costate_at, strict=True)):
+        for k, (settles, at) in enumerate(zip(self.settling, c.costate_at, strict=True)):
             if settles:  # where lambda(T) is left out, its row is what the end makes of it, but for the sign
                 rows = slice(c.transversality_at + at.start, c.transversality_at + at.stop)
                 whole[k][c.phases[k].half :] = -plain[rows]
-                met[rows] = self.y[at] + ca.mtimes(settles.transition(end.z).T, plain[rows])
-        rows = slice(c.stationarity_at.start, c.stationarity_at.stop)
-        met[rows] = c.residual(self.y, ca.vertcat(*whole), self.p)[0][rows]
+                back = plain[rows]
+                for end in reversed(ends[k * self.segments : (k + 1) * self.segments]):
+                    back = ca.mtimes(settles.transition(end.z).T, back)
+                met[rows] = self.y[at] + back
+        met[c.stationarity_at] = c.residual(self.y, ca.vertcat(*whole), self.p)[0][c.stationarity_at]
         return met, cost
 
-    def _closing(
-        self, ends: list[_End], last: list[_End], gaps: list[tuple[ca.SX, ca.SX]]
-    ) -> tuple[ca.Function, Columns, bool]:
+    def _closing(self, ends: list[_End], gaps: list[tuple[ca.SX, ca.SX]]) -> tuple[ca.Function, Columns, bool]:
         c, Y, n = self.conditions, self.Y, len(self.active)
-        plain, cost = self._residual(last)
+        plain, cost = self._residual(ends)
         free = list(range(c.free_at.start, c.free_at.stop))
         masks, values = (ca.SX.sym(name, len(free) + len(c.ranges)) for name in ("mask", "value"))
         held = [(c.stationarity_at.start + i, self.y[at]) for i, at in enumerate(free)]
@@ -257,7 +257,7 @@ class _Tracing:
         silent = {row for row, _ in c.silent_rows}
         residual = ca.simplify(residual[[i for i in range(residual.numel()) if i not in silent]])
         slope = ca.jacobian(residual, Y)
-        for end in last:
+        for end in ends:
             slope += ca.mtimes(ca.jacobian(residual, end.z), end.slope)
         h = ca.densify(ca.vertcat(residual, *(gap for gap, _ in gaps)))
         J = ca.sparsify(ca.vertcat(slope, *(gap_slope for _, gap_slope in gaps)))
