@@ -15,6 +15,7 @@ from scipy.integrate import quad, solve_ivp
 from perilune.models import aerodynamics, ellipsoid
 from perilune.models.aerodynamics import sphere_cone_drag_area
 from perilune.models.atmosphere import exponential
+from perilune.models.deorbit import orbit
 from perilune.models.deorbit.flight import falling
 from perilune.models.flight_path import FlightPath, cartesian, flight_path, path_axes, rates
 from perilune.models.rotating import combine, dot, free_acceleration, gravity, local_axes, potential
@@ -167,6 +168,30 @@ def test_altitude_is_above_the_ellipsoid() -> None:
     np.testing.assert_allclose(ellipsoid.at(longitude, latitude, height, EARTH, NUMERIC), position, atol=1e-8)
     np.testing.assert_allclose(ellipsoid.altitude(position, EARTH, NUMERIC), height, atol=1e-7)
     np.testing.assert_allclose(ellipsoid.latitude(position, EARTH, NUMERIC), latitude, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [{"orbit_radius": 6.8e6},
+     {"orbit_perigee_altitude": 3e5, "orbit_apogee_altitude": 3e6, "orbit_argument_of_perigee": 1.0}],
+)  # fmt: skip
+@pytest.mark.parametrize(("latitude", "going"), [(0.6, "ascending"), (-0.85, "descending"), (0.0, "ascending")])
+def test_a_manoeuvre_is_above_its_geodetic_place(shape: Any, latitude: float, going: str) -> None:
+    place = {"manoeuvre_latitude": latitude, "manoeuvre_longitude": 0.3, "orbit_inclination": 0.9}
+    p = SimpleNamespace(**vars(EARTH), **shape, **place)
+    angle, node = orbit.from_place(going)(p, NUMERIC)
+    position, velocity = orbit.state(angle, node, p, NUMERIC)
+    assert ellipsoid.latitude(position, p, NUMERIC) == pytest.approx(latitude, abs=1e-9)
+    assert math.atan2(position[1], position[0]) == pytest.approx(0.3, abs=1e-12)
+    assert (velocity[2] > 0) == (going == "ascending")
+    # By its definition: the normal from the axis through the place, at this distance from the centre.
+    tangent = position[2] / math.hypot(*position[:2])
+    assert math.atan(tangent) == pytest.approx(
+        ellipsoid.geocentric(latitude, math.hypot(*position), p, NUMERIC), abs=1e-10
+    )
+    sphere = SimpleNamespace(**{k: v for k, v in vars(p).items() if k != "body_flattening"})
+    round_ = orbit.state(*orbit.from_place(going)(sphere, NUMERIC), sphere, NUMERIC)[0]
+    assert math.asin(round_[2] / math.hypot(*round_)) == pytest.approx(latitude, abs=1e-12)
 
 
 @pytest.mark.parametrize("latitude", [0.0, 0.7, math.pi / 2, -math.pi / 2])

@@ -35,6 +35,16 @@ def latitude(position: Sequence[Any], p: Any, m: Any) -> Any:
     return m.atan2(along, across * level)
 
 
+def geocentric(latitude: Any, distance: Any, p: Any, m: Any) -> Any:
+    """Geocentric latitude [rad] of a point at a geodetic one [rad] and at a distance from the centre [m]."""
+    if not hasattr(p, "body_flattening"):
+        return latitude
+    x, _, z = at(0.0, latitude, 0.0, p, m)
+    outwards = x * m.cos(latitude) + z * m.sin(latitude)
+    height = m.sqrt(outwards * outwards + distance * distance - x * x - z * z) - outwards
+    return m.atan2(z + height * m.sin(latitude), x + height * m.cos(latitude))
+
+
 def at(longitude: Any, latitude: Any, height: Any, p: Any, m: Any) -> Triple:
     """Position [m] of a place by its geodetic latitude [rad] and its altitude [m]."""
     up, _, _ = local_axes(longitude, latitude, m)

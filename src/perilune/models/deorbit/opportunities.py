@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from perilune.models import ellipsoid
+from perilune.models.deorbit.orbit import plane, shape
 from perilune.models.deorbit.passes import Pass, nearest, passes, velocity_change
 from perilune.models.deorbit.preflight import OFF_PLANE
 from perilune.models.deorbit.records import Aim, Manoeuvre
@@ -162,10 +164,11 @@ def _settings(problem: Problem, p: Any, orbit: Drift, start: float) -> dict[str,
     if hasattr(p, "orbit_argument_of_perigee"):
         perigee["orbit.argument_of_perigee"] = _degrees(orbit.perigee + orbit.perigee_rate * start)
     if any(isinstance(record, Manoeuvre) for record in problem.declared):
-        sine = math.sin(p.orbit_inclination) * math.sin(angle)
-        east = node + math.atan2(math.cos(p.orbit_inclination) * math.sin(angle), math.cos(angle))
+        up, _ = plane(angle, node, p, NUMERIC)
+        distance = float(shape(angle - orbit.perigee_rate * start, p, NUMERIC)[0])
+        latitude = float(ellipsoid.latitude([distance * part for part in up], p, NUMERIC))
         return {
-            "manoeuvre.longitude": _degrees(east), "manoeuvre.latitude": _degrees(math.asin(sine)),
+            "manoeuvre.longitude": _degrees(math.atan2(up[1], up[0])), "manoeuvre.latitude": _degrees(latitude),
             "manoeuvre.pass": "ascending" if math.cos(angle) > 0 else "descending", **perigee,
         }  # fmt: skip
     return {"orbit.node_longitude": _degrees(node), "orbit.argument_of_latitude": _degrees(angle), **perigee}

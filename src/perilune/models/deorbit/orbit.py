@@ -5,18 +5,21 @@ that time, the unit vectors up and ahead (in the orbit's plane, at right angles 
 
     up    = R_z(W) (cos u, sin u cos i, sin u sin i),     ahead = R_z(W) (-sin u, cos u cos i, cos u sin i)
 
-A place on the orbit gives them by sin u = sin(latitude)/sin i, with cos u >= 0 on an ascending pass and W from the
-longitude. The orbit's plane does not turn while the body does, and W is counted beside the body.
+A place on the orbit gives them by sin u = sin(geocentric latitude)/sin i, with cos u >= 0 on an ascending pass and W
+from the longitude. The orbit's plane does not turn while the body does, and W is counted beside the body.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+from perilune.models import ellipsoid
 from perilune.models.rotating import Triple, combine, cross
 from perilune.words.types import Physics
 
 AXIS: Triple = (0.0, 0.0, 1.0)
+# The distance on an ellipse depends on the latitude, and above an ellipsoid this on that, by a thousandth.
+_ROUNDS = 6
 
 
 def from_place(going: str) -> Physics:
@@ -38,10 +41,13 @@ def _descending(p: Any, m: Any) -> tuple[Any, Any]:
 
 
 def _at_place(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
-    sine = m.sin(p.manoeuvre_latitude) / m.sin(p.orbit_inclination)
-    cosine = northwards * m.sqrt(1 - sine * sine)
-    node = p.manoeuvre_longitude - m.atan2(m.cos(p.orbit_inclination) * sine, cosine)
-    return m.atan2(sine, cosine), node
+    latitude = p.manoeuvre_latitude
+    for _ in range(_ROUNDS if hasattr(p, "body_flattening") else 1):
+        sine = m.sin(latitude) / m.sin(p.orbit_inclination)
+        cosine = northwards * m.sqrt(1 - sine * sine)
+        angle = m.atan2(sine, cosine)
+        latitude = ellipsoid.geocentric(p.manoeuvre_latitude, shape(angle, p, m)[0], p, m)
+    return angle, p.manoeuvre_longitude - m.atan2(m.cos(p.orbit_inclination) * sine, cosine)
 
 
 def plane(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:

@@ -13,13 +13,14 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from perilune.models import atmosphere
+from perilune.models import atmosphere, ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.bodies import EARTH, Planet
 from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
 from perilune.models.deorbit.along import rough_air
+from perilune.models.deorbit.passes import extremes
 from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
     Aim,
@@ -174,7 +175,8 @@ def _ranges(
 ) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
     highest = math.asin(math.sin(p.orbit_inclination))
-    if hasattr(p, "manoeuvre_latitude") and not abs(p.manoeuvre_latitude) < highest:
+    low, _ = extremes(p)
+    if hasattr(p, "manoeuvre_latitude") and not abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, m)) < highest:
         raise PeriluneError(
             "the orbit never comes to the latitude of the manoeuvre",
             got=f"{math.degrees(p.manoeuvre_latitude):g} deg",

@@ -115,7 +115,7 @@ class Manoeuvre:
     """The place on the orbit at which the flight begins, and with it ignition unless there is a coast."""
 
     longitude: float = quantity("rad", "16 deg", **_TURNS, about="east")
-    latitude: float = quantity("rad", "39.5 deg", **_LATITUDE, about="geocentric, north")
+    latitude: float = quantity("rad", "39.5 deg", **_LATITUDE, about="north; geodetic above an ellipsoid")
     going: str = words("descending", *PASSES, called="pass", about="ascending (northwards) or descending there")
 
 
