@@ -36,7 +36,7 @@ from perilune.models.limits import (
     velocity_change,
 )
 from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
-from perilune.models.vehicle import Throttle, Vehicle
+from perilune.models.vehicle import THROTTLE, Throttle, Vehicle
 from perilune.problem.controls import Bounded, Control, Direction
 from perilune.problem.declared import given_of
 from perilune.problem.phase import Phase
@@ -220,9 +220,6 @@ def _controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
             for name, angle in (("alpha", "elevation"), ("beta", "azimuth"))
         )
     return (*controls, THROTTLE) if throttled else controls
-
-
-THROTTLE = Bounded(name="throttle", lower="throttle_lower", upper="throttle_upper")  # share of full thrust
 
 
 def _phase(

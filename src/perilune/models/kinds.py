@@ -146,6 +146,7 @@ def _deorbit(
     orbit: deorbit.Orbit,
     manoeuvre: deorbit.Manoeuvre | None,
     vehicle: deorbit.Returner,
+    throttle: Throttle | None,
     transition: deorbit.Transition,
     interface: deorbit.Interface,
     atmosphere: deorbit.Atmosphere | None,
@@ -158,7 +159,7 @@ def _deorbit(
     return deorbit_entry(
         vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
         heating=heating, separation=separation, limits=limits, minimise=problem.minimise,
-        epoch=problem.epoch, parachute=parachute,
+        epoch=problem.epoch, parachute=parachute, throttle=throttle,
     )  # fmt: skip
 
 
@@ -234,6 +235,7 @@ DEORBIT = Kind(
         "orbit": Section(record=deorbit.Orbit),
         "manoeuvre": Section(record=deorbit.Manoeuvre, required=False, absent="left out where [orbit] says it"),
         "vehicle": Section(record=deorbit.Returner),
+        "throttle": Section(record=Throttle, required=False, absent="left out, the engine burns at full thrust"),
         "transition": Section(record=deorbit.Transition, required=False, otherwise=deorbit.Transition()),
         "interface": Section(record=deorbit.Interface),
         "atmosphere": Section(

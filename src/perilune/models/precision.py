@@ -20,7 +20,7 @@ from perilune.models.bodies import MOON, Body, UniformGravity, oblate
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
 from perilune.models.corridor import NONE, Corridor, above_slope, conditions, kept, kept_falling
-from perilune.models.descent import SPEED, THROTTLE, Site, with_dry_mass
+from perilune.models.descent import SPEED, Site, with_dry_mass
 from perilune.models.descent_frames import mass_rate, thrust, variables
 from perilune.models.final_descent import (
     FINAL_TIME,
@@ -36,7 +36,7 @@ from perilune.models.landing import mass_state
 from perilune.models.limits import gravity_at
 from perilune.models.precision_preflight import compare_precision
 from perilune.models.rotating import INERTIAL_AXES, combine
-from perilune.models.vehicle import Throttle, Vehicle
+from perilune.models.vehicle import THROTTLE, Throttle, Vehicle
 from perilune.problem.controls import Direction
 from perilune.problem.declared import given_of
 from perilune.problem.phase import Phase

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from perilune.problem.controls import Bounded
 from perilune.words.declared import quantity, record
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import STANDARD_GRAVITY
@@ -89,3 +90,6 @@ class Throttle:
                 got=f"{self.lower:g} to {self.upper:g}",
                 expected="0 <= lower < upper <= 1",
             )
+
+
+THROTTLE = Bounded(name="throttle", lower="throttle_lower", upper="throttle_upper")  # share of full thrust

@@ -30,6 +30,7 @@ _SURELY = 1.2  # times what linear equations say of a path that is bent
 _STEPS = 60
 _TILTS = 3.0  # times J2, by which oblateness tilts a path
 _LEAST = 0.02  # of a speed or a cosine: what comes below may be anything
+_NOTHING = 1e-9  # of full thrust
 _STEEP = 20.0  # -ln c of a path that is as good as vertical
 
 
@@ -79,11 +80,12 @@ def steepest_angle(p: Any, m: Any) -> Any:
 def furthest_moved(p: Any, m: Any, change: Any) -> Any:
     """How far [m] up or down a burn brings the vehicle by its end, at most, from its velocity change [m/s].
 
-    At full thrust from the first moment on, it lasts as long as the propellant that it takes.
+    At its least thrust it lasts longest, without an end where that is none.
     """
     low, _ = extremes(p)
+    least = p.vehicle_thrust * m.fmax(getattr(p, "throttle_lower", 1.0), _NOTHING)
     ratio = m.exp(change / exhaust_speed(p))
-    lasts = p.vehicle_mass * (1 - 1 / ratio) * exhaust_speed(p) / p.vehicle_thrust
+    lasts = p.vehicle_mass * (1 - 1 / ratio) * exhaust_speed(p) / least
     straight = exhaust_speed(p) * lasts * (1 - m.log(ratio) / (ratio - 1))
     return _SURELY * straight * (1 + lasts * m.sqrt(p.body_gravitational_parameter / (low * low * low)))
 

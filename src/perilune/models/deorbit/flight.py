@@ -15,7 +15,7 @@ from typing import Any
 from perilune.models import aerodynamics, ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.orbit import AXIS
-from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.deorbit.records import exhaust_speed, throttled
 from perilune.models.rotating import Triple, combine, dot, free_acceleration, local_axes
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.variables import Variable
@@ -55,6 +55,11 @@ def path_angle(x: Any, m: Any) -> Any:
     return m.asin(dot(r, v) / m.sqrt(dot(r, r) * dot(v, v)))
 
 
+def thrust(u: Any, p: Any) -> Any:
+    """Thrust [N]: full, or throttled where `throttle` is a control."""
+    return p.vehicle_thrust * getattr(u, "throttle", 1.0)
+
+
 def coasting(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Rates without thrust, above the air."""
     return *how_fast(x), *free_acceleration(where(x), how_fast(x), AXIS, p, m), 0.0
@@ -64,9 +69,9 @@ def burning(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Rates with the engine on."""
     push = combine(
         (1, free_acceleration(where(x), how_fast(x), AXIS, p, m)),
-        (p.vehicle_thrust / x.m, (u.toward_x, u.toward_y, u.toward_z)),
+        (thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)),
     )
-    return *how_fast(x), *push, -p.vehicle_thrust / exhaust_speed(p)
+    return *how_fast(x), *push, -thrust(u, p) / exhaust_speed(p)
 
 
 def falling(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
@@ -104,14 +109,14 @@ def above_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """End of the transition: altitude, and speed and path angle where they are stated."""
+    """End of the transition: altitude, speed and path angle where they are stated, mass where no time says it."""
     ends = [ellipsoid.altitude(where(x), p, m) - p.interface_altitude]
     for name, value in (("speed", speed(x, m)), ("angle", path_angle(x, m))):
         if hasattr(p, f"interface_{name}"):
             ends.append(value - getattr(p, f"interface_{name}"))
         elif hasattr(p, f"interface_{name}_lower") or hasattr(p, f"interface_{name}_upper"):
             ends.append(value)
-    return ends
+    return [*ends, *((x.m,) if throttled(p) and hasattr(p, "vehicle_dry_mass") else ())]
 
 
 def beside_site(x: Any, p: Any, m: Any) -> Sequence[Any]:

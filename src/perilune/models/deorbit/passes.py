@@ -27,7 +27,7 @@ import numpy as np
 
 from perilune.models import ellipsoid
 from perilune.models.deorbit.orbit import plane, shape
-from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.deorbit.records import exhaust_speed, greatest_thrust
 from perilune.models.deorbit.secular import Drift
 from perilune.models.deorbit.times import way_down
 from perilune.models.rotating import cross, dot
@@ -146,7 +146,7 @@ def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | N
     Both [rad], at the time at which they are nearest to each other; less than half a turn from a landing [s] where that
     is given.
     """
-    rate = p.vehicle_thrust / exhaust_speed(p)
+    rate = greatest_thrust(p) / exhaust_speed(p)
     burn = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", _LEFT * p.vehicle_mass)) / rate
     longest = getattr(p, "orbit_longest_coast", 0.0) + getattr(p, "transition_longest_coast", 0.0)
     time = np.arange(0.0, longest + min(burn, _DAY) + _LONGEST_ENTRY, 0.1 * _STEP)

@@ -38,6 +38,7 @@ from perilune.models.deorbit.records import (
     exhaust_speed,
 )
 from perilune.models.landing import mass_state
+from perilune.models.vehicle import THROTTLE, Throttle
 from perilune.problem.declared import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -104,7 +105,7 @@ def _into_the_air_with_heat(x: Any, p: Any, m: Any) -> Sequence[Any]:
     return *_into_the_air(x, p, m), 0.0
 
 
-def _interface_conditions(interface: Interface) -> tuple[Variable, ...]:
+def _interface_conditions(interface: Interface, *, weighed: bool) -> tuple[Variable, ...]:
     found = [Variable(name="interface_altitude", unit="m")]
     for name in ("speed", "angle"):
         fixed, lower, upper = (getattr(interface, f"{name}{ending}") for ending in ("", "_lower", "_upper"))
@@ -116,21 +117,23 @@ def _interface_conditions(interface: Interface) -> tuple[Variable, ...]:
         if upper is not None:
             bounds["upper"] = f"interface_{name}_upper"
         found.append(Variable(name=f"interface_{name}", unit=_CONDITIONS[name], **bounds))
+    if weighed:
+        found.append(Variable(name="mass_left", unit="kg", lower="vehicle_dry_mass"))
     return tuple(found)
 
 
-def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool) -> Phase:
+def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool, throttled: bool) -> Phase:
     """A phase between the orbit and the interface, under thrust or without."""
     burns = name == "burn"
     outputs = told.PLACED + ((told.PUSHED,) if burns else ())
     return Phase(
         name=name,
         states=(*flight.STATES, mass_state(False)),
-        controls=(flight.STEERING,) if burns else (),
+        controls=(flight.STEERING, *((THROTTLE,) if throttled else ())) if burns else (),
         dynamics=flight.burning if burns else flight.coasting,
         duration=_DURATIONS[name],
         end=flight.at_interface if last else None,
-        end_conditions=_interface_conditions(interface) if last else (),
+        end_conditions=_interface_conditions(interface, weighed=dry and throttled) if last else (),
         path=None if name == "coast" else flight.above_interface,
         path_conditions=() if name == "coast" else (Variable(name="height_above_interface", unit="m"),),
         outputs=told.pushed if burns else told.placed,
@@ -185,6 +188,8 @@ def _ranges(
         )
     typical = times.typical_times(p, angles, air, coasts="coast" in names, drifts="drift" in names)
     burnt = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * times.exhaust_speed(p) / p.vehicle_thrust
+    if hasattr(p, "throttle_lower"):
+        burnt = burnt / p.throttle_lower if p.throttle_lower > 0 else math.inf
     longest = {
         "coast_time": getattr(p, "orbit_longest_coast", math.inf),
         "burn_time": burnt,
@@ -212,6 +217,7 @@ def deorbit_entry(
     separation: Separation | None = None,
     limits: Limits | None = None,
     parachute: Parachute | None = None,
+    throttle: Throttle | None = None,
     minimise: str = "flight_time",
     epoch: str | None = None,
 ) -> Problem:
@@ -237,6 +243,8 @@ def deorbit_entry(
         Greatest load, heat rate and dynamic pressure in the air.
     parachute
         What takes over from the entry above the site; None: the flight ends where the entry does.
+    throttle
+        Range of the engine's throttle; None: it burns at full thrust.
     minimise
         ``"flight_time"`` from ignition to the end, ``"transition_time"`` to the interface, ``"propellant"`` or
         ``"heat_load"``.
@@ -263,10 +271,11 @@ def deorbit_entry(
         heating = Heating()
     checks.refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
     checks.refuse_out_of_order(interface, site if flown is not None else None, parachute)
+    checks.refuse_throttled_apart(throttle, separation)
     checks.refuse_without_effect(vehicle, flown, heating, separation, limits, parachute)
     stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, parachute)
     named = air if isinstance(air, Atmosphere) else None
-    stated = tuple(record for record in (*stated, site, named) if record is not None)
+    stated = tuple(record for record in (*stated, throttle, site, named) if record is not None)
     # Of air in a table nothing but the table is left to be changed.
     numbers = (record for record in stated if not isinstance(record, Atmosphere) or record.model == "exponential")
     given = {**given_of(*numbers), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
@@ -282,7 +291,8 @@ def deorbit_entry(
     above = [name for name in names if name not in ("entry", "parachute")]
     dry, heat, nose = "vehicle_dry_mass" in given, minimise == "heat_load", vehicle.nose_radius is not None
     phases = [
-        _above_the_air(name, last=name == above[-1], interface=interface, dry=dry) for name in above
+        _above_the_air(name, last=name == above[-1], interface=interface, dry=dry, throttled=throttle is not None)
+        for name in above
     ]  # fmt: skip
     if flown is not None and site is not None:
         bank, placed = vehicle.bank if vehicle.lift_to_drag is not None else None, site.longitude is not None

@@ -320,6 +320,16 @@ class Landing:
             raise PeriluneError("a site has a longitude and a latitude", expected="both of them in [site], or neither")
 
 
+def throttled(p: Any) -> bool:
+    """Whether the engine has a throttle."""
+    return hasattr(p, "throttle_upper")
+
+
+def greatest_thrust(p: Any) -> Any:
+    """Thrust [N] at the upper bound of the throttle."""
+    return p.vehicle_thrust * getattr(p, "throttle_upper", 1.0)
+
+
 def exhaust_speed(p: Any) -> Any:
     """Exhaust speed [m/s] of the engine."""
     if hasattr(p, "vehicle_exhaust_velocity"):

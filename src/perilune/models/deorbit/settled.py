@@ -11,6 +11,7 @@ from perilune.models.bodies import Planet
 from perilune.models.deorbit import records
 from perilune.models.deorbit.along import NEAR, air_along, changed, way_of
 from perilune.models.deorbit.problem import deorbit_entry
+from perilune.models.vehicle import Throttle
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.asked import demand
@@ -75,7 +76,7 @@ def along_flight(problem: Problem, solution: Solution) -> Problem:
         manoeuvre=stated.get(records.Manoeuvre), transition=stated.get(records.Transition),
         air=air_along(air, epoch, way), site=stated.get(records.Landing), heating=stated.get(records.Heating),
         separation=stated.get(records.Separation), limits=stated.get(records.Limits),
-        parachute=stated.get(records.Parachute), minimise=aim.minimise, epoch=aim.epoch,
+        parachute=stated.get(records.Parachute), minimise=aim.minimise, epoch=aim.epoch, throttle=stated.get(Throttle),
     )  # fmt: skip
     moved: dict[str, Any] = {
         name: given.value for name, given in problem.given.items() if made.given[name].value != given.value

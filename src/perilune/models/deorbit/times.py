@@ -24,7 +24,7 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit import parachute
 from perilune.models.deorbit.fall import POINTS, carried, fall, typical_angle
 from perilune.models.deorbit.orbit import AXIS, plane, shape
-from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.deorbit.records import exhaust_speed, greatest_thrust
 from perilune.models.rotating import combine, cross, dot, local_axes
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Physics, Vector
@@ -69,12 +69,13 @@ def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tu
         The last row, and the rows at times [s]: distance [m], angle swept [rad], speeds upwards and ahead [m/s].
     """
     mu, exhaust, gate = p.body_gravitational_parameter, exhaust_speed(p), p.body_radius + p.interface_altitude
+    full = greatest_thrust(p)
     distance, rise, ahead = (float(v) for v in shape(angle, p, NUMERIC))
     row, begun, pieces = np.array([distance, 0.0, rise, ahead]), 0.0, []
 
     def slope(t: float, y: Any, burns: bool) -> list[float]:
         r, _, up, on = y
-        push = p.vehicle_thrust / (p.vehicle_mass - p.vehicle_thrust / exhaust * t) if burns else 0.0
+        push = full / (p.vehicle_mass - full / exhaust * t) if burns else 0.0
         speed = math.hypot(up, on)
         return [up, on / r, on * on / r - mu / (r * r) - push * up / speed, -up * on / r - push * on / speed]
 
@@ -118,7 +119,7 @@ def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
     radius, gate = float(shape(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
     down = impulsive(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
     exhaust, mean, change = exhaust_speed(p), mean_rate(p, angle), down.velocity_change
-    burn = p.vehicle_mass * exhaust / p.vehicle_thrust * (1 - math.exp(-change / exhaust))
+    burn = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-change / exhaust))
     whole = down.time + 0.5 * burn
     if not drifts:
         return Down(velocity_change=change, burn=whole, whole=whole, swept=mean * whole)
@@ -168,7 +169,7 @@ def _to_the_site(p: Any, angle: float, node: float, mean: float, whole: float, s
 def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
     """States (points, states) [SI] of each phase, given the durations in `p`."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
-    gate, rate = p.body_radius + p.interface_altitude, p.vehicle_thrust / exhaust_speed(p)
+    gate, rate = p.body_radius + p.interface_altitude, greatest_thrust(p) / exhaust_speed(p)
     lengths = {name: float(getattr(p, f"{name}_time")) for name in names}
     parts = [lengths.get(name, 0.0) for name in ("coast", "burn", "drift")]
     last, at = descent(p, angle, *parts)

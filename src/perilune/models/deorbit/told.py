@@ -12,9 +12,9 @@ from typing import Any
 from perilune.models import aerodynamics, ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.budget import spent
-from perilune.models.deorbit.flight import how_fast, path_angle, speed, where
+from perilune.models.deorbit.flight import how_fast, path_angle, speed, thrust, where
 from perilune.models.deorbit.orbit import AXIS
-from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.deorbit.records import exhaust_speed, throttled
 from perilune.models.rotating import INERTIAL_AXES, Triple, combine, cross, dot, gravity, seen_inertially
 from perilune.problem.variables import Variable
 from perilune.problem.views import Corridor, Dispersion, Disturbance, Ground, History, Views
@@ -77,7 +77,7 @@ def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> S
     in_air = sum(lengths.get(name, 0.0) for name in ("entry", "parachute"))
     times = {"flight_time": to_interface + in_air, "transition_time": to_interface}
     times |= {f"{name}_time": length for name, length in lengths.items()}
-    burnt = p.vehicle_thrust / exhaust_speed(p) * p.burn_time
+    burnt = p.vehicle_mass - last.m if throttled(p) else p.vehicle_thrust / exhaust_speed(p) * p.burn_time
     change = exhaust_speed(p) * m.log(p.vehicle_mass / (p.vehicle_mass - burnt))
     landed = (speed(last, m), *_below(last, p, m)) if "entry" in names else ()
     return *(times[name] for name in _TIMES if name in times), burnt, change, *landed
@@ -99,7 +99,7 @@ def at_opening(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 def pushed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """The same with the acceleration by thrust."""
-    return *placed(x, u, p, m), p.vehicle_thrust / x.m
+    return *placed(x, u, p, m), thrust(u, p) / x.m
 
 
 def felt(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
@@ -131,12 +131,12 @@ def _inertial_velocity(x: Any, p: Any) -> Triple:
 def burnt(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Rates of what the burn spends, of the inertial velocity."""
     pull = gravity(where(x), AXIS, p, m)
-    return spent(_inertial_velocity(x, p), p.vehicle_thrust / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
+    return spent(_inertial_velocity(x, p), thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
 
 
 def inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial` of a burn."""
-    push = combine((p.vehicle_thrust / x.m, (u.toward_x, u.toward_y, u.toward_z)))
+    push = combine((thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
     return seen_inertially(where(x), how_fast(x), push, t, p, m)
 
 
@@ -180,7 +180,7 @@ def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str]) -> Views
             *((History(name="air", quantities=peaks, caption="What the air does"),) if air else ()),
             History(name="mass", quantities=("m",), caption="Mass"),
             History(
-                name="steering", quantities=("toward_x", "toward_y", "toward_z", "lift_up", "lift_right"),
+                name="steering", quantities=("toward_x", "toward_y", "toward_z", "throttle", "lift_up", "lift_right"),
                 caption="Thrust direction in axes that turn with the body, and lift in the air",
             ),
         ),

@@ -1,0 +1,114 @@
+"""Returns whose engine has a throttle: each beside one at full thrust that must be the same flight."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.models.deorbit.problem import deorbit_entry
+from perilune.models.deorbit.records import Interface, Landing, Orbit, Returner, Separation, Transition
+from perilune.models.vehicle import Throttle
+from perilune.problem.preflight import preflight
+from perilune.scenario import load_text
+from perilune.words.outcome import PeriluneError
+from test_opportunities import SCENARIO
+from test_return_refusals import AIR, BALL, PLACE, VEHICLE
+
+BARE = replace(VEHICLE, drag_area=None)
+
+
+def returning(degrees: float = -1.5, vehicle: Returner = BARE, **more: Any) -> pl.Problem:
+    made = {"manoeuvre": PLACE, "minimise": "propellant", **more}
+    orbit = Orbit(radius=6778e3, inclination=math.radians(50.0))
+    return deorbit_entry(vehicle, orbit, Interface(altitude=120e3, angle=math.radians(degrees)), BALL, **made)
+
+
+def proved(problem: pl.Problem) -> pl.Solution:
+    solution = pl.solve(problem)
+    assert solution.verification.passed and solution.verification.level == 3
+    return solution
+
+
+@cache
+def burn_and_drift() -> pl.Solution:
+    return proved(returning(transition=Transition(longest_coast=4000.0)))
+
+
+def same(one: pl.Solution, other: pl.Solution) -> None:
+    for name in ("delta_v", "propellant", "transition_time", "mass_at_interface", "interface_speed"):
+        assert one.results[name].value == pytest.approx(other.results[name].value, rel=1e-8)
+
+
+def test_a_throttle_to_nothing_makes_a_drift_of_its_own() -> None:
+    """One phase that burns all the way and may go down to no thrust: full thrust, then none, as two phases have it."""
+    whole = proved(returning(throttle=Throttle(lower=0.0, upper=1.0)))
+    same(whole, burn_and_drift())
+    burn, length = whole.trajectories[0], burn_and_drift().results["burn_time"].value
+    share = burn.control(np.array([0.5 * length, 0.99 * length, 1.01 * length, 1.5 * length]))[:, 3]
+    np.testing.assert_allclose(share, [1.0, 1.0, 0.0, 0.0], atol=1e-9)
+    assert whole.results["main_delta_v"].value == pytest.approx(whole.results["delta_v"].value, rel=1e-7)
+
+
+def test_a_throttle_that_no_flight_needs_changes_nothing() -> None:
+    throttle = Throttle(lower=0.2, upper=1.0)
+    same(proved(returning(throttle=throttle, transition=Transition(longest_coast=4000.0))), burn_and_drift())
+
+
+def test_what_the_throttle_holds_back_is_as_if_it_were_not_there() -> None:
+    """Least time at 0.9 of 500 N is that of an engine of 450 N."""
+    held = proved(returning(-6.0, throttle=Throttle(lower=0.2, upper=0.9), minimise="transition_time"))
+    same(held, proved(returning(-6.0, replace(BARE, thrust=450.0), minimise="transition_time")))
+
+
+def test_an_engine_that_never_stops_costs_more() -> None:
+    least = proved(returning(throttle=Throttle(lower=0.02, upper=1.0)))
+    told, drifted = least.results, burn_and_drift().results
+    assert drifted["propellant"].value * 1.05 < told["propellant"].value
+    longest = told["burn_time"].value
+    assert told["propellant"].value > 0.02 * 500.0 / 3000.0 * longest
+    # With no more than that on board the bounds before the flight still let it go.
+    tight = replace(BARE, dry_mass=told["mass_at_interface"].value * (1 - 1e-9))
+    assert all(found.passed for found in preflight(returning(vehicle=tight, throttle=Throttle(lower=0.02, upper=1.0))))
+
+
+def test_the_dry_mass_holds_with_a_throttle() -> None:
+    """Least time, with 30 kg on board: all of them are burnt at full thrust, as without a throttle."""
+    vehicle, more = replace(BARE, dry_mass=470.0), dict[str, Any](minimise="transition_time")
+    drifts = Transition(longest_coast=4000.0)
+    held = proved(returning(vehicle=vehicle, throttle=Throttle(lower=0.1, upper=1.0), transition=drifts, **more))
+    assert held.results["mass_at_interface"].value == pytest.approx(470.0, abs=1e-8)
+    same(held, proved(returning(vehicle=vehicle, transition=drifts, **more)))
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ('lower = "0.5"\nupper = "0.3"', "no range of shares"),
+        ('lower = "100 N"\nupper = "1"', "throttle.lower"),
+        ('lower = "0.2"', "throttle.upper is missing"),
+        ('lower = "0.2"\nupper = "1.5"', "throttle.upper is out of range"),
+        ('lower = "0.2"\nhigher = "1"', "no key of this name in [throttle]"),
+        ('lower = "0.2"\nupper = "1"\n[separation]\nmass = "300 kg"', "do not go together yet"),
+    ],
+)
+def test_a_throttle_that_cannot_be_is_refused(section: str, said: str) -> None:
+    with pytest.raises(PeriluneError) as error:
+        load_text(f"{SCENARIO}\n[throttle]\n{section}\n")
+    assert said in str(error.value)
+
+
+def test_a_scenario_has_a_throttle() -> None:
+    problem = load_text(f'{SCENARIO}\n[throttle]\nlower = "0.2"\nupper = "1"\n')
+    assert problem.phases[1].control_names == ("toward_x", "toward_y", "toward_z", "throttle")
+    assert [c.name for c in problem.phases[2].end_conditions][-1] == "mass_left"
+    with pytest.raises(PeriluneError, match="do not go together yet"):
+        returning(
+            vehicle=VEHICLE, air=AIR, site=Landing(), throttle=Throttle(lower=0.2, upper=1.0),
+            separation=Separation(mass=300.0),
+        )  # fmt: skip
