@@ -377,7 +377,12 @@ def _changed(solution: Solution) -> float:
 
 def slopes_at_end(arc: Arc, function: Callable[[Any], Any]) -> Matrix:
     """Derivatives (values, n) of a function of the states at the end of the phase, a change by their sizes."""
-    x = arc.state(np.array([arc.duration]))
+    return slopes_at(arc, np.array([arc.duration]), function)
+
+
+def slopes_at(arc: Arc, t: Vector, function: Callable[[Any], Any]) -> Matrix:
+    """The same at one time [s], (1,)."""
+    x = arc.state(t)
     return jacobian(lambda z: stacked(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
 
 

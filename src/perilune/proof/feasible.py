@@ -15,10 +15,11 @@ import numpy as np
 from perilune.problem.controls import placed
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, end_slopes, free_size, objective_slope
+from perilune.proof.arc import Arc, end_slopes, free_size, objective_slope, slopes_at
 from perilune.proof.crossings import SAME_TIME
 from perilune.proof.flight import MOST_GROWTH, Flight, smooth_pieces
 from perilune.proof.pieces import ENDS, extremes, polynomial, through, turns
+from perilune.words.derivatives import COMPLEX
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -146,7 +147,7 @@ def _controls(arc: Arc) -> Iterator[Check]:
 def _on_the_way(arc: Arc, flight: Flight) -> Iterator[Check]:
     phase, count = arc.phase, len(arc.looked_at[0])
     if phase.path_conditions:
-        rows = zip(phase.path_conditions, arc.path_scale, _everywhere(arc, flight, arc.path), strict=True)
+        rows = zip(phase.path_conditions, _path_sizes(arc, flight), _everywhere(arc, flight, arc.path), strict=True)
         for condition, size, values in rows:
             yield Check(
                 name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
@@ -161,6 +162,13 @@ def _on_the_way(arc: Arc, flight: Flight) -> Iterator[Check]:
                 value=float(np.max(np.abs(values))), limit=END_LIMIT * float(size),
                 meaning=f"largest difference of {condition.name} from 0 inside {count} pieces of the new flight",
             )  # fmt: skip
+
+
+def _path_sizes(arc: Arc, flight: Flight) -> Vector:
+    """Sizes of the path conditions: a phase that is over at once still begins with the errors of those before it."""
+    u = arc.control(np.zeros(1))
+    slopes = slopes_at(arc, np.zeros(1), lambda z: arc.phase.evaluate("path", z, u, arc.p, COMPLEX))
+    return np.clip(np.abs(slopes) @ (flight.begun - 1.0), arc.path_scale, MOST_GROWTH * arc.path_scale)
 
 
 def _everywhere(arc: Arc, flight: Flight, conditions: Callable[[Any, Any], Matrix]) -> Iterator[Vector]:

@@ -87,6 +87,8 @@ class Flight:
         which the limits follow.
     grown
         The same at the end of the phase.
+    begun
+        What errors of the phases before are as it begins, (n,), each at least 1.
     """
 
     ends: tuple[Vector, Vector]
@@ -95,6 +97,7 @@ class Flight:
     difference: Vector
     growth: Vector
     grown: Vector
+    begun: Vector
 
 
 def initial_state(solution: Solution, index: int, before: Vector | None) -> Vector:
@@ -152,6 +155,7 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: Vector | None = N
         ends=(end, at_ends[:, -1, 1]), inside=inside, at_ends=at_ends,
         difference=np.maximum(apart, deviation.largest),
         growth=np.minimum(deviation.growth, MOST_GROWTH), grown=np.minimum(deviation.at_end, MOST_GROWTH),
+        begun=np.ones(len(scale)) if before is None else before,
     )  # fmt: skip
 
 
