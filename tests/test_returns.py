@@ -120,3 +120,38 @@ def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
             ends = shooting.at(np.array([y + step, y - step]), trials.p, choice)
             change = (ends[0].residual - ends[1].residual)[shooting.plan.rows] / 2e-6
             np.testing.assert_allclose(jacobian[:, column], change, rtol=1e-5, atol=2e-5 * np.abs(jacobian).max())
+
+
+def of_a_fixed_sweep(folder: Path) -> pl.Problem:
+    """Neighbour B with speed and angle at the interface fixed: from a place to a place, under thrust all the way."""
+    lines = NEIGHBOUR_B.read_text(encoding="utf-8").splitlines()
+    fixed = [line for line in lines if not line.startswith(("speed_upper", "angle_upper"))]
+    text = "\n".join(fixed).replace("speed_lower", "speed").replace('angle_lower = "-9 deg"', 'angle = "-6 deg"')
+    (folder / "fixed.toml").write_text(text, encoding="utf-8")
+    return load_file(folder / "fixed.toml").problem
+
+
+def test_a_fixed_sweep_has_two_extremals_and_one_is_a_time_maximum(tmp_path: Path) -> None:
+    """Between the two lie all flight times in which the site can be reached: none from the longest on is flown."""
+    problem = of_a_fixed_sweep(tmp_path)
+    shortest, longest = pl.solve(problem), pl.solve(pl.opposite(problem))
+    for found in (shortest, longest):
+        assert found.verification.passed and found.verification.level == 3
+    assert shortest.objective == pytest.approx(4443.8964813, rel=1e-9)
+    assert -longest.objective == pytest.approx(4902.28707, abs=1e-4)
+    # Claimed to be the least it meets every condition but those of the time, which tell the sign of J's multiplier.
+    claimed = replace(longest, problem=problem, objective=-longest.objective)
+    failed = {check.name for check in verify(claimed, level=2).failed}
+    assert failed == {"stationary_burn_time", "stationary_entry_time"}
+    direct = pl.Pseudospectral(nodes=8, segments=10, polish=False).run(pl.opposite(problem))
+    assert direct.objective == pytest.approx(longest.objective, rel=1e-6)
+
+
+def test_the_direct_method_flies_neighbour_b_alike() -> None:
+    """Refined and not made exact: another transcription of the same flight."""
+    problem = load_file(NEIGHBOUR_B).problem
+    indirect = pl.solve(problem, level=0)
+    direct = pl.Pseudospectral(nodes=10, segments=12, tolerance=1e-9, polish=False).run(problem)
+    assert direct.objective == pytest.approx(indirect.objective, rel=1e-9)
+    for name, value in indirect.free.items():
+        assert direct.free[name] == pytest.approx(value, abs=1e-8 * indirect.objective)

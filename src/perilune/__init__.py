@@ -39,6 +39,7 @@ _EXPORTS = {
     "load": "perilune.io.reload",
     "guess": "perilune.problem.guess",
     "save": "perilune.io.export",
+    "opposite": "perilune.problem.opposite",
     "preflight": "perilune.problem.preflight",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
@@ -76,6 +77,7 @@ __all__ = [
     "guess",
     "load",
     "models",
+    "opposite",
     "preflight",
     "prove",
     "save",
@@ -96,6 +98,7 @@ if TYPE_CHECKING:
     from perilune.models.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
     from perilune.problem.guess import guess
+    from perilune.problem.opposite import opposite
     from perilune.problem.phase import Phase
     from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Problem

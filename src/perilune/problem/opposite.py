@@ -1,0 +1,47 @@
+"""A problem with J of the other sign, whose answer is a maximum.
+
+What meets the ends in the least time has a counterpart that takes the longest: between the two lie all flight times in
+which the ends can be met. Both are extremals, with the multiplier of J of either sign, and conditions that leave that
+sign open, as with costates of length one, are met by both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from perilune.problem.problem import Problem
+from perilune.words.asked import demand
+from perilune.words.types import Physics
+
+
+def opposite(problem: Problem) -> Problem:
+    """The same problem with the other end of the range of its objective: J is minus what it was.
+
+    Parameters
+    ----------
+    problem
+        Whose maximum is asked for.
+
+    Returns
+    -------
+    Problem
+        With the same phases, parameters and results. Where what it asks for has no bound, it has no answer.
+
+    Raises
+    ------
+    PeriluneError
+        If it is no problem.
+    """
+    demand(problem, Problem, "a problem")
+    return replace(
+        problem,
+        objective=partial(_minus, of=problem.objective),
+        maximised="",
+        title=f"{problem.title}, the most of what is minimised",
+    )
+
+
+def _minus(x: Any, p: Any, m: Any, *, of: Physics) -> Any:
+    return -of(x, p, m)
