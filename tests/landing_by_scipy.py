@@ -14,8 +14,9 @@ from scipy.integrate import solve_ivp
 
 from perilune.models.bodies import Body
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.problem.nodes import hermite_nodes
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory, hermite_nodes
+from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome
 

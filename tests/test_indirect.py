@@ -14,8 +14,9 @@ from newton_toys import toy
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.indirect import Indirect
+from perilune.problem.nodes import hermite_nodes
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, hermite_nodes
+from perilune.problem.solution import Curve, Solution
 from perilune.problem.variables import Free, Given, Variable
 from perilune.shooting.continuation import Member, follow
 from perilune.shooting.function import Root, Shooting

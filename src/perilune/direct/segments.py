@@ -21,9 +21,10 @@ from perilune.direct.collocation import Polynomial, Rule
 from perilune.direct.layout import PhaseValues
 from perilune.direct.nlp import Answer, Program
 from perilune.problem.controls import admissible, admissible_rates, control_scales
+from perilune.problem.nodes import hermite_nodes
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Trajectory, hermite_nodes
+from perilune.problem.solution import Curve, Trajectory
 from perilune.problem.symbolic import state_scales
 from perilune.words.types import Matrix, Vector
 

@@ -14,9 +14,10 @@ from perilune.conditions.canonical import PhaseExtremal, extremal_parameters
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.flown import Flown
 from perilune.problem.controls import control_scales, scalars
+from perilune.problem.nodes import hermite_nodes
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory, full, hermite_nodes
+from perilune.problem.solution import Curve, Solution, Trajectory, full
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector

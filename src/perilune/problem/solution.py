@@ -1,7 +1,8 @@
 """The one `Solution` type of every method: trajectories with costates, what was chosen, how it was found, its proof.
 
 A trajectory is stored as values *and rates* at nodes, and cubic Hermite interpolation between them is part of the
-record: what is exported is exactly what the verifier flies. `hermite_nodes` chooses nodes so that this loses nothing.
+record: what is exported is exactly what the verifier flies. `perilune.problem.nodes` chooses nodes so that this
+loses nothing.
 """
 
 from __future__ import annotations
@@ -261,12 +262,16 @@ class Solution:
         """Record ``p`` of all parameters in SI, as the physics receives it."""
         return self.problem.parameters(self.free)
 
-    @cached_property
-    def results(self) -> Mapping[str, Result]:
+    @property
+    def results(self) -> dict[str, Result]:
         """What the problem asks of its flight, by name: `results`, `marks` and `integrals` of phases, `views`.
 
         Of a problem that asks nothing, the flight time and the objective. NaN where they cannot be computed.
         """
+        return Named("result", self._results)  # the caller's own, to do with as with any dictionary
+
+    @cached_property
+    def _results(self) -> Mapping[str, Result]:
         problem, p = self.problem, self.parameters
         first, last = (problem.phases[i].state_record(*self.trajectories[i].state.values[i]) for i in (0, -1))
         if problem.results is None:
@@ -289,7 +294,7 @@ class Solution:
             for name, part in _named(phase.integral_variables, self._integrals(k)).items():
                 so_far = found[name].value if name in found else 0.0
                 found[name] = replace(part, value=so_far + part.value)
-        return MappingProxyType(Named("result", found | _named(*peaks(self)) | _named(*dispersion(self))))
+        return found | _named(*peaks(self)) | _named(*dispersion(self))
 
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
         """State (states, n) and control (components, n) at times t [s], as the physics receives them.
@@ -355,52 +360,3 @@ def _named(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Re
         v.name: Result(value=float(value), unit=v.unit, description=v.description, label=v.label)
         for v, value in zip(variables, values, strict=True)
     }
-
-
-def hermite_nodes(
-    evaluate: Callable[[Vector], tuple[Matrix, Matrix]],
-    duration: float,
-    tolerance: Vector,
-    limit: int = 6401,
-    shortest: float = 0.0,
-    together: Callable[[Matrix, Matrix], Vector] | None = None,
-) -> Vector:
-    """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point.
-
-    Parameters
-    ----------
-    evaluate
-        Values and rates, each (n, k), at times (n,).
-    duration
-        Length [s].
-    tolerance
-        Largest error of each of the k components.
-    limit
-        Most nodes; reached only by curves with a kink.
-    shortest
-        Width of pieces that are not halved any more [s]: about a jump there would be no end to it.
-    together
-        What the errors of all components do together, of errors and rates (n, k) at mid-points, (n,): at most 1.
-    """
-    time = np.linspace(0.0, duration, 101)
-    values, rates = evaluate(time)
-    found, count = [time], len(time)
-    left, right = (time[:-1], values[:-1], rates[:-1]), (time[1:], values[1:], rates[1:])
-    while count < limit:
-        width = right[0] - left[0]
-        middle = 0.5 * (right[0] + left[0])
-        exact, slopes = evaluate(middle)
-        interpolated = 0.5 * (left[1] + right[1]) + 0.125 * width[:, None] * (left[2] - right[2])
-        missed = (np.abs(interpolated - exact) / tolerance).max(axis=1)
-        if together is not None:
-            missed = np.maximum(missed, together(interpolated - exact, slopes))
-        bad = (missed > 1.0) & (width > shortest)
-        if not bad.any():
-            break
-        # What is good enough stays so: only the halves of the others are looked at again.
-        new = middle[bad], exact[bad], slopes[bad]
-        left = tuple(np.concatenate([a[bad], b]) for a, b in zip(left, new, strict=True))
-        right = tuple(np.concatenate([b, a[bad]]) for a, b in zip(right, new, strict=True))
-        found.append(new[0])
-        count += len(new[0])
-    return np.sort(np.concatenate(found))

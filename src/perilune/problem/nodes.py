@@ -1,0 +1,58 @@
+"""Nodes of a curve, so many that cubic Hermite interpolation of values and rates loses nothing that matters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from perilune.words.types import Matrix, Vector
+
+
+def hermite_nodes(
+    evaluate: Callable[[Vector], tuple[Matrix, Matrix]],
+    duration: float,
+    tolerance: Vector,
+    limit: int = 6401,
+    shortest: float = 0.0,
+    together: Callable[[Matrix, Matrix], Vector] | None = None,
+) -> Vector:
+    """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point.
+
+    Parameters
+    ----------
+    evaluate
+        Values and rates, each (n, k), at times (n,).
+    duration
+        Length [s].
+    tolerance
+        Largest error of each of the k components.
+    limit
+        Most nodes; reached only by curves with a kink.
+    shortest
+        Width of pieces that are not halved any more [s]: about a jump there would be no end to it.
+    together
+        What the errors of all components do together, of errors and rates (n, k) at mid-points, (n,): at most 1.
+    """
+    time = np.linspace(0.0, duration, 101)
+    values, rates = evaluate(time)
+    found, count = [time], len(time)
+    left, right = (time[:-1], values[:-1], rates[:-1]), (time[1:], values[1:], rates[1:])
+    while count < limit:
+        width = right[0] - left[0]
+        middle = 0.5 * (right[0] + left[0])
+        exact, slopes = evaluate(middle)
+        interpolated = 0.5 * (left[1] + right[1]) + 0.125 * width[:, None] * (left[2] - right[2])
+        missed = (np.abs(interpolated - exact) / tolerance).max(axis=1)
+        if together is not None:
+            missed = np.maximum(missed, together(interpolated - exact, slopes))
+        bad = (missed > 1.0) & (width > shortest)
+        if not bad.any():
+            break
+        # What is good enough stays so: only the halves of the others are looked at again.
+        new = middle[bad], exact[bad], slopes[bad]
+        left = tuple(np.concatenate([a[bad], b]) for a, b in zip(left, new, strict=True))
+        right = tuple(np.concatenate([b, a[bad]]) for a, b in zip(right, new, strict=True))
+        found.append(new[0])
+        count += len(new[0])
+    return np.sort(np.concatenate(found))
