@@ -180,7 +180,8 @@ def test_a_manoeuvre_is_above_its_geodetic_place(shape: Any, latitude: float, go
     place = {"manoeuvre_latitude": latitude, "manoeuvre_longitude": 0.3, "orbit_inclination": 0.9}
     p = SimpleNamespace(**vars(EARTH), **shape, **place)
     angles: Any = orbit.from_place(going)
-    position, velocity = orbit.state(*angles(p, NUMERIC), p, NUMERIC)
+    angle, node = angles(p, NUMERIC)
+    position, velocity = orbit.state(angle, node, p, NUMERIC)
     assert ellipsoid.latitude(position, p, NUMERIC) == pytest.approx(latitude, abs=1e-9)
     assert math.atan2(position[1], position[0]) == pytest.approx(0.3, abs=1e-12)
     assert (velocity[2] > 0) == (going == "ascending")
@@ -190,7 +191,8 @@ def test_a_manoeuvre_is_above_its_geodetic_place(shape: Any, latitude: float, go
         ellipsoid.geocentric(latitude, math.hypot(*position), p, NUMERIC), abs=1e-10
     )
     sphere = SimpleNamespace(**{k: v for k, v in vars(p).items() if k != "body_flattening"})
-    round_ = orbit.state(*angles(sphere, NUMERIC), sphere, NUMERIC)[0]
+    angle, node = angles(sphere, NUMERIC)
+    round_ = orbit.state(angle, node, sphere, NUMERIC)[0]
     assert math.asin(round_[2] / math.hypot(*round_)) == pytest.approx(latitude, abs=1e-12)
 
 

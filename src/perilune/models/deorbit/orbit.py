@@ -41,12 +41,15 @@ def _descending(p: Any, m: Any) -> tuple[Any, Any]:
 
 
 def _at_place(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
-    latitude = p.manoeuvre_latitude
-    for _ in range(_ROUNDS if hasattr(p, "body_flattening") else 1):
+    def angles(latitude: Any) -> tuple[Any, Any, Any]:
         sine = m.sin(latitude) / m.sin(p.orbit_inclination)
         cosine = northwards * m.sqrt(1 - sine * sine)
-        angle = m.atan2(sine, cosine)
-        latitude = ellipsoid.geocentric(p.manoeuvre_latitude, shape(angle, p, m)[0], p, m)
+        return m.atan2(sine, cosine), sine, cosine
+
+    angle, sine, cosine = angles(p.manoeuvre_latitude)
+    for _ in range(_ROUNDS if hasattr(p, "body_flattening") else 0):
+        distance = shape(angle, p, m)[0]
+        angle, sine, cosine = angles(ellipsoid.geocentric(p.manoeuvre_latitude, distance, p, m))
     return angle, p.manoeuvre_longitude - m.atan2(m.cos(p.orbit_inclination) * sine, cosine)
 
 
