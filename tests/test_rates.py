@@ -107,6 +107,28 @@ def test_what_does_not_change_shows_no_control() -> None:
         derivatives(component(S, 0), still, NAMES, "the place")
 
 
+def test_a_control_whose_effects_cancel_does_not_act() -> None:
+    """A lift across the velocity (u, v) does not change the speed: what the speed and the height say it moves later."""
+    names = ("h", "u", "v")
+    recorder = Recorder()
+    x = SimpleNamespace(**{n: recorder.input("x", n) for n in names})
+    w, k = recorder.input("u", "w"), recorder.input("p", "k")
+    rates = (x.v, -(k * x.u) - w * x.v, w * x.u - k * x.v - 1.0)
+    dynamics = Expression(recorder.tape(rates), ("x", "u", "p"))
+    recorder = Recorder()
+    x = SimpleNamespace(**{n: recorder.input("x", n) for n in names})
+    load = recorder.namespace.exp(-x.h) * (x.u * x.u + x.v * x.v)
+    found = derivatives(Expression(recorder.tape([load]), ("x", "p")), dynamics, names, "load")
+    assert [acts(value) for value in found] == [False, False, True]
+    # With q = h, u, v: S = e^-h V^2 has S' = -e^-h V^2 (v + 2 k) - 2 e^-h v.
+    h, u, v = 0.3, 0.7, -0.4
+    x, fast = SimpleNamespace(h=h, u=u, v=v), u * u + v * v
+    first = -np.exp(-h) * (fast * (v + 2 * P.k) + 2 * v)
+    assert found[1](x, SimpleNamespace(), P, NUMERIC)[0] == pytest.approx(first, rel=1e-12)
+    moved = [found[2](x, SimpleNamespace(w=w), P, NUMERIC)[0] for w in (0.0, 1.0)]
+    assert moved[1] - moved[0] == pytest.approx(-np.exp(-h) * (fast + 2) * u, rel=1e-12)
+
+
 def test_orders_of_a_lander() -> None:
     """A height is moved in two steps; the tilt of the thrust is the control itself."""
     problem = load_file(EXAMPLES / "precision_landing.toml").problem

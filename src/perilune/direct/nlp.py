@@ -79,6 +79,13 @@ class Answer:
         return self.status in (SUCCESS, "Solved_To_Acceptable_Level")
 
 
+# From close by: a barrier that does not push a start away from where it lies, next to bounds that will be active.
+_CLOSE = {
+    "ipopt.mu_init": 1e-5,
+    **{f"ipopt.{push}": 1e-7 for push in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")},
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Program:
     """A problem's NLP on given meshes. `meshes` are not part of the compiled program except their degrees."""
@@ -102,8 +109,9 @@ class Program:
         iterations: int,
         tolerance: float,
         nearest: bool = False,
+        close: bool = False,
     ) -> Answer:
-        """Solve from a first guess in canonical units.
+        """Solve from a first guess in canonical units, which lies `close` to the answer or anywhere.
 
         With `nearest` the end and path conditions are not held; what they miss by is minimised instead of J: the sum
         of the squares at the ends, and of the mean square along each path.
@@ -126,10 +134,10 @@ class Program:
         )  # fmt: skip
         first = np.append(np.clip(start, lower, upper), np.full(misses, 0.1))
         found = None
-        if len(states) <= MODERATE and not nearest:
+        if len(states) <= MODERATE and not nearest and not close:
             found, status = optimum(posed, first, min(iterations, PATIENCE), tolerance), SUCCESS
         if found is None:
-            key = Unnumbered(self.problem), self.layouts, iterations, tolerance, nearest
+            key = Unnumbered(self.problem), self.layouts, iterations, tolerance, nearest, close
             found, status = _solver(*key)(posed, first)
         w, missed = np.split(found.w, [len(start)])
         g = found.rows - self._lent(missed) if nearest else found.rows
@@ -248,7 +256,7 @@ def _assembled(unnumbered: Unnumbered, layouts: tuple[Layout, ...], nearest: boo
 
 @lru_cache(maxsize=64)
 def _solver(
-    unnumbered: Unnumbered, layouts: tuple[Layout, ...], iterations: int, tolerance: float, nearest: bool
+    unnumbered: Unnumbered, layouts: tuple[Layout, ...], iterations: int, tolerance: float, nearest: bool, close: bool
 ) -> _Solver:
     """The compiled program: its cache is what makes the second solve of the same physics cheap."""
     program = _assembled(unnumbered, layouts, nearest)
@@ -267,7 +275,7 @@ def _solver(
         "ipopt.tol": tolerance,
         "ipopt.acceptable_tol": 100 * tolerance,
         "ipopt.constr_viol_tol": tolerance,
-        "ipopt.mu_strategy": "adaptive",
+        **(_CLOSE if close else {"ipopt.mu_strategy": "adaptive"}),
         "ipopt.honor_original_bounds": "yes",
         "ipopt.bound_relax_factor": 0.0,
     }

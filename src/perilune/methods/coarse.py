@@ -15,6 +15,7 @@ from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Variable
+from perilune.structures.read import contacts, of_states
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
@@ -85,7 +86,10 @@ class Coarse:
 
     @property
     def lost(self) -> bool:
-        """Whether its answer is one of many arcs that the mesh has not followed."""
+        """Whether its answer is one of many arcs that the mesh has not followed.
+
+        Arcs along a condition on states are none: there the control of a mesh wavers, whatever the mesh.
+        """
         known = self.solution
         return known is not None and known.statistics.residual > _FOLLOWED and often_switched(known)
 
@@ -150,9 +154,17 @@ def touched(flight: Solution) -> set[str]:
 
 
 def often_switched(flight: Solution) -> bool:
-    """Whether a bounded control goes through the middle of its range more often than a few times."""
-    for phase, flown in zip(flight.problem.phases, flight.trajectories, strict=True):
-        u = flown.control(np.linspace(0.0, flown.duration, _LOOKS))
+    """Whether a bounded control goes through the middle of its range more often than a few times.
+
+    Not counted is what it does where a condition on states is at its limit.
+    """
+    for k, (phase, flown) in enumerate(zip(flight.problem.phases, flight.trajectories, strict=True)):
+        t = np.linspace(0.0, flown.duration, _LOOKS)
+        if not scalars(phase.controls):
+            continue
+        for contact in (c for name in of_states(flight.problem, k) for c in contacts(flight, k, name)):
+            t = t[(t < contact.begin) | (t > contact.end)]
+        u = flown.control(t)
         for at, control in scalars(phase.controls):
             if control.bounded:
                 high = control.share(u[:, at], flight.parameters) > 0.5

@@ -56,12 +56,12 @@ class FirstMesh:
         Whose.
     guess
         To start from; straight lines and flights without.
-    near
-        Only from there.
+    near, close
+        Only from there; and as one that lies close to the answer.
     """
 
-    def __init__(self, run: Run, guess: Solution | None, *, near: bool = False) -> None:
-        self.run, self.problem, self.guess, self.near = run, run.problem, guess, near
+    def __init__(self, run: Run, guess: Solution | None, *, near: bool = False, close: bool = False) -> None:
+        self.run, self.problem, self.guess, self.near, self.close = run, run.problem, guess, near, close
         self.all_missed = False
         self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
 
@@ -69,7 +69,9 @@ class FirstMesh:
         """A program and its solution."""
         every = self.starts()
         begin = next(every)
-        first = self.attempt(begin, BRIEF)
+        first = self.attempt(begin, BRIEF, close=self.close)
+        if self.close and not first.converged:
+            first = self.attempt(begin, BRIEF)
         if first.converged and (self.guess is not None or not self.rough(begin.program, first)):
             return begin.program, first
         if self.near:
@@ -107,9 +109,9 @@ class FirstMesh:
                     return tries[-1]
         self.fail(*min(misses or vanished or tries, key=_violation))
 
-    def attempt(self, start: Start, most: int | None = None) -> Answer:
+    def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> Answer:
         """The program from its start."""
-        return self.run.attempt(start.program, start.free, start.values, start.name, most=most)
+        return self.run.attempt(start.program, start.free, start.values, start.name, most=most, close=close)
 
     def from_least_miss(self, start: Start) -> tuple[Answer, Answer | None]:
         """The flight near a start that misses least, and what is reached from there if it misses nothing."""

@@ -9,7 +9,7 @@ from its own start; what is left is a gap of rounding between two pieces.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ _FINEST = {"rtol": 1e-14, "atol": 1e-14}  # the same where a phase settles, as `
 _MISSED = 2e-11  # canonical, of what a flight leaves at its end: five times below the limit of the proof
 _MENDED = 0.1  # of that, which the flight in pieces may leave
 _SEGMENTS = 6
+_STEPS = 4  # of Newton's method on the flight as it is exported
 _JOINED = 350  # unknowns at joints, which cost their number cubed
 
 
@@ -140,13 +141,40 @@ def may_be_cut(conditions: Conditions, segments: int) -> bool:
     return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
 
+def mended(problem: Problem, conditions: Conditions, root: Root, rows: Sequence[int], active: Sequence[int]) -> Root:
+    """A root moved by its last digits until its flight, as it is exported, ends where it should.
+
+    Parameters
+    ----------
+    problem, conditions, root
+        Of single shooting.
+    rows, active
+        Conditions and unknowns of its Jacobian.
+    """
+    best, least = root, np.inf
+    for _ in range(_STEPS):
+        left = _left(problem, conditions, root, in_one_piece(problem, conditions, root.y))
+        if not np.abs(left).max(initial=0.0) < least:
+            break
+        best, least = root, float(np.abs(left).max(initial=0.0))
+        y = root.y.copy()
+        y[list(active)] -= root.inverse @ left[list(rows)]
+        root = replace(root, y=y)
+    return best
+
+
 def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:
     """The largest residual at the ends of a flight; those of ranges and of free parameters are not counted."""
+    return float(np.abs(_left(problem, conditions, root, flown)).max(initial=0.0))
+
+
+def _left(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> Vector:
+    """The residual at the ends of a flight; 0 for ranges and free parameters."""
     ends = np.concatenate([arc.z[-1] for arc in flown])
     residual = np.array(conditions.residual(root.y, ends, extremal_parameters(problem))[0]).ravel()
     residual[conditions.stationarity_at] = 0.0
     residual[[row for row, _ in (*conditions.ranges, *conditions.silent_rows)]] = 0.0
-    return float(np.abs(residual).max(initial=0.0))
+    return residual
 
 
 def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequence[Flown]) -> list[Flown] | None:

@@ -87,19 +87,22 @@ class Pseudospectral(Transcription):
         check_consistent(problem)
         yield from _Refined(settings=self, problem=problem, watch=watch or silent).answers(guess)
 
-    def near(self, guess: Solution) -> Solution:
-        """What lies near a guess for its problem, as `run`; no other start and no search for the least miss."""
-        *_, finest = _Refined(settings=self, problem=guess.problem).answers(guess, near=True)
+    def near(self, guess: Solution, *, close: bool = False) -> Solution:
+        """What lies near a guess for its problem, as `run`; no other start and no search for the least miss.
+
+        With `close` the search does not leave where the guess lies next to bounds, as one does from anywhere.
+        """
+        *_, finest = _Refined(settings=self, problem=guess.problem).answers(guess, near=True, close=close)
         return finest
 
 
 class _Refined(Run):
     """A run with all its meshes."""
 
-    def answers(self, guess: Solution | None, *, near: bool = False) -> Iterator[Solution]:
+    def answers(self, guess: Solution | None, *, near: bool = False, close: bool = False) -> Iterator[Solution]:
         """First mesh, then refinement until the mesh is accurate enough or no longer gains."""
         s, problem = self.settings, self.problem
-        program, answer = FirstMesh(self, guess, near=near).answer()
+        program, answer = FirstMesh(self, guess, near=near, close=close).answer()
         best, gained = None, 0
         for number in range(s.refine + 1):
             look = self.looked_at(program, answer)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, unknowns_from
 from perilune.methods.coarse import Coarse, touched
 from perilune.methods.durations import Lengthened, given_durations
-from perilune.methods.flown import may_be_cut
+from perilune.methods.flown import may_be_cut, mended
 from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
@@ -41,6 +41,9 @@ _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _DURATION = "continuation in the duration"
 SMOOTH = "smoothed controls"
 _AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
+_ROUNDED = (
+    1e-9  # residual: no step of Newton lowers it, as each is rounding, and a flight that ends so near is exported
+)
 
 
 @dataclass
@@ -222,9 +225,8 @@ class Search:
         root = trials.settled(y[None], choice, limits=trials.limits)[0]
         # A neighbour is no further than rounding from its guess, but for flights on which that grows beyond all use.
         lost = not is_neighbour(self.problem) or trials.shooting.rounding(root) or not np.isfinite(root.residual).all()
-        cut = may_be_cut(trials.conditions, self.settings.segments)
-        if not root.converged and lost and cut and guess is not None:
-            root = trials.by_pieces(guess, y, choice, self.settings.segments, trials.limits)
+        if not root.converged and lost and guess is not None:
+            root = self._in_pieces(root, guess, y, choice)
         name = trials.outside(root)
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
@@ -239,6 +241,17 @@ class Search:
             )
         self.tried.append("Newton from the guess")
         raise self._failure()
+
+    def _in_pieces(self, root: Root, guess: Solution, y: Vector, choice: Vector) -> Root:
+        """By multiple shooting, where a flight in one piece misses its end by more than what is rounding."""
+        trials, segments = self.trials, self.settings.segments
+        if np.abs(root.residual).max() <= _ROUNDED and trials.shooting.rounding(root):
+            plan = trials.shooting.plan
+            root = mended(self.problem, trials.conditions, root, plan.rows, plan.active)
+            return replace(root, converged=True)
+        if segments == 1 or not may_be_cut(trials.conditions, segments):
+            return root
+        return trials.by_pieces(guess, y, choice, segments, trials.limits)
 
     # -- the ladder -----------------------------------------------------------------------------------------------
 

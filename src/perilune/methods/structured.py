@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
@@ -37,6 +38,7 @@ ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
 _EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is not
 _BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
+_ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
@@ -76,13 +78,20 @@ class Polish:
         return None
 
     def _known(self, rough: Solution) -> Iterator[Solution]:
-        """The rough answer, and where a control between its bounds may be singular that of a finer mesh."""
-        yield rough
-        if not self.guessed and wavering(rough):
+        """The rough answer, and where a control wavers between its bounds that of a finer mesh: the better one first.
+
+        There it may be singular, or held by a condition on states, which a mesh tells the worse the rougher it is.
+        """
+        finer = not self.guessed and wavering(rough)
+        if not (finer and rough.statistics.residual > _ROUGH):
+            yield rough
+        if finer:
             from perilune.methods.pseudospectral import Pseudospectral
 
             with suppress(PeriluneError):
                 yield Pseudospectral(nodes=6, segments=32, refine=0).near(rough)
+        if finer and rough.statistics.residual > _ROUGH:
+            yield rough
 
     def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
         """From the first structure that an answer has to the one that its extremal keeps to."""
@@ -130,12 +139,17 @@ class Polish:
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
         # Where a control chatters no mesh is fine enough.
         refine = 0 if structure.singular else 3
-        meshes = Pseudospectral(refine=0), Pseudospectral(segments=4, nodes=6, refine=refine, tolerance=1e-3)
+        meshes = [
+            Pseudospectral(refine=0).near,
+            Pseudospectral(segments=4, nodes=6, refine=refine, tolerance=1e-3).near,
+        ]
+        if structure.switched:  # every arc is smooth and known, but for the costates of what is ridden
+            meshes.insert(0, partial(Pseudospectral(segments=4, nodes=5, refine=0).near, close=True))
         # Most answers are near enough as they are; from others it leaps to an extremal of another structure.
         for mesh in (None,) if self.brief else (None, *meshes):
             try:
                 search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
-                solved = search.solve(guess if mesh is None else mesh.near(guess))
+                solved = search.solve(guess if mesh is None else mesh(guess))
             except PeriluneError as error:
                 failure = error
                 continue

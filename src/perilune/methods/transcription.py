@@ -90,11 +90,14 @@ class Run:
         name: str,
         nearest: bool = False,
         most: int | None = None,
+        close: bool = False,
     ) -> Answer:
-        """Solve one NLP; with `nearest`, hold all but path and ends and miss these by the least."""
+        """Solve one NLP, from `close` to its answer; with `nearest`, hold all but path and ends, which are missed least."""
         s = self.settings
         iterations = s.iterations if most is None else min(most, s.iterations)
-        answer = program.solve(free, values, iterations=iterations, tolerance=s.nlp_tolerance, nearest=nearest)
+        answer = program.solve(
+            free, values, iterations=iterations, tolerance=s.nlp_tolerance, nearest=nearest, close=close
+        )
         self.iterations += answer.iterations
         outcome = "solved" if answer.converged else "not solved"
         self.say(f"{name}: {outcome} in {answer.iterations} iterations")

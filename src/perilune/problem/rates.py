@@ -6,6 +6,8 @@ Of S(x, p) and the dynamics x' = f(x, u, p) forward differentiation through the 
 
 as a tape like any other, and of that S'' and so on until a control appears: the *order* of S is how often that takes.
 What does not change is left out and not multiplied by zero, so that a control is in S^(q) only where one may act.
+Where its effects cancel (a lift across the velocity leaves the speed as it is) the operations do not tell: that is seen
+by numbers, and the control left out.
 
 Source: Bryson, Denham, Dreyfus, *Optimal programming problems with inequality constraints*, AIAA Journal 1 (11), 1963;
 differentiation of a list of operations: Griewank, Walther, *Evaluating Derivatives*, 2008, chapter 3.
@@ -14,13 +16,20 @@ differentiation of a list of operations: Griewank, Walther, *Evaluating Derivati
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from perilune.problem.tape import ROLES, Expression, Recorder, Symbol, operands
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 
 MOST_ORDER = 4  # derivatives that are looked at; states are coupled more directly than that
+_LOOKS, _FEWEST = 200, 5  # points at which effects of a control are compared, and those that have to tell anything
+_CANCELS = 1e-9  # of the effects: less of their sum is rounding
 Inputs = Mapping[tuple[str, str], Any]  # by (role, component)
 
 # What a rate is made of: the value of the operation, its operands and their rates (None where they do not change).
@@ -211,5 +220,49 @@ def derivatives(function: Expression, dynamics: Expression, states: Sequence[str
                 got=f"none in its first {MOST_ORDER} derivatives along the flight",
                 expected="a quantity that a control moves",
             )
-        found.append(rate(found[-1], dynamics, states))
+        found.append(_next(found[-1], dynamics, tuple(states)))
     return tuple(found)
+
+
+@lru_cache(maxsize=64)
+def _next(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> Expression:
+    """The rate of one value, without a control whose effects on it cancel."""
+    found = rate(function, dynamics, states)
+    if not acts(found) or not _cancels(function, dynamics, states):
+        return found
+    recorder = Recorder()
+    fixed = {operation: 1.0 for operation in found.tape.instructions if operation[0] == "u"}
+    return Expression(recorder.tape(run(found, recorder, fixed)), found.roles, origin=found.origin)
+
+
+def _cancels(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> bool:
+    """Whether dS/dx (f(x, u) - f(x, v)) vanishes, term against term, wherever it can be computed."""
+    rng = np.random.default_rng(0)
+    names = {op for tape in (function.tape, dynamics.tape) for op in tape.instructions if op[0] in ROLES}
+    names |= {("x", name) for name in states}
+
+    def drawn(role: str) -> Any:
+        return SimpleNamespace(**{name: rng.uniform(0.1, 2.0, _LOOKS) for r, name in sorted(names) if r == role})
+
+    x, p, one, other = drawn("x"), drawn("p"), drawn("u"), drawn("u")
+    with np.errstate(all="ignore"):
+        slopes = [_slope(function, name, states, x, p) for name in states]
+        change = _values(dynamics, x, one, p) - _values(dynamics, x, other, p)
+        effects = np.array(slopes) * change
+        size, total = np.abs(effects).sum(axis=0), np.abs(effects.sum(axis=0))
+    known = np.isfinite(size) & (size > 0)
+    return int(known.sum()) >= _FEWEST and bool((total[known] <= _CANCELS * size[known]).all())
+
+
+def _slope(function: Expression, name: str, states: tuple[str, ...], x: Any, p: Any) -> Vector:
+    """dS/dx_i at points: the rate of S where that state alone changes."""
+    one = Recorder()
+    alone = Expression(one.tape([float(name == state) for state in states]), ("x", "u", "p"))
+    return _values(rate(function, alone, states), x, SimpleNamespace(), p)[0]
+
+
+def _values(expression: Expression, x: Any, u: Any, p: Any) -> Matrix:
+    """Values at points, (values, points)."""
+    records = {"x": x, "u": u, "p": p}
+    found = expression(*(records[role] for role in expression.roles), NUMERIC)
+    return np.array([np.broadcast_to(np.asarray(value, dtype=float), _LOOKS) for value in found])

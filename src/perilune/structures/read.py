@@ -18,7 +18,16 @@ import numpy as np
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
-from perilune.structures.regimes import EXACT, LEVELS, Stay, read_stays, regimes_at
+from perilune.structures.regimes import (
+    EXACT,
+    LEVELS,
+    Stay,
+    bounds_beside,
+    gain_along,
+    linear_scalars,
+    read_stays,
+    regimes_at,
+)
 from perilune.structures.structure import Arc, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -65,7 +74,7 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
 def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
     """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without.
 
-    Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
+    Where a switched control keeps a condition of order 2 or more, first the one with all arcs on its bounds. Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
     """
     met, nothing = _met(problem, solution, least), [list[Stay]() for _ in problem.phases]
     without = _structure(problem, solution, met, nothing)
@@ -74,11 +83,28 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
     by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if touched else (EXACT, *LEVELS))}
     structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
     different = dict[str, Structure]()
+    if (switched := [_switched(problem, solution, k, met[k]) for k in range(len(met))]) != nothing:
+        structure = _structure(problem, solution, met, switched)
+        different[structure.text] = structure
     for level in sorted(structures, key=lambda level: (level != EXACT, level[0], structures[level].count)):
         different.setdefault(structures[level].text, structures[level])
     if not without.plain:
         different.setdefault(without.text, without)
     return list(different.values())
+
+
+def _switched(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
+    """The bounds that the one switched scalar of phase k is on, but where it keeps what is ridden; else nothing."""
+    ridden = sorted((c for c in met if c.ridden), key=lambda c: c.begin)
+    known = linear_scalars(problem, k)
+    if not ridden or len(known) != 1 or solution.trajectories[k].costate is None:
+        return []
+    at, control = known[0]
+    conditions = conditions_of(problem, k, tuple({c.name for c in ridden}))
+    if any(c.order < 2 or moved_by(c) != {control.name} for c in conditions.values()):
+        return []
+    t, _, share = gain_along(solution, k, at, control)
+    return bounds_beside(control.name, t, share > 0.5, [(c.begin, c.end) for c in ridden])
 
 
 def _met(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:

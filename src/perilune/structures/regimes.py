@@ -86,7 +86,7 @@ def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]
             if singular := list(_singular(t, gain, share, zero)):
                 # A mesh passes from bound to bound within a segment: there the gain says which it is.
                 upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
-                found[size, level] += _filled(control.name, t, upper, singular)
+                found[size, level] += bounds_beside(control.name, t, upper, singular)
     return found
 
 
@@ -148,8 +148,8 @@ def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[
             yield begin, end
 
 
-def _filled(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
-    """These arcs, and those at bounds between them."""
+def bounds_beside(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
+    """Singular arcs, and those at bounds between them."""
     found, total, before = list[Stay](), float(t[-1]), 0.0
     for begin, end in [*singular, (total, total)]:
         if begin - before > SHORTEST * total:

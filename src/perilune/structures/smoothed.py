@@ -15,10 +15,13 @@ optimal control problems with control and state constraints*, J. Spacecraft and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
+
+import numpy as np
 
 from perilune.problem.controls import Bounded, Control, Direction, limit_value
 from perilune.problem.form import PHASE_FUNCTIONS
@@ -28,6 +31,7 @@ from perilune.problem.rates import run
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Given, Variable
 from perilune.structures.regimes import linear_scalars
+from perilune.words.types import Matrix
 
 RATE = "smoothing_rate"  # the given parameter that goes to zero
 _GAINED = "smoothing_gain"  # the state that counts what is taken from J
@@ -71,8 +75,14 @@ def smoothed(problem: Problem, share: float) -> Problem | None:
         ),
         objective=_less(own["objective"]),
         given=MappingProxyType({**problem.given, **given}),
+        rough_flight=None if problem.rough_flight is None else partial(_nothing_gained, problem.rough_flight),
         results=None, result_variables=(), maximised="", preflight=None, bookkeeping=None, form=None,
     )  # fmt: skip
+
+
+def _nothing_gained(rough_flight: Callable[[Any], Sequence[Matrix]], p: Any) -> list[Matrix]:
+    """A picture of the flight with a state more."""
+    return [np.column_stack([states, np.zeros(len(states))]) for states in rough_flight(p)]
 
 
 def _turned(problem: Problem, k: int) -> list[Bounded]:
@@ -102,7 +112,7 @@ def _phase(problem: Problem, k: int, scalars: list[Bounded]) -> Phase:
         if (k, name) in own:
             functions[name] = _written(own[k, name], k, scalars, name, phase.duration)
     return replace(
-        phase, controls=tuple(controls), output_variables=(), integral_variables=(), **functions,
+        phase, controls=tuple(controls), output_variables=(), integral_variables=(), mark_variables=(), **functions,
         states=(*phase.states, Variable(name=_GAINED, unit=problem.objective_unit, scale=problem.objective_scale)),
     )  # fmt: skip
 

@@ -88,6 +88,12 @@ class Structure:
         return any(regime == "singular" for arcs in self.phases for arc in arcs for _, regime in arc.regimes)
 
     @property
+    def switched(self) -> bool:
+        """Whether scalars hold what is ridden, and are on a bound everywhere else."""
+        regimes = [regime for arcs in self.phases for arc in arcs for _, regime in arc.regimes]
+        return "held" in regimes and "singular" not in regimes
+
+    @property
     def plain(self) -> bool:
         """Whether nothing is ridden or touched, and no phase is cut."""
         return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches or arcs[0].regimes) for arcs in self.phases)

@@ -93,7 +93,7 @@ def lowest(p: Any) -> Any:
     return getattr(p, "parachute_altitude", p.site_altitude)
 
 
-def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None) -> Fall:
+def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None, points: int = POINTS) -> Fall:
     """From the interface to the end of the entry; at a typical path angle and speed where none is given."""
     radius = float(p.body_radius + p.interface_altitude)
     angle = typical_angle(p) if angle is None else angle
@@ -106,7 +106,7 @@ def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = Non
     start = [p.interface_altitude, 0.0, speed, angle, 0.0]
     flown = solve_ivp(_rates(p, air), (0.0, _LONGEST), start, rtol=1e-6, atol=1e-6, events=landed, dense_output=True)
     time = float(flown.t[-1])
-    return Fall(time=time, lands=flown.status == 1, rows=flown.sol(np.linspace(0.0, time, POINTS)).T)
+    return Fall(time=time, lands=flown.status == 1, rows=flown.sol(np.linspace(0.0, time, points)).T)
 
 
 def terminal_speed(p: Any, air: Air) -> float:

@@ -10,6 +10,8 @@ kilometres within a turn: `SLACK` stands for that.
 
 *At the interface.* What `bounds` says of its speed and its angle.
 
+*Limits* of a ballistic entry. What `ballistic` says that every one bears.
+
 *Slow enough.* What `fall` says of arriving at the site.
 
 *Sideways.* What `passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
@@ -25,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from perilune.models.atmosphere import Air
+from perilune.models.deorbit.ballistic import borne_at_least
 from perilune.models.deorbit.bounds import SLACK, furthest_moved, interface_speeds, steepest_angle
 from perilune.models.deorbit.fall import always_faster, fall, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
@@ -49,6 +52,8 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
         if not hasattr(p, "transition_longest_coast"):
             found.append(_burns_down(p, m, low))
     if air is not None and _of_one(p, low):
+        if not hasattr(p, "vehicle_lift_to_drag"):
+            found += borne_at_least(p, air)
         found += [
             *_slow_enough(p, air),
             *(_in_plane(p, angles, air, drifts=drifts) if hasattr(p, "site_longitude") else ()),
