@@ -36,7 +36,7 @@ BALLISTIC = [
 
 
 def test_a_limit_of_the_load_is_moved_by_the_lift_in_two_steps() -> None:
-    """A lift across the velocity does not change the speed: formally it is in the first rate, and does nothing there."""
+    """A lift across the velocity does not change the speed: it is in the formula of the first rate, to no effect."""
     problem = capsule()
     found = conditions_of(problem, len(problem.phases) - 1, ("load_left",))["load_left"]
     assert found.order == 2

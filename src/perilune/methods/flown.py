@@ -19,7 +19,7 @@ from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import DenseArc
 from perilune.problem.problem import Problem
 from perilune.shooting.function import Root, Shooting
-from perilune.shooting.newton import FINEST
+from perilune.shooting.newton import FINEST, Lanes
 from perilune.shooting.propagate import flight
 from perilune.shooting.settling import fallen
 from perilune.words.types import Matrix, Vector
@@ -141,7 +141,7 @@ def may_be_cut(conditions: Conditions, segments: int) -> bool:
     return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
 
-def mended(problem: Problem, conditions: Conditions, root: Root, rows: Sequence[int], active: Sequence[int]) -> Root:
+def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, active: Lanes) -> Root:
     """A root moved by its last digits until its flight, as it is exported, ends where it should.
 
     Parameters
@@ -158,7 +158,7 @@ def mended(problem: Problem, conditions: Conditions, root: Root, rows: Sequence[
             break
         best, least = root, float(np.abs(left).max(initial=0.0))
         y = root.y.copy()
-        y[list(active)] -= root.inverse @ left[list(rows)]
+        y[active] -= root.inverse @ left[rows]
         root = replace(root, y=y)
     return best
 

@@ -74,7 +74,8 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
 def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
     """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without.
 
-    Where a switched control keeps a condition of order 2 or more, first the one with all arcs on its bounds. Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
+    Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds.
+    Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
     """
     met, nothing = _met(problem, solution, least), [list[Stay]() for _ in problem.phases]
     without = _structure(problem, solution, met, nothing)
