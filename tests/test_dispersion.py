@@ -20,7 +20,16 @@ from perilune.io.reload import load
 from perilune.models.atmosphere import tabulated
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Orbit, Returner, Separation, Transition
+from perilune.models.deorbit.records import (
+    Atmosphere,
+    Interface,
+    Landing,
+    Orbit,
+    Parachute,
+    Returner,
+    Separation,
+    Transition,
+)
 from perilune.problem.solution import Curve, Solution
 from perilune.problem.views import Disturbance
 from perilune.words.outcome import PeriluneError
@@ -109,10 +118,11 @@ VEHICLES = {
 }
 
 
-@pytest.mark.parametrize("vehicle", VEHICLES)
+@pytest.mark.parametrize("vehicle", [*VEHICLES, "parachute"])
 def test_what_is_told_is_what_flights_do(vehicle: str) -> None:
-    """With a coast and a drift, a separation, lift, J2 and an ellipsoid."""
-    solution = by_hand(returning(VEHICLES[vehicle]), COASTS)
+    """With a coast and a drift, a separation, lift, J2 and an ellipsoid; on the ground below a parachute too."""
+    last: dict[str, Any] = {"parachute": Parachute(altitude=10e3, drag_area=1000.0), "site": Landing(altitude=0.0)}
+    solution = by_hand(returning(VEHICLES.get(vehicle, CAPSULE), **(last if vehicle == "parachute" else {})), COASTS)
     found, right = solution.results, differences(solution)
     assert len(right) == 6
     for name, value in right.items():
