@@ -92,7 +92,7 @@ class Run:
         most: int | None = None,
         close: bool = False,
     ) -> Answer:
-        """Solve one NLP, from `close` by or anywhere; with `nearest`, miss path and ends by the least, and hold the rest."""
+        """Solve one NLP, from `close` by or anywhere; with `nearest`, path and ends are missed by the least."""
         s = self.settings
         iterations = s.iterations if most is None else min(most, s.iterations)
         answer = program.solve(

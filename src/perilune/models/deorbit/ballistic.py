@@ -5,6 +5,7 @@ lies between its bounds. The speed lies between its own, and between those that 
 (`perilune.models.deorbit.bounds`). Over this box the greatest load, heat rate and dynamic pressure of falls in a plane
 are computed. What none of them bears less than is the least over the box, less the most by which two neighbours on the
 grid differ, less `_LEFT_OUT` for what falls in a plane about a sphere leave out: oblateness, and air that turns.
+A fall that leaves the air and is not down three turns later is none that an entry may last.
 """
 
 from __future__ import annotations
@@ -48,17 +49,19 @@ def borne_at_least(p: Any, air: Air) -> Iterator[Finding]:
     if not limited or angles is None or speeds is None:
         return
     falls = [fall(p, air, steep, speed, _POINTS) for steep, speed in product(angles.tolist(), speeds.tolist())]
-    if not all(fallen.lands for fallen in falls):
+    lands = np.array([fallen.lands for fallen in falls]).reshape(_ANGLES, _SPEEDS)
+    if not lands.any():
         return
     for name in limited:
         what, unit, one = _SAID[name]
         peaks = np.array([peak(name, fallen, p, air) for fallen in falls]).reshape(_ANGLES, _SPEEDS)
-        apart = max(float(np.abs(np.diff(peaks, axis=axis)).max(initial=0.0)) for axis in (0, 1))
+        peaks = np.where(lands, peaks, np.nan)
+        apart = max(float(np.nanmax(np.abs(np.diff(peaks, axis=axis)), initial=0.0)) for axis in (0, 1))
         yield Finding(
-            name=what, value=(1 - _LEFT_OUT) * (float(peaks.min()) - apart) / one,
+            name=what, value=(1 - _LEFT_OUT) * (float(np.nanmin(peaks)) - apart) / one,
             limit=float(getattr(p, f"limits_{name}")) / one, at_least=False, unit=unit, binding=True,
             meaning=f"no ballistic entry that the interface allows keeps limits.{name}: at the angles and speeds that"
-            f" it can have there they peak at {peaks.min() / one:.3g} to {peaks.max() / one:.3g} {unit}",
+            f" it can have there they peak at {np.nanmin(peaks) / one:.3g} to {np.nanmax(peaks) / one:.3g} {unit}",
             advice=f"a lift (vehicle.lift_to_drag), another interface.angle, or a greater limits.{name}",
         )  # fmt: skip
 
