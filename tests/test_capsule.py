@@ -13,6 +13,7 @@ from perilune.models.deorbit import ballistic
 from perilune.models.deorbit.fall import fall
 from perilune.problem.problem import Problem
 from perilune.scenario import load_text
+from perilune.structures.read import readings
 from perilune.structures.structure import conditions_of
 from perilune.words.outcome import InfeasibleError
 
@@ -81,3 +82,17 @@ def test_limits_that_some_ballistic_entry_keeps_are_not_refused() -> None:
     # With lift, and where the speeds at the interface are not known, nothing is said.
     for other in (capsule(), capsule(*BALLISTIC, ('dry_mass = "6703.9 kg"', ""))):
         assert not any(f.name.startswith("peak") for f in pl.preflight(other))
+
+
+def test_the_arcs_along_a_limit_are_read_off_the_direct_answer() -> None:
+    """Down, up, as the limit has it, up and down again. It takes its seconds: two meshes of a whole return."""
+    problem = capsule(('model = "us1976"', 'model = "exponential"\ndensity = "1.225 kg/m^3"\nscale_height = "7.2 km"'))
+    rough = pl.Pseudospectral(nodes=5, segments=8, refine=0).run(problem)
+    arcs = readings(problem, pl.Pseudospectral(nodes=4, segments=32, refine=0).near(rough))[0]
+    assert [arc.text.partition(" and touches")[0] for arc in arcs.phases[-1][:5]] == [
+        "lift_up at its lower bound",
+        "lift_up at its upper bound",
+        "along load_left",
+        "lift_up at its upper bound",
+        "lift_up at its lower bound",
+    ]
