@@ -25,7 +25,7 @@ from perilune.methods.search import Search
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.structures.carry import joined, split
+from perilune.structures.carry import joined, split, timed
 from perilune.structures.leaving import worth_riding
 from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
 from perilune.structures.regimes import revised_stays, stays_of, wavering
@@ -105,10 +105,11 @@ class Polish:
             whole, revised = rough, None
             try:
                 for solved in self._extremals(rough, structure):
-                    whole, timed = joined(self.problem, solved, structure), self._timed(structure, solved)
                     # A neighbour has the arcs of its guess.
-                    revised = timed if is_neighbour(self.problem) else self._revised(timed, solved, whole)
-                    if revised is timed:
+                    near, kept = is_neighbour(self.problem), timed(structure, solved)
+                    whole = joined(self.problem, solved, structure, named=not near)
+                    revised = kept if near else self._revised(kept, solved, whole)
+                    if revised is kept:
                         self.tried.append(f"structure {structure.text}: an extremal")
                         return self._composed(whole)
             except PeriluneError as error:
@@ -159,10 +160,6 @@ class Polish:
                 return
         if failure is not None and not found:
             raise failure
-
-    def _timed(self, structure: Structure, solved: Solution) -> Structure:
-        parts = iter(solved.trajectories)
-        return structure.timed([[next(parts).duration for _ in arcs] for arcs in structure.phases])
 
     def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
         """The structure where the extremal keeps to it; another that it asks for; None where that is no structure."""

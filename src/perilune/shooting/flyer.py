@@ -23,6 +23,7 @@ from perilune.shooting.plan import Plan, plan
 from perilune.words.types import Matrix, Vector
 
 _FINER, _OF_COLUMNS = 1e-2, 1e-7  # of what is asked; the least tolerance of columns
+_STEPS_OF_COLUMNS = 400  # at most: at that tolerance a flight to the ground takes 50 to 150
 
 
 class Code:
@@ -46,7 +47,8 @@ class Split:
         fine, rough = (np.empty_like(asked.rtol) for _ in range(2))
         self.accuracy, self.fine, self.rough = asked.rtol, fine, rough
         self._states = engine.bind(replace(asked, seeds=None, rtol=fine, atol=fine))
-        self._columns = engine.bind(replace(asked, rtol=rough, atol=rough))
+        few = min(asked.max_steps, _STEPS_OF_COLUMNS)
+        self._columns = engine.bind(replace(asked, rtol=rough, atol=rough, max_steps=few))
         self.z, self.rates, self.columns = self._states.z, self._states.rates, self._columns.columns
 
     def __call__(self) -> None:

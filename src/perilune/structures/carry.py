@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.solution import Curve, Deferred, Solution, Trajectory
 from perilune.problem.verification import Verification
 from perilune.structures.named import with_names
 from perilune.structures.restate import part_durations, part_name, restate, summed
@@ -83,7 +84,7 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
     )
 
 
-def joined(problem: Problem, restated: Solution, structure: Structure) -> Solution:
+def joined(problem: Problem, restated: Solution, structure: Structure, *, named: bool = True) -> Solution:
     """A solution of the restated problem as one of the user's.
 
     Parameters
@@ -94,29 +95,33 @@ def joined(problem: Problem, restated: Solution, structure: Structure) -> Soluti
         A solution of `restate(problem, structure)`.
     structure
         The arcs.
+    named
+        Whether they are told by name, for which the curves are looked at.
 
     Returns
     -------
     Solution
-        In the user's phases, unverified, with its arcs by name. Of its multipliers those of the user's conditions are
+        In the user's phases, unverified. Of its multipliers those of the user's conditions are
         kept; those of touches and entries are the jumps of its costates.
     """
     check_structure(problem, structure)
-    parts, trajectories, multipliers = list(restated.trajectories), list[Trajectory](), dict[str, float]()
-    lasting = list[list[float]]()
-    for k, phase in enumerate(problem.phases):
-        count = len(structure.phases[k])
-        own, parts = parts[:count], parts[count:]
-        lasting.append([part.duration for part in own])
-        trajectories.append(_joined(phase.name, own))
+    counts, multipliers = [len(arcs) for arcs in structure.phases], dict[str, float]()
+    for phase, count in zip(problem.phases, counts, strict=True):
         last = part_name(phase.name, count - 1, count)
         known = {c.name: restated.multipliers.get(f"{last}.{c.name}") for c in phase.end_conditions}
         multipliers |= {f"{phase.name}.{name}": nu for name, nu in known.items() if nu is not None}
+
+    def trajectories() -> tuple[Trajectory, ...]:
+        parts = iter(restated.trajectories)
+        return tuple(
+            _joined(phase.name, list(islice(parts, count))) for phase, count in zip(problem.phases, counts, strict=True)
+        )
+
     whole = replace(
         restated,
         problem=problem,
         free=_users(problem, structure, restated.free),
-        trajectories=tuple(trajectories),
+        trajectories=Deferred(len(problem.phases), trajectories),
         multipliers=multipliers,
         outcome=_unproved(restated.outcome),
         extremals=tuple(
@@ -127,7 +132,14 @@ def joined(problem: Problem, restated: Solution, structure: Structure) -> Soluti
         unknowns=None,
         verification=Verification(),
     )
-    return with_names(whole, structure.timed(lasting))
+    return with_names(whole, timed(structure, restated)) if named else whole
+
+
+def timed(structure: Structure, restated: Solution) -> Structure:
+    """The structure with the times of a solution of its restated problem, whose curves need not be made for that."""
+    p = restated.parameters
+    lengths = iter([float(getattr(p, phase.duration)) for phase in restated.problem.phases])
+    return structure.timed([list(islice(lengths, len(arcs))) for arcs in structure.phases])
 
 
 def _users(problem: Problem, structure: Structure, free: Mapping[str, float]) -> dict[str, float]:
