@@ -153,13 +153,13 @@ class OutOfTime(BaseException):
 
 @contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Raise `OutOfTime` in this thread after so many seconds, at the next step of Python."""
+    """Raise `OutOfTime` in this thread after so many seconds, at the next step of Python, and again where it is lost."""
 
     def stop(*_: Any) -> None:
         raise OutOfTime
 
     before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # CasADi swallows what is raised while it computes
     try:
         yield
     finally:
