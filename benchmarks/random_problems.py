@@ -153,7 +153,7 @@ class OutOfTime(BaseException):
 
 @contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Raise `OutOfTime` in this thread after so many seconds, at the next step of Python, and again where it is lost."""
+    """Raise `OutOfTime` in this thread after so many seconds, at the next step of Python, again where that is lost."""
 
     def stop(*_: Any) -> None:
         raise OutOfTime
