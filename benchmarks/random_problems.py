@@ -6,7 +6,7 @@ altitudes of the site. What the pre-flight forbids is drawn again. Each is solve
 
     python benchmarks/random_problems.py [--count 300] [--seed 9] [--jobs 2] [--limit 120] [--only 17] [--out FILE.json]
 
-``--limit`` is a wall clock [s] for each, ``--only`` solves these numbers alone. Feasible is what either method flies: a
+``--limit`` is the processor time [s] of each, ``--only`` solves these numbers alone. Feasible is what either method flies: a
 refused or failed problem counts where the direct method has a flight, or gets one from wider limits (`refusals.py`).
 The draw depends on the seed alone.
 """
@@ -148,23 +148,26 @@ def draw(seed: int, number: int) -> tuple[str, Problem]:
 
 
 class OutOfTime(BaseException):
-    """The wall clock of one problem has run out; nothing of the library may catch it."""
+    """The time of one problem has run out; nothing of the library may catch it."""
 
 
 @contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Raise `OutOfTime` in this thread after so many seconds, at the next step of Python, again where that is lost."""
+    """Raise `OutOfTime` in this thread after so many seconds of the processor, at the next step of Python.
+
+    Again each second, where that is lost.
+    """
 
     def stop(*_: Any) -> None:
         raise OutOfTime
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # CasADi swallows what is raised while it computes
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds, 1.0)  # CasADi swallows what is raised while it computes
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def judge(seed: int, number: int, limit: float) -> dict[str, Any]:

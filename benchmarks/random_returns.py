@@ -8,7 +8,7 @@ at a place, or free on a revolution; exponential air and that of 1976. Each is s
 
     python benchmarks/random_returns.py [--count 200] [--seed 9] [--jobs 2] [--limit 180] [--only 17] [--out FILE.json]
 
-``--limit`` is a wall clock [s] for each, ``--only`` solves these numbers alone. Feasible is what either method flies:
+``--limit`` is the processor time [s] of each, ``--only`` solves these numbers alone. Feasible is what either method flies:
 of a refused or failed one the direct method follows a flight that lands anywhere to the site. The draw depends on the
 seed alone.
 """
