@@ -8,9 +8,9 @@ at a place, or free on a revolution; exponential air and that of 1976. Each is s
 
     python benchmarks/random_returns.py [--count 200] [--seed 9] [--jobs 2] [--limit 180] [--only 17] [--out FILE.json]
 
-``--limit`` is the processor time [s] of each, ``--only`` solves these numbers alone. Feasible is what either method flies:
-of a refused or failed one the direct method follows a flight that lands anywhere to the site. The draw depends on the
-seed alone.
+``--limit`` is the processor time [s] of each, ``--only`` solves these numbers alone. Feasible is what either method
+flies: of a refused or failed one the direct method follows a flight that lands anywhere to the site. The draw depends
+on the seed alone.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def judge(seed: int, number: int, limit: float) -> dict[str, Any]:
         with at_most(limit):
             row |= ending(drawn.problem)
     except OutOfTime:
-        row |= {"class": "failed", "why": f"not finished after {limit:g} s", "feasible": None}
+        row |= {"class": "failed", "why": f"not finished after {limit:g} s of the processor", "feasible": None}
     row |= {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
     if row["feasible"] is None:
         try:
