@@ -23,7 +23,7 @@ from perilune.proof.extremal import extremality
 from perilune.proof.feasible import feasibility, tables
 from perilune.proof.flight import flights
 from perilune.proof.met import meets
-from perilune.proof.resolved import Resolve, neighbours
+from perilune.proof.resolved import SHIFTED, Resolve, neighbours
 from perilune.proof.second_order import local_optimality
 from perilune.proof.stated import raised, sensible
 from perilune.proof.variations import Kept
@@ -31,6 +31,7 @@ from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
 
 _ROUGH = "neighbours were not solved again, as a check of level 1 failed"
+_UNTOLD = "neighbours were not solved again, as a check of level 3 cannot be told"
 
 
 def examine(
@@ -86,6 +87,8 @@ def examine(
         checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
     if level >= 3 and _failed(checks):
         notes = (_ROUGH, *notes)
+    elif level >= 3 and _unknown(checks) and not any(check.name.startswith(SHIFTED) for check in checks):
+        notes = (_UNTOLD, *notes)
     notes = (*_unneeded(checks, tolerance), *notes)
     return Verification(checks=tuple(checks), text=solution.problem.text, notes=notes, tolerance=tolerance)
 
@@ -93,6 +96,11 @@ def examine(
 def _failed(made: Sequence[Check]) -> bool:
     """Whether a check of level 1 failed: it is no flight, let alone an optimum."""
     return any(check.level == 1 and not check.passed for check in made)
+
+
+def _unknown(made: Sequence[Check]) -> bool:
+    """Whether a check of level 3 has no answer: neighbours, which cost much, could not mend that."""
+    return any(check.level == 3 and np.isnan(check.value) for check in made)
 
 
 def _checks(
@@ -126,7 +134,7 @@ def _checks(
         yield from extremality(parts, flown if parts is solution else flights(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
             yield from local_optimality(parts, kept)
-            if not _failed(made):
+            if not _failed(made) and not _unknown(made):
                 yield from neighbours(parts, resolve)
     if level >= 4:
         yield from agreement(solution, other, arcs)

@@ -31,6 +31,7 @@ _SHARES = (1.0, 0.1, 0.01)
 PARAMETER_SHIFT = 2e-3
 COSTATE_LIMIT = 1e-6
 CURVATURE_LIMIT = -1e-4
+SHIFTED = "initial_costate_"  # how the names of checks of shifted starts begin
 
 
 def _objective(resolve: Resolve, problem: Problem, guess: Solution) -> float:
@@ -85,7 +86,7 @@ def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
             if abs(change - lam) * size <= limit:
                 break
         yield Check(
-            name=f"initial_costate_{state.name}", level=3, limit=limit, unit="1",
+            name=f"{SHIFTED}{state.name}", level=3, limit=limit, unit="1",
             value=abs(float(change - lam)) * size,
             meaning=f"difference between the costate of {state.name} at the start and the change of the "
             "optimum when "
