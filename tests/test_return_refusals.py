@@ -19,6 +19,7 @@ from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Orbit, Returner, Transition
 from perilune.models.deorbit.times import impulsive
 from perilune.problem.preflight import preflight
+from perilune.scenario import load_file
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from test_opportunities import SCENARIO
@@ -106,7 +107,8 @@ def test_a_burn_moves_no_further_than_its_bound() -> None:
 
 
 def landing(area: float, altitude: float = 10e3, **more: Any) -> pl.Problem:
-    return returning(-2.0, replace(VEHICLE, drag_area=area), air=AIR, site=Landing(altitude=altitude), **more)
+    vehicle = replace(VEHICLE, drag_area=area, dry_mass=450.0)
+    return returning(-2.0, vehicle, air=AIR, site=Landing(altitude=altitude), **more)
 
 
 def test_who_arrives_too_fast_is_refused_and_who_may_not_is_warned() -> None:
@@ -121,6 +123,16 @@ def test_who_arrives_too_fast_is_refused_and_who_may_not_is_warned() -> None:
     assert error.value.reason and "less a tenth" in error.value.got
     lifted = returning(-2.0, replace(VEHICLE, drag_area=0.02, lift_to_drag=0.3), air=AIR, site=Landing(altitude=10e3))
     assert all(f.verdict != "impossible" for f in preflight(lifted))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_has_burnt_its_propellant_arrives_slower(known: bool) -> None:
+    """Neighbour B burns a third of its mass on the way, and so lands with 222 m/s, not with the 270 of all its mass."""
+    changes = ["site.speed_upper=225 m/s", *(["vehicle.dry_mass=358 kg"] if known else [])]
+    problem = load_file(Path(__file__).parents[1] / "examples/minimum_duration_return.toml", changes).problem
+    assert all(f.verdict != "impossible" for f in preflight(problem))
+    solution = pl.solve(problem, level=1)
+    assert solution.verification.passed and solution.results["landing_speed"].value < 225.0
 
 
 def test_no_fall_is_slower_than_the_slowest() -> None:

@@ -5,7 +5,7 @@ Beside the turning body, with the speed V, the path angle g, the height h and th
     h' = V sin g,   V' = -drag - mu/r^2 sin g,   g' = ((V + turning)^2/r - mu/r^2) cos g / V
 
 *Whether any arrives slowly enough* is flown from the angles and speeds that there can be at the interface, where these
-are steep enough to lead down at once. It is also flown backwards, from the site, where the vehicle is as slow as a
+are steep enough to lead down at once, by the lightest vehicle that a burn leaves. It is also flown backwards, from the site, where the vehicle is as slow as a
 parachute bears, at each angle. Back in time the air makes it faster, or gravity makes it slower until it climbs and
 turns, below the interface, from where it would have had to be thrown. If it does so from every angle, no entry ends
 there.

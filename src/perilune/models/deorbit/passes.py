@@ -140,6 +140,11 @@ def velocity_change(p: Any, m: Any = NUMERIC) -> Any:
     return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)
 
 
+def lightest(p: Any) -> Any:
+    """Mass [kg] below which the burn leaves none."""
+    return getattr(p, "vehicle_dry_mass", _LEFT * p.vehicle_mass)
+
+
 def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None) -> tuple[float, float]:
     """How far the site stays from the plane at least while a flight from t = 0 can last, and what is turned by then.
 
@@ -147,7 +152,7 @@ def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | N
     is given.
     """
     rate = greatest_thrust(p) / exhaust_speed(p)
-    burn = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", _LEFT * p.vehicle_mass)) / rate
+    burn = (p.vehicle_mass - lightest(p)) / rate
     longest = getattr(p, "orbit_longest_coast", 0.0) + getattr(p, "transition_longest_coast", 0.0)
     time = np.arange(0.0, longest + min(burn, _DAY) + _LONGEST_ENTRY, 0.1 * _STEP)
     if landing is not None:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from perilune.models.deorbit.ballistic import borne_at_least
 from perilune.models.deorbit.bounds import SLACK, furthest_moved, interface_speeds, steepest_angle
 from perilune.models.deorbit.fall import always_faster, fall, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
-from perilune.models.deorbit.passes import Pass, extremes, nearest, passes, velocity_change
+from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes, velocity_change
 from perilune.models.deorbit.secular import drift
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
@@ -157,11 +158,12 @@ def _slow_enough(p: Any, air: Air) -> tuple[Finding, ...]:
         return tuple(found)
     steep = steepest_angle(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else math.inf
     speeds = interface_speeds(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else (0.0, math.inf)
-    slowest = slowest_arrival(p, air, -float(steep), (float(speeds[0]), float(speeds[1])))
-    steady = terminal_speed(p, air)
+    light = SimpleNamespace(**{**vars(p), "vehicle_mass": lightest(p)})  # the less is left the slower it falls
+    slowest = slowest_arrival(light, air, -float(steep), (float(speeds[0]), float(speeds[1])))
+    steady = terminal_speed(light, air)
     for name, value, sure in (
         ("landing speed of the slowest fall, less a tenth", 0.9 * slowest, True),
-        ("speed of a steady fall at the site", steady, steady > p.site_speed_upper and always_faster(p, air)),
+        ("speed of a steady fall at the site", steady, steady > p.site_speed_upper and always_faster(light, air)),
     ):
         if sure:
             found.append(
