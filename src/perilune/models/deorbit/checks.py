@@ -42,6 +42,15 @@ def refuse_throttled_apart(throttle: Throttle | None, separation: Separation | N
         )  # fmt: skip
 
 
+def refuse_more_than_there_is(vehicle: Returner, separation: Separation | None) -> None:
+    """Refuse a vehicle that is heavier after a part of it is left behind."""
+    if separation is not None and separation.mass >= vehicle.mass:
+        raise PeriluneError(
+            "separation.mass is no part of the vehicle", got=f"{separation.mass:g} kg of {vehicle.mass:g} kg",
+            expected="separation.mass < vehicle.mass", advice="what of it goes on into the air",
+        )  # fmt: skip
+
+
 def refuse_without_effect(
     vehicle: Returner,
     air: Air | None,

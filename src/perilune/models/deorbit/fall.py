@@ -5,10 +5,10 @@ Beside the turning body, with the speed V, the path angle g, the height h and th
     h' = V sin g,   V' = -drag - mu/r^2 sin g,   g' = ((V + turning)^2/r - mu/r^2) cos g / V
 
 *Whether any arrives slowly enough* is flown from the angles and speeds that there can be at the interface, where these
-are steep enough to lead down at once, by the lightest vehicle that a burn leaves. It is also flown backwards, from the site, where the vehicle is as slow as a
-parachute bears, at each angle. Back in time the air makes it faster, or gravity makes it slower until it climbs and
-turns, below the interface, from where it would have had to be thrown. If it does so from every angle, no entry ends
-there.
+are steep enough to lead down at once, by the lightest vehicle that a burn leaves. It is also flown backwards, from the
+site, where the vehicle is as slow as a parachute bears, at each angle. Back in time the air makes it faster, or gravity
+makes it slower until it climbs and turns, below the interface, from where it would have had to be thrown. If it does so
+from every angle, no entry ends there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from perilune.words.types import Matrix
 
 POINTS = 81  # of a phase's picture
 _STEEP = math.radians(-2.0)  # a path angle at the interface of no statement
-_FLATTEST = math.radians(-0.2)
+_FLATTEST, _STEEPEST = math.radians(-0.2), math.radians(-89.0)
 _LONGEST = 16_000.0  # s, some three turns
 _ANGLES = np.radians(np.linspace(-2.0, -90.0, 23))
 _SHARES = (1.05, 0.8, 0.5)  # of a speed; the first with some to spare for what a plane leaves out
@@ -41,7 +41,7 @@ def typical_angle(p: Any) -> float:
     """A path angle [rad] at the interface within what is stated, below the horizon."""
     angle = getattr(p, "interface_angle", _STEEP)
     lower, upper = getattr(p, "interface_angle_lower", -math.inf), getattr(p, "interface_angle_upper", math.inf)
-    return min(max(angle, lower), upper, _FLATTEST)
+    return max(min(max(angle, lower), upper, _FLATTEST), _STEEPEST)
 
 
 def typical_speed(p: Any, radius: float) -> float:

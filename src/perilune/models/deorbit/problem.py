@@ -179,6 +179,7 @@ def _ranges(
     """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
     highest = math.asin(math.sin(p.orbit_inclination))
     low, _ = extremes(p)
+    low = m.fmax(low, p.body_radius)  # what is lower is refused as such
     if hasattr(p, "manoeuvre_latitude") and not abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, m)) < highest:
         raise PeriluneError(
             "the orbit never comes to the latitude of the manoeuvre",
@@ -272,6 +273,7 @@ def deorbit_entry(
     checks.refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
     checks.refuse_out_of_order(interface, site if flown is not None else None, parachute)
     checks.refuse_throttled_apart(throttle, separation)
+    checks.refuse_more_than_there_is(vehicle, separation)
     checks.refuse_without_effect(vehicle, flown, heating, separation, limits, parachute)
     stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, parachute)
     named = air if isinstance(air, Atmosphere) else None

@@ -17,6 +17,7 @@ AIRS = {
 }  # fmt: skip
 BANKS = ("free", "reversed")
 PASSES = ("ascending", "descending")
+LONGEST_COAST = 10 * 86400.0  # s; what is longer is flown by no method, and begins better from a newer orbit
 _TURNS: dict[str, Any] = {"least": -4 * math.pi, "most": 4 * math.pi}
 _LATITUDE: dict[str, Any] = {
     "least": -0.5 * math.pi - 1e-12, "most": 0.5 * math.pi + 1e-12, "outside": "lies beyond the pole",
@@ -87,7 +88,7 @@ class Orbit:
         "rad", "120 deg", default=None, **_TURNS, about="from the ascending node to the vehicle at t = 0"
     )  # fmt: skip
     longest_coast: float | None = quantity(
-        "s", "5600 s", default=None, above=SHORTEST,
+        "s", "5600 s", default=None, above=SHORTEST, most=LONGEST_COAST,
         about="longest coast before ignition, whose length is then chosen; left out, ignition is at the start",
     )  # fmt: skip
 
@@ -192,7 +193,7 @@ class Transition:
     """The way from the end of the burn to the interface."""
 
     longest_coast: float | None = quantity(
-        "s", "3000 s", default=None, above=SHORTEST,
+        "s", "3000 s", default=None, above=SHORTEST, most=LONGEST_COAST,
         about="longest coast from the end of the burn to the interface; left out, the engine burns all the way",
     )  # fmt: skip
 

@@ -24,7 +24,7 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit import parachute
 from perilune.models.deorbit.fall import POINTS, carried, fall, typical_angle
 from perilune.models.deorbit.orbit import AXIS, plane, shape
-from perilune.models.deorbit.records import exhaust_speed, greatest_thrust
+from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust
 from perilune.models.rotating import combine, cross, dot, local_axes
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Physics, Vector
@@ -124,7 +124,7 @@ def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
     if not drifts:
         return Down(velocity_change=change, burn=whole, whole=whole, swept=mean * whole)
     burn = min(burn, 0.8 * whole)
-    last, _ = descent(p, angle, coast, burn, 2 * whole)
+    last = descent(p, angle, coast, burn, 2 * whole)[0] if whole < LONGEST_COAST else np.zeros(5)
     if abs(last[1] / gate - 1) < _NEAR:
         whole, swept = float(last[0]) - coast, float(last[2]) - mean * coast
         return Down(velocity_change=change, burn=burn, whole=whole, swept=swept)
@@ -172,8 +172,9 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     gate, rate = p.body_radius + p.interface_altitude, greatest_thrust(p) / exhaust_speed(p)
     lengths = {name: float(getattr(p, f"{name}_time")) for name in names}
     parts = [lengths.get(name, 0.0) for name in ("coast", "burn", "drift")]
-    last, at = descent(p, angle, *parts)
-    flies = last[0] >= (1 - _NEAR) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
+    long = sum(parts) > LONGEST_COAST
+    last, at = (np.zeros(5), None) if long else descent(p, angle, *parts)
+    flies = not long and last[0] >= (1 - _NEAR) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
     found, time, mass = list[Matrix](), 0.0, p.vehicle_mass
     turned = 0.0
     for name in (name for name in names if name not in ("entry", "parachute")):
