@@ -73,6 +73,24 @@ def test_what_is_flown_is_never_refused(
         assert steepest_angle(p, NUMERIC) < 2.2 * -math.radians(degrees)
 
 
+def test_an_orbit_that_comes_down_by_itself_is_left_before_it_does() -> None:
+    """From 110 by 400 km a burn near the apogee leads to the interface at -1.5 degrees; from near the perigee none."""
+    dips = Orbit(
+        perigee_altitude=110e3, apogee_altitude=400e3, argument_of_perigee=-0.9, inclination=math.radians(50.0)
+    )
+    problem = returning(-1.5, orbit=dips)
+    assert {f.name: f.verdict for f in preflight(problem)} == {
+        "perigee above the interface": "warning", "ignition above the interface": "ok"
+    }  # fmt: skip
+    solution = pl.solve(problem, level=1)
+    assert solution.verification.passed
+    assert solution.results["interface_angle"].value == pytest.approx(math.radians(-1.5), abs=1e-9)
+    with pytest.raises(InfeasibleError, match="into the air by itself"):
+        pl.solve(returning(-1.5, orbit=replace(dips, argument_of_perigee=0.9 + math.pi / 2)))
+    with pytest.raises(InfeasibleError, match="into the air by itself"):
+        pl.solve(returning(-1.5, orbit=replace(dips, longest_coast=5000.0)))
+
+
 def test_the_bound_of_the_angle_beside_an_impulse() -> None:
     """About a round body at rest, with great thrust: a third more than Milstead's impulse, half more at one degree."""
     still = Planet(name="x", gravitational_parameter=3.986004418e14, radius=6378137.0, rotation_rate=0.0, j2=0.0)

@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.models import ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.ballistic import borne_at_least
 from perilune.models.deorbit.bounds import SLACK, furthest_moved, interface_speeds, steepest_angle
@@ -47,7 +48,7 @@ _AHEAD = 3 * _DAY  # looked at for a pass that can be made
 def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: bool) -> tuple[Finding, ...]:
     """Every comparison of a return, for `Problem.preflight`."""
     low, high = extremes(p)
-    found = [_above_interface(p, low)]
+    found = _above_interface(p, m, low, angles)
     if hasattr(p, "vehicle_dry_mass"):
         found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
         if not hasattr(p, "transition_longest_coast"):
@@ -62,17 +63,22 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
     return tuple(found)
 
 
-def _above_interface(p: Any, low: Any) -> Finding:
-    return Finding(
-        name="perigee above the interface",
-        value=(low - p.body_radius - p.interface_altitude) / 1e3,
-        limit=0.0,
-        at_least=True,
-        unit="km",
-        binding=True,
-        meaning="the orbit comes down into the air by itself, and there is no air above the interface here",
-        advice="a higher orbit (its radius is from the centre of the body), or a lower interface.altitude",
-    )
+def _above_interface(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]:
+    """Who ignites high up on an ellipse may leave it before its perigee, but not after a coast of any length."""
+    leaves = not hasattr(p, "orbit_radius") and not hasattr(p, "orbit_longest_coast")
+    heights = {"perigee": (low - p.body_radius, not leaves)}
+    if leaves:
+        position, _ = state(*angles(p, m), p, m)
+        heights["ignition"] = ellipsoid.altitude(position, p, m), True
+    return [
+        Finding(
+            name=f"{name} above the interface", value=(height - p.interface_altitude) / 1e3, limit=0.0, at_least=True,
+            unit="km", binding=binding,
+            meaning="the orbit comes down into the air by itself, and there is no air above the interface here",
+            advice="a higher orbit (its radius is from the centre of the body), or a lower interface.altitude",
+        )
+        for name, (height, binding) in heights.items()
+    ]  # fmt: skip
 
 
 def _least_change(p: Any, m: Any, low: Any, high: Any, gate: Any) -> Any:
