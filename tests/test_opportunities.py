@@ -25,6 +25,8 @@ from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Orbi
 from perilune.models.deorbit.secular import drift
 from perilune.models.deorbit.times import impulsive
 from perilune.models.rotating import free_acceleration
+from perilune.models.vehicle import Throttle
+from perilune.problem.preflight import preflight
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
@@ -167,6 +169,15 @@ def test_a_pass_out_of_reach_is_refused() -> None:
     for one in far[:5]:
         with pytest.raises(InfeasibleError, match="out of the plane"):
             pl.solve(begun(one))
+
+
+@pytest.mark.parametrize(("lower", "binding"), [(0.0, False), (0.9, True)])
+def test_a_burn_down_to_nothing_may_wait_for_the_site(lower: float, binding: bool) -> None:
+    """At full thrust it is over before the site comes below; throttled down it lasts until the body has turned."""
+    site = replace(SITE, longitude=math.radians(60.0))
+    problem = returning(site=site, throttle=Throttle(lower=lower, upper=1.0))
+    found = next(f for f in preflight(problem) if f.name == "site out of the plane of the orbit")
+    assert (found.verdict == "impossible") is binding
 
 
 def test_every_pass_is_found_on_an_ellipse_too() -> None:

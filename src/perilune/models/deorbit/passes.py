@@ -27,7 +27,7 @@ import numpy as np
 
 from perilune.models import ellipsoid
 from perilune.models.deorbit.orbit import plane, shape
-from perilune.models.deorbit.records import exhaust_speed, greatest_thrust
+from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust
 from perilune.models.deorbit.secular import Drift
 from perilune.models.deorbit.times import way_down
 from perilune.models.rotating import cross, dot
@@ -35,7 +35,7 @@ from perilune.words.maths import NUMERIC
 
 _STEP = 30.0  # s, between looks at where the vehicle and the site are
 _AROUND = 24  # places on an ellipse from which the way down is looked at
-_DAY = 86400.0  # s
+_NOTHING = 1e-9  # of full thrust: a burn down to nothing may wait
 _LEFT = 0.05  # of the mass, of which a vehicle that says no more of it could burn all else
 _LONGEST_ENTRY = 3600.0  # s
 _SURELY = 1.2  # times what linear equations say of a path that is bent
@@ -154,7 +154,8 @@ def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | N
     rate = greatest_thrust(p) / exhaust_speed(p)
     burn = (p.vehicle_mass - lightest(p)) / rate
     longest = getattr(p, "orbit_longest_coast", 0.0) + getattr(p, "transition_longest_coast", 0.0)
-    time = np.arange(0.0, longest + min(burn, _DAY) + _LONGEST_ENTRY, 0.1 * _STEP)
+    least = max(getattr(p, "throttle_lower", 1.0), _NOTHING) / getattr(p, "throttle_upper", 1.0)  # of its thrust
+    time = np.arange(0.0, longest + min(burn / least, LONGEST_COAST) + _LONGEST_ENTRY, 0.1 * _STEP)
     if landing is not None:
         time = time[np.abs(time - landing) * orbit.turn_rate < math.pi]
     angle, node = orbit.at(time)
