@@ -15,7 +15,9 @@ from perilune.models.deorbit.told import views
 from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.ground import coastline, on_map
-from perilune.scenario import load_file
+from perilune.report.optimality import optimality
+from perilune.scenario import load_file, load_text
+from perilune.scenario.reference import template
 from perilune.solve import solve
 from perilune.words.outcome import PeriluneError
 
@@ -39,6 +41,13 @@ def test_every_figure_of_a_return_is_there(drawn: dict[str, Any]) -> None:
         "altitude", "speed_and_angle", "air", "mass", "steering", "ground_track", "corridor", "path", "costates",
         "hamiltonian",
     }  # fmt: skip
+
+
+def test_the_condition_of_a_fall_that_counts_for_nothing_is_drawn() -> None:
+    """Least propellant to any place: all costates of the entry are 0, and H with them, which is no error of it."""
+    solution = solve(load_text(template("deorbit_entry")), level=0)
+    lines = optimality(solution).axes[0].lines
+    assert np.all([np.isfinite(line.get_ydata()).all() for line in lines])
 
 
 # -- the map --------------------------------------------------------------------------------------------------------

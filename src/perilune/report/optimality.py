@@ -31,7 +31,7 @@ def optimality(solution: Solution) -> Figure:
         free = phases[k].duration in solution.problem.free_names
         required = required_hamiltonian(solution, k) if free else float(np.mean(H))
         largest = max(np.abs(term).max() for term in hamiltonian_terms(solution, k, t))
-        error = np.abs(H - required) / largest
+        error = np.abs(H - required) / (largest or 1.0)  # where nothing counts any more, as on a free fall, all is 0
         worst = max(worst, float(error.max()))
         # Zero has no place on a logarithmic axis; the floor is below the rounding of double precision.
         axes[0].semilogy(begin + t, np.maximum(error, 1e-17), ".", color=BLUE, markersize=1.5)
