@@ -61,6 +61,7 @@ def made() -> Reproduction:
         flown=(fly_printed(1.0), fly_printed(-1.0)),
         site_free={going: solve(site_free(going), level=0) for going in PASSES},
         site_fixed=fixed,
+        slowest=fixed,
         grid=grid,
         experiments=(*near, *nowhere[len(TABLE_2) + REACHED :]),
         searches=Searches(

@@ -67,6 +67,12 @@ def site_fixed() -> Problem:
     return _to_site(_vehicle(drag_area=0.6), NEIGHBOUR_SITE, "descending")
 
 
+def fixed_sweep() -> Problem:
+    """Neighbour B with the speed and the angle at the interface that its answer has."""
+    at = Interface(altitude=CASE.interface_altitude, speed=CASE.speeds[0], angle=CASE.angles[1])
+    return _to_site(_vehicle(drag_area=0.6), NEIGHBOUR_SITE, "descending", at)
+
+
 def as_printed(going: str, left: float) -> Problem:
     """To the site that the paper prints, with a mass [kg] that is to be left."""
     return _to_site(_vehicle(drag_area=0.6, dry_mass=left), PRINTED_SITE, going)
@@ -86,14 +92,13 @@ def _place(going: str) -> Manoeuvre:
     return Manoeuvre(longitude=CASE.place[0], latitude=CASE.place[1], going=going)
 
 
-def _to_site(vehicle: Returner, longitude: float, going: str) -> Problem:
+def _to_site(vehicle: Returner, longitude: float, going: str, at: Interface | None = None) -> Problem:
+    between = Interface(
+        altitude=CASE.interface_altitude, speed_lower=CASE.speeds[0], speed_upper=CASE.speeds[1],
+        angle_lower=CASE.angles[0], angle_upper=CASE.angles[1],
+    )  # fmt: skip
     return deorbit_entry(
-        vehicle, CASE.orbit,
-        Interface(
-            altitude=CASE.interface_altitude, speed_lower=CASE.speeds[0], speed_upper=CASE.speeds[1],
-            angle_lower=CASE.angles[0], angle_upper=CASE.angles[1],
-        ),
-        CASE.earth, manoeuvre=_place(going),
+        vehicle, CASE.orbit, at or between, CASE.earth, manoeuvre=_place(going),
         air=Atmosphere(model="exponential", density=1.225, scale_height=7200.0),
         site=Landing(longitude=longitude, latitude=CASE.site_latitude, altitude=10e3),
     )  # fmt: skip

@@ -92,8 +92,9 @@ def markdown(made: Reproduction) -> str:
         _neighbours(made.site_free),
         "## Neighbour B: a site in the plane of the orbit",
         "The site is moved to (-98°, 38°), and the costates at the interface are what the way through the air makes of "
-        "the place, not the zeros of (12). Speed and angle sit on their bounds.",
-        _neighbours({"descending": made.site_fixed}),
+        "the place, not the zeros of (12). Speed and angle sit on their bounds. Fixed there, the same conditions but "
+        "for the sign of J's multiplier are met by a second extremal, **a time maximum**: none nearby takes longer.",
+        _neighbours({"least time": made.site_fixed, "most time": made.slowest}),
         "### In the form of Table 2",
         "λ at ignition, in the paper's coordinates and units, from the manoeuvre points that Table 2 prints.",
         table(_TABLE_2_HEAD, [_cells(row) for row in _table_2_rows(made)]),
@@ -114,7 +115,7 @@ def markdown(made: Reproduction) -> str:
         "points of Figs 16 to 18.",
         "## The flights",
         "```text\n" + "\n\n".join(
-            solution_summary(s, every_check=False) for s in (*made.site_free.values(), made.site_fixed)
+            solution_summary(s, every_check=False) for s in (*made.site_free.values(), made.site_fixed, made.slowest)
         ) + "\n```",
         versions_line(),
     ]  # fmt: skip
