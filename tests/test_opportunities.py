@@ -171,6 +171,19 @@ def test_a_pass_out_of_reach_is_refused() -> None:
             pl.solve(begun(one))
 
 
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"transition": None},
+        {"vehicle": replace(VEHICLE, thrust=25.0)},
+        {"interface": Interface(altitude=120e3, angle=math.radians(-2.0), speed_lower=7700.0)},
+    ],
+)
+def test_a_descent_that_the_problem_does_not_allow_is_no_reachable_pass(more: dict[str, Any]) -> None:
+    """A burn all the way, one too weak to be over before the interface, and a speed there that the descent has not."""
+    assert listed(returning())["reachable"] and not listed(returning(**more))["reachable"]
+
+
 @pytest.mark.parametrize(("lower", "binding"), [(0.0, False), (0.9, True)])
 def test_a_burn_down_to_nothing_may_wait_for_the_site(lower: float, binding: bool) -> None:
     """At full thrust it is over before the site comes below; throttled down it lasts until the body has turned."""

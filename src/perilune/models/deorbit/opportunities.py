@@ -1,6 +1,7 @@
 """Opportunities to come down to a site: the passes of the days ahead, the turn each needs, and who can make it.
 
-Three verdicts: *reachable*, where there is a tenth more than what a typical descent with the turn in its burn takes;
+Three verdicts: *reachable*, where there is a tenth more than what a typical descent with the turn in its burn takes,
+and the problem allows this descent: engine off before the interface, and at the interface a speed within its bounds;
 *out of reach*, where no flight comes to the site on that pass, by the bound that also refuses to solve; *doubtful* in
 between.
 """
@@ -16,11 +17,13 @@ from typing import Any
 import numpy as np
 
 from perilune.models import ellipsoid
+from perilune.models.deorbit.fall import carried
 from perilune.models.deorbit.orbit import plane, shape
 from perilune.models.deorbit.passes import Pass, nearest, passes, velocity_change
 from perilune.models.deorbit.preflight import OFF_PLANE
-from perilune.models.deorbit.records import Aim, Manoeuvre
+from perilune.models.deorbit.records import Aim, Manoeuvre, exhaust_speed, greatest_thrust
 from perilune.models.deorbit.secular import Drift, drift
+from perilune.models.deorbit.times import way_down
 from perilune.models.rotating import dot
 from perilune.problem.problem import Problem
 from perilune.words.asked import demand
@@ -30,6 +33,8 @@ from perilune.words.outcome import InfeasibleError, PeriluneError
 MOST_DAYS = 60.0  # after which secular rates of first order, and no drag on the orbit, say little
 _DAY = 86400.0  # s
 _SPARE = 1.1  # times what a typical descent takes
+_SHORT = 0.5  # of the way to the interface: a burn beside which that descent, of an impulse, is a picture of the flight
+_ROUGHLY = 20.0  # m/s, of oblateness and of a burn that is no impulse
 REACHABLE, DOUBTFUL, OUT_OF_REACH = "reachable", "doubtful", "out of reach"
 
 
@@ -139,7 +144,7 @@ def _entry(problem: Problem, p: Any) -> tuple[float, float]:
 def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[float, float]) -> Opportunity:
     available = velocity_change(p)
     start = max(found.ignition - 0.5 * getattr(p, "orbit_longest_coast", 0.0), 0.0)
-    if _SPARE * found.velocity_change <= available:
+    if _SPARE * found.velocity_change <= available and _allowed(problem, p, found, orbit, entry[0]):
         verdict = REACHABLE
     else:
         away, turned = nearest(p, orbit.later(start), entry, found.landing - start)
@@ -155,6 +160,22 @@ def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[fl
         **vars(found), distance=abs(found.away) * float(p.body_radius), available=available, verdict=verdict,
         utc=None if utc is None else utc + timedelta(seconds=found.ignition), settings=settings,
     )  # fmt: skip
+
+
+def _allowed(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> bool:
+    """Whether the problem allows the typical descent: short a burn, a coast, and the speed at the interface it has."""
+    exhaust, gate = exhaust_speed(p), p.body_radius + p.interface_altitude
+    burn = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-found.velocity_change / exhaust))
+    if "drift_time" not in problem.free_names or burn > _SHORT * (found.landing - found.ignition - entry):
+        return False
+    angle = float(orbit.at(found.ignition)[0]) - orbit.perigee_rate * found.ignition
+    radius, rise, level = (float(v) for v in shape(angle, p, NUMERIC))
+    left = math.hypot(rise, level) - way_down(p, angle, drifts=True).velocity_change
+    fallen = 2 * p.body_gravitational_parameter * (1 / gate - 1 / radius)
+    speed = math.sqrt(max(left * left + fallen, 0.0)) - carried(p, gate)
+    stated = getattr(p, "interface_speed", None)
+    lower, upper = getattr(p, "interface_speed_lower", stated), getattr(p, "interface_speed_upper", stated)
+    return (lower is None or speed > lower - _ROUGHLY) and (upper is None or speed < upper + _ROUGHLY)
 
 
 def _settings(problem: Problem, p: Any, orbit: Drift, start: float) -> dict[str, str]:
