@@ -96,3 +96,13 @@ def test_the_arcs_along_a_limit_are_read_off_the_direct_answer() -> None:
         "lift_up at its upper bound",
         "lift_up at its lower bound",
     ]
+
+
+def test_the_example_flies_along_its_limit() -> None:
+    """The direct method has 2095.15 to 2095.17 s on fine meshes. Most of a minute: nothing shorter is of order 2."""
+    found = pl.solve(capsule(), level=2)
+    assert found.verification.passed and found.objective == pytest.approx(2095.1732, abs=1e-3)
+    assert found.results["peak_load"].value == pytest.approx(4.5, rel=1e-9)
+    along, touched = (arc for arc in found.structure if "load left" in arc.words)
+    assert along.begin == pytest.approx(225.0, abs=0.1) and along.end == pytest.approx(315.9, abs=0.1)
+    assert touched.begin == pytest.approx(335.05, abs=0.1)
