@@ -171,6 +171,16 @@ def test_a_pass_out_of_reach_is_refused() -> None:
             pl.solve(begun(one))
 
 
+def test_an_orbit_that_comes_down_by_itself_has_no_passes() -> None:
+    """Nothing is left of it hours later."""
+    dips = Orbit(
+        perigee_altitude=100e3, apogee_altitude=400e3, argument_of_perigee=0.0, inclination=ORBIT.inclination,
+        node_longitude=0.0, argument_of_latitude=math.pi,
+    )  # fmt: skip
+    with pytest.raises(InfeasibleError, match="into the air by itself"):
+        opportunities(returning(dips), 2)
+
+
 @pytest.mark.parametrize(
     "more",
     [

@@ -199,6 +199,8 @@ def test_a_slow_fall_is_followed_to_its_end() -> None:
         (["site.speed_upper=100 m/s"], 3, "arrives as slowly as site.speed_upper"),
         (["vehicle.dry_mass=499 kg"], 3, "cannot bring the vehicle down"),
         (["vehicle.dry_mass=600 kg"], 2, "leaves no propellant"),
+        (["problem.epoch=9999-12-31T23:59:59Z"], 2, "problem.epoch is no time"),
+        (["problem.epoch=0001-01-01T00:00:00+14:00"], 2, "problem.epoch is no time"),
         (["interface.angle=-90 deg"], 3, "gives no flight so steep"),
         (["orbit.longest_coast=1e9 s"], 2, "longest_coast is out of range"),
         (["transition.longest_coast=1e9 s"], 2, "longest_coast is out of range"),

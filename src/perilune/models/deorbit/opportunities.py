@@ -19,7 +19,7 @@ import numpy as np
 from perilune.models import ellipsoid
 from perilune.models.deorbit.fall import carried
 from perilune.models.deorbit.orbit import plane, shape
-from perilune.models.deorbit.passes import Pass, nearest, passes, velocity_change
+from perilune.models.deorbit.passes import Pass, extremes, nearest, passes, velocity_change
 from perilune.models.deorbit.preflight import OFF_PLANE
 from perilune.models.deorbit.records import Aim, Manoeuvre, exhaust_speed, greatest_thrust
 from perilune.models.deorbit.secular import Drift, drift
@@ -81,6 +81,11 @@ def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
     demand(problem, Problem, "a problem to list opportunities of")
     _refuse_unfit(problem, days)
     p = problem.parameters({})
+    if extremes(p)[0] < p.body_radius + p.interface_altitude:
+        raise InfeasibleError(
+            "the orbit comes down into the air by itself, before any other pass", got="a perigee below the interface",
+            expected="a perigee above it", advice="a higher orbit, or a lower interface.altitude",
+        )  # fmt: skip
     state = [float(value) for value in problem.start(p, NUMERIC)]
     orbit, entry = drift(state[:3], state[3:6], p), _entry(problem, p)
     found = passes(p, orbit, entry, drifts="drift_time" in problem.free_names, until=days * _DAY)

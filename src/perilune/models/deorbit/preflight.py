@@ -68,7 +68,8 @@ def _above_interface(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]
     leaves = not hasattr(p, "orbit_radius") and not hasattr(p, "orbit_longest_coast")
     heights = {"perigee": (low - p.body_radius, not leaves)}
     if leaves:
-        position, _ = state(*angles(p, m), p, m)
+        angle, node = angles(p, m)
+        position, _ = state(angle, node, p, m)
         heights["ignition"] = ellipsoid.altitude(position, p, m), True
     return [
         Finding(

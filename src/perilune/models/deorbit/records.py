@@ -17,6 +17,7 @@ AIRS = {
 }  # fmt: skip
 BANKS = ("free", "reversed")
 PASSES = ("ascending", "descending")
+_YEARS = (1900, 2200)  # in which a return may be
 LONGEST_COAST = 10 * 86400.0  # s; what is longer is flown by no method, and begins better from a newer orbit
 _TURNS: dict[str, Any] = {"least": -4 * math.pi, "most": 4 * math.pi}
 _LATITUDE: dict[str, Any] = {
@@ -62,10 +63,15 @@ class Aim:
     def instant(self) -> datetime | None:
         """The epoch; refuses what is none."""
         try:
-            return None if self.epoch is None else datetime.fromisoformat(self.epoch)
+            found = None if self.epoch is None else datetime.fromisoformat(self.epoch)
+            if found is not None and not _YEARS[0] <= found.year < _YEARS[1]:
+                raise ValueError
+            return found
         except ValueError:
             raise PeriluneError(
-                "problem.epoch is no time", got=repr(self.epoch)[:60], expected='ISO 8601, as "2026-06-01T12:00:00Z"'
+                "problem.epoch is no time",
+                got=repr(self.epoch)[:60],
+                expected=f'ISO 8601 from {_YEARS[0]} on and before {_YEARS[1]}, as "2026-06-01T12:00:00Z"',
             ) from None
 
 

@@ -173,7 +173,7 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     lengths = {name: float(getattr(p, f"{name}_time")) for name in names}
     parts = [lengths.get(name, 0.0) for name in ("coast", "burn", "drift")]
     long = sum(parts) > LONGEST_COAST
-    last, at = (np.zeros(5), None) if long else descent(p, angle, *parts)
+    last, at = descent(p, angle, *((0.0, 0.0, 1.0) if long else parts))
     flies = not long and last[0] >= (1 - _NEAR) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
     found, time, mass = list[Matrix](), 0.0, p.vehicle_mass
     turned = 0.0
