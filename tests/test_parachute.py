@@ -150,4 +150,4 @@ def test_a_parachute_that_cannot_be_is_refused(make: Any, said: str) -> None:
 def test_who_is_too_fast_where_it_opens_is_refused() -> None:
     """Heavy as it is, 300 m/s at 8 km is not to be had, whatever the canopy below."""
     with pytest.raises(PeriluneError, match=r"arrives as slowly as site\.speed_upper"):
-        pl.solve(returning(vehicle=replace(VEHICLE, drag_area=0.05)))
+        pl.solve(returning(vehicle=replace(VEHICLE, drag_area=0.05, dry_mass=400.0)))

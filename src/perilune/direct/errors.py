@@ -140,7 +140,7 @@ def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vecto
         np.clip(segment.time(piece.at), segment.begin, segment.end),
         rtol=tolerance, atol=tolerance * np.maximum(np.abs(piece.x).max(axis=0), least),
     )  # fmt: skip
-    if flown.y.shape[1] != len(piece.at):
+    if len(flown.t) != len(piece.at):  # SciPy gives no array where not one step succeeds
         return np.full(piece.x.shape[1], math.nan)
     return np.abs(flown.y.T - piece.x).max(axis=0)
 
