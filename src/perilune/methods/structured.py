@@ -203,7 +203,8 @@ class Polish:
             for begin, end, at in broken(whole, k, name):
                 reach = _BESIDE * (end - begin)
                 near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
-                ridden = bool(near) or conditions_of(self.problem, k, (name,))[name].order == 1
+                condition = conditions_of(self.problem, k, (name,))[name]
+                ridden = condition.steered and (bool(near) or condition.order == 1)
                 begin, end = (begin, end) if ridden else (at, at)
                 for contact in near:
                     begin, end = min(begin, contact.begin), max(end, contact.end)

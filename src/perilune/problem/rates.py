@@ -24,10 +24,10 @@ import numpy as np
 
 from perilune.problem.tape import ROLES, Expression, Recorder, Symbol, operands
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 MOST_ORDER = 4  # derivatives that are looked at; states are coupled more directly than that
+_TOUCHED = 2  # derivatives that tell a touch: S' vanishes there, and S'' does not
 _LOOKS, _FEWEST = 200, 5  # points at which effects of a control are compared, and those that have to tell anything
 _CANCELS = 1e-9  # of the effects: less of their sum is rounding
 Inputs = Mapping[tuple[str, str], Any]  # by (role, component)
@@ -197,29 +197,24 @@ def _changing(value: Any) -> Any:
     return value if isinstance(value, Symbol) or value != 0 else None
 
 
-def derivatives(function: Expression, dynamics: Expression, states: Sequence[str], what: str) -> tuple[Expression, ...]:
+def derivatives(function: Expression, dynamics: Expression, states: Sequence[str]) -> tuple[Expression, ...]:
     """(S, S', ..., S^(q)), the last being the first with a control in it: q is the order of S.
 
     Parameters
     ----------
     function, dynamics, states
         As of `rate`; a function with a control in it is of order 0.
-    what
-        What it is called in a message.
 
-    Raises
-    ------
-    PeriluneError
-        If no control appears.
+    Returns
+    -------
+    tuple of Expression
+        Where no control appears, (S, S', S'') without one: what a flight that touches S = 0 is told by.
     """
     found = [function]
+    steered = acts(function) or acts(dynamics)
     while not acts(found[-1]):
-        if len(found) > MOST_ORDER:
-            raise PeriluneError(
-                f"no control acts on {what}",
-                got=f"none in its first {MOST_ORDER} derivatives along the flight",
-                expected="a quantity that a control moves",
-            )
+        if len(found) > (MOST_ORDER if steered else _TOUCHED):
+            return tuple(found[: _TOUCHED + 1])
         found.append(_next(found[-1], dynamics, tuple(states)))
     return tuple(found)
 

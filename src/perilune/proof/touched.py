@@ -36,7 +36,6 @@ from perilune.structures.read import POINTS, Contact, arcs_of
 from perilune.structures.restate import restate
 from perilune.structures.structure import Condition, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _ON = 1e-7  # of what a condition goes through: it is met
@@ -77,8 +76,9 @@ def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
     t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
     room = _room(arc, S, t)
     met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
-    if not met.any() or (condition := _condition(arc, name)) is None:
+    if not met.any():
         return
+    condition = conditions_of(arc.problem, arc.index, (name,))[name]
     # Between two touches, or a touch and its end, a flight may stay that near and ride along nothing.
     rate = np.abs(_room(arc, condition.values[-1], t))
     held, order = met & (rate <= _HELD * rate.max()), condition.order
@@ -89,7 +89,7 @@ def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
         if rides and begin is None:
             begin = ends[i]
         elif not rides and begin is not None:
-            if not _by_bounds(arc, name, begin, ends[i]):
+            if condition.steered and not _by_bounds(arc, condition, begin, ends[i]):
                 yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
             begin = None
     for i, time in enumerate(edges.tolist()):
@@ -112,20 +112,11 @@ def _size(arc: Arc, name: str) -> float:
     return float(arc.state_scale[arc.phase.state_names.index(name.rpartition(".")[0])])
 
 
-def _condition(arc: Arc, name: str) -> Condition | None:
-    """With its rates; None where no control moves it."""
-    try:
-        return conditions_of(arc.problem, arc.index, (name,))[name]
-    except PeriluneError:
-        return None
-
-
-def _by_bounds(arc: Arc, name: str, begin: float, end: float) -> bool:
+def _by_bounds(arc: Arc, condition: Condition, begin: float, end: float) -> bool:
     """Whether a condition is met and holds nothing back: the controls that move it are on bounds, lam does not jump.
 
     An empty tank stays empty while the engine is off. Then it has no multiplier, and the checks are made without one.
     """
-    condition = conditions_of(arc.problem, arc.index, (name,))[name]
     moving = moved_by(condition)
     u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
     on = {

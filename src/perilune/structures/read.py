@@ -30,7 +30,6 @@ from perilune.structures.regimes import (
 )
 from perilune.structures.structure import Arc, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
@@ -147,12 +146,9 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
     for first, last in _groups(room <= near):
         inside = first > 0 and last < len(t) - 1
         stays = _length(t, room, first, last, near) > STAYS * _length(t, room, first, last, WIDER * near)
-        try:
-            order = conditions_of(solution.problem, k, (name,))[name].order
-        except PeriluneError:  # what no control moves is neither ridden nor avoided
-            return
+        condition = conditions_of(solution.problem, k, (name,))[name]
         here = t[first : last + 1]
-        if stays or (inside and order == 1):
+        if condition.steered and (stays or (inside and condition.order == 1)):
             on = here[room[first : last + 1] <= near / BULGE + max(0.0, float(room[first : last + 1].min()))]
             yield Contact(name=name, begin=float(on[0]), end=float(on[-1]), ridden=True)
         elif inside:

@@ -23,7 +23,7 @@ from perilune.problem.controls import Bounded, Control
 from perilune.problem.form import PHASE_FUNCTIONS, roles_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.rates import component, gathered, run
+from perilune.problem.rates import MOST_ORDER, component, gathered, run
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Free, Variable
 from perilune.structures.regimes import settled
@@ -182,6 +182,7 @@ class _Restated:
                 said = repeated_ends(self.user, k, arc, conditions) if entered else frozenset()
                 ends += [(v, component(own[k, "end"], i)) for i, v in enumerate(phase.end_conditions) if i not in said]
                 ends += list(self._whole(phase, durations))
+            self._refuse_unsteered(arc, conditions)
             held = [(conditions[n].rated(conditions[n].order, "", self._second), conditions[n].values[-1])
                     for n in arc.along]  # fmt: skip
             changes = {
@@ -197,6 +198,17 @@ class _Restated:
                 **_stated("held", "held_conditions", held + self._user_held(k)),
             }
             yield replace(phase, **changes)
+
+    @staticmethod
+    def _refuse_unsteered(arc: Arc, conditions: Mapping[str, Condition]) -> None:
+        for name in arc.along:
+            if not conditions[name].steered:
+                raise PeriluneError(
+                    f"no control acts on {name}",
+                    got=f"none in its first {MOST_ORDER} derivatives along the flight",
+                    expected="a quantity that a control moves, to ride along it",
+                    advice=f"Arc(touches=({name!r},)), where an arc ends",
+                )
 
     @property
     def _second(self) -> float:

@@ -17,7 +17,7 @@ from typing import Any
 
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.rates import component, derivatives
+from perilune.problem.rates import acts, component, derivatives
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Given, Variable
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -129,8 +129,8 @@ class Condition:
     variable
         Unit and scale of S, and a name that is an identifier.
     values
-        (S, S', ..., S^(q)) as functions of (x, u, p); the last is the first with a control in it. A bound that is a
-        number is among the parameters as `plain_bounds` has it.
+        (S, S', ..., S^(q)) as functions of (x, u, p); the last is the first with a control in it, or S'' where none is
+        in any. A bound that is a number is among the parameters as `plain_bounds` has it.
     bound
         (number of the state, side) of a bound; None for a path condition.
     """
@@ -142,8 +142,13 @@ class Condition:
 
     @property
     def order(self) -> int:
-        """How many derivatives it takes until a control appears."""
+        """How many derivatives it takes until a control appears; 2 where none does."""
         return len(self.values) - 1
+
+    @property
+    def steered(self) -> bool:
+        """Whether a control moves it. What none moves is told by how its phase begins: touched, and never ridden."""
+        return acts(self.values[-1])
 
     def rated(self, i: int, prefix: str, time: float) -> Variable:
         """Name, unit and scale of the i-th derivative; `time` is the size of a second."""
@@ -175,7 +180,7 @@ def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, C
     Raises
     ------
     PeriluneError
-        If there is no such condition, or no control acts on it.
+        If there is no such condition.
     """
     phase, known, found = problem.phases[k], margins(problem, k), {}
     dynamics = problem.form.expressions[k, "dynamics"]
@@ -183,7 +188,7 @@ def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, C
         if name not in known:
             raise unknown_name(f"condition of {phase.name}", name, sorted(known))
         variable, value, bound = known[name]
-        values = derivatives(value, dynamics, phase.state_names, f"{name} of {phase.name}")
+        values = derivatives(value, dynamics, phase.state_names)
         found[name] = Condition(name=name, variable=variable, values=values, bound=bound)
     return found
 

@@ -31,7 +31,8 @@ STATES = (
     *(Variable(name=name, unit="m/s", description="beside the turning body") for name in ("vx", "vy", "vz")),
 )
 SITE = ("site_up", "site_north", "site_east")
-HEAT = Variable(name="heat", unit="J/m^2", description="heat load at the stagnation point", scale=1e7)
+HEAT_SIZE = 1e7  # J/m^2
+HEAT = Variable(name="heat", unit="J/m^2", description="heat load at the stagnation point", scale=HEAT_SIZE)
 
 
 def where(x: Any) -> Triple:

@@ -164,13 +164,22 @@ def _entry(air: Air, *, bank: str | None, nose: bool, heat: bool, placed: bool, 
         marks=told.at_opening if opens else None,
         mark_variables=told.AT_OPENING if opens else (),
         path=partial(flight.within_limits, air=air) if limited else None,
-        path_conditions=tuple(Variable(name=f"{name}_left", unit=flight.LIMITED[name]) for name in limited),
+        path_conditions=tuple(_left(name, limits) for name in limited),
         outputs=partial(told.felt, air=air),
         output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
         integrals=partial(told.heated, air=air) if nose else None,
         integral_variables=(told.HEAT_LOAD,) if nose else (),
         inertial=told.inertial_without_thrust,
     )
+
+
+_PARTS = 20  # of a limit: so many g0, the unit of a load, are a hard entry, and its touch is as well told
+
+
+def _left(name: str, limits: Limits) -> Variable:
+    """What is left to a limit. A pressure is no number to compute with in units of a mass and the body's radius."""
+    own = float(getattr(limits, name)) / _PARTS if name in ("heat_rate", "dynamic_pressure") else None
+    return Variable(name=f"{name}_left", unit=flight.LIMITED[name], scale=own)
 
 
 def _ranges(
@@ -341,7 +350,7 @@ def _is_the_earth(body: Planet) -> bool:
 
 def _size_of(objective_unit: str, time: float) -> float | None:
     """Size of J: a state that is off by its canonical unit costs some ten to a hundred units of time."""
-    return {"s": 10 * time, "J/m^2": flight.HEAT.scale}.get(objective_unit)
+    return {"s": 10 * time, "J/m^2": 10 * flight.HEAT_SIZE}.get(objective_unit)
 
 
 def _air(air: Atmosphere | Air | None) -> Air | None:
