@@ -45,6 +45,7 @@ def by_hand() -> Conditions:
         mode=ca.Function("mode", [z, p], [ca.SX(0)]),
         state_count=4,
         constants=(),
+        settles=False,
     )
     return Conditions(
         phases=(phase,),
@@ -54,6 +55,7 @@ def by_hand() -> Conditions:
         residuals=tuple((name, "1") for name in ("r", "u", "v", "length")),
         free_at=slice(0, 0),
         costate_at=(slice(0, 3),),
+        transversality_at=3,
         stationarity_at=slice(0, 0),
         ranges=(),
         silent=((),),
