@@ -15,7 +15,7 @@ from perilune.problem.problem import Problem
 from perilune.scenario import load_text
 from perilune.structures.read import readings
 from perilune.structures.structure import conditions_of
-from perilune.words.outcome import InfeasibleError
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 EXAMPLE = (Path(__file__).parent.parent / "examples" / "capsule_return.toml").read_text(encoding="utf-8")
 
@@ -106,3 +106,18 @@ def test_the_example_flies_along_its_limit() -> None:
     along, touched = (arc for arc in found.structure if "load left" in arc.words)
     assert along.begin == pytest.approx(225.0, abs=0.1) and along.end == pytest.approx(315.9, abs=0.1)
     assert touched.begin == pytest.approx(335.05, abs=0.1)
+
+
+@pytest.mark.parametrize("aim", ["propellant", "transition_time"])
+def test_a_lift_that_changes_nothing_is_named(aim: str) -> None:
+    """No bank changes what happens above the air, and without a place any of them arrives."""
+    anywhere = ('longitude = "-166.4 deg"\nlatitude = "-43.8 deg"\n', "")
+    aimed = ('minimise = "flight_time"', f'minimise = "{aim}"')
+    with pytest.raises(PeriluneError, match="the lift is undetermined") as error:
+        capsule(anywhere, aimed)
+    assert aim in error.value.got
+    assert (
+        capsule(anywhere)
+        and capsule(aimed)
+        and capsule(anywhere, aimed, *BALLISTIC, ('load = "4.5 g0"', 'load = "9 g0"'))
+    )

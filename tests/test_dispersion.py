@@ -48,7 +48,7 @@ def returning(vehicle: Returner = CAPSULE, **more: Any) -> pl.Problem:
     known: dict[str, Any] = {
         "transition": Transition(longest_coast=3000.0), "air": Atmosphere(model="us1976"),
         "site": Landing(altitude=30e3),
-        "separation": Separation(mass=2900.0), "minimise": "propellant",
+        "separation": Separation(mass=2900.0), "minimise": "flight_time",
     }  # fmt: skip
     return deorbit_entry(vehicle, replace(ORBIT, longest_coast=3000.0), INTERFACE, EARTH, **{**known, **more})
 

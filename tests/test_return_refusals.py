@@ -139,7 +139,8 @@ def test_who_arrives_too_fast_is_refused_and_who_may_not_is_warned() -> None:
     with pytest.raises(InfeasibleError, match="no entry without lift arrives as slowly") as error:
         pl.solve(landing(0.4))
     assert error.value.reason and "less a tenth" in error.value.got
-    lifted = returning(-2.0, replace(VEHICLE, drag_area=0.02, lift_to_drag=0.3), air=AIR, site=Landing(altitude=10e3))
+    winged, site = replace(VEHICLE, drag_area=0.02, lift_to_drag=0.3), Landing(altitude=10e3)
+    lifted = returning(-2.0, winged, air=AIR, site=site, minimise="flight_time")
     assert all(f.verdict != "impossible" for f in preflight(lifted))
 
 

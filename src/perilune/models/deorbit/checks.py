@@ -51,6 +51,19 @@ def refuse_more_than_there_is(vehicle: Returner, separation: Separation | None) 
         )  # fmt: skip
 
 
+def refuse_undetermined_lift(aim: Aim, vehicle: Returner, air: Air | None, site: Landing | None) -> None:
+    """Refuse a bank that changes neither what is minimised nor a place where the flight ends."""
+    above = aim.minimise in ("propellant", "transition_time")
+    if above and vehicle.lift_to_drag is not None and air is not None and (site is None or site.longitude is None):
+        raise PeriluneError(
+            "the lift is undetermined",
+            got=f'minimise = "{aim.minimise}", which no lift changes, and no place to reach',
+            expected="something that depends on the lift, or no lift",
+            advice='minimise = "flight_time" or "heat_load", a site.longitude and site.latitude, or no'
+            " vehicle.lift_to_drag",
+        )  # fmt: skip
+
+
 def refuse_without_effect(
     vehicle: Returner,
     air: Air | None,

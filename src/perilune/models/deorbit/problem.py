@@ -283,6 +283,7 @@ def deorbit_entry(
     checks.refuse_out_of_order(interface, site if flown is not None else None, parachute)
     checks.refuse_throttled_apart(throttle, separation)
     checks.refuse_more_than_there_is(vehicle, separation)
+    checks.refuse_undetermined_lift(aim, vehicle, flown, site)
     checks.refuse_without_effect(vehicle, flown, heating, separation, limits, parachute)
     stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, parachute)
     named = air if isinstance(air, Atmosphere) else None
