@@ -233,13 +233,31 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         yield f"{name} of each: median {np.median(took):.1f} s, longest {took.max():.1f} s"
 
 
-def main() -> None:
-    """Draw, solve, and print what became of them."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
-    parser.add_argument("--count", type=int, default=300)
+def measured(
+    about: str | None,
+    judge: Callable[[int, int, float], dict[str, Any]],
+    summary: Callable[[Sequence[dict[str, Any]]], Iterator[str]],
+    told: Callable[[dict[str, Any]], str],
+    *,
+    count: int,
+    limit: float,
+) -> None:
+    """Draw, judge, and print what became of them.
+
+    Parameters
+    ----------
+    about
+        Docstring of the benchmark.
+    judge, summary, told
+        What becomes of (seed, number, limit); all lines of the rows in order; and the line of a row as it comes.
+    count, limit
+        How many are drawn, and for how long each may be at work [s], unless others are asked for.
+    """
+    parser = argparse.ArgumentParser(description=about.split("\n")[0] if about else "")
+    parser.add_argument("--count", type=int, default=count)
     parser.add_argument("--seed", type=int, default=9)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--limit", type=float, default=120.0)
+    parser.add_argument("--limit", type=float, default=limit)
     parser.add_argument("--only", type=int, nargs="*")
     parser.add_argument("--out", default="")
     arguments = parser.parse_args()
@@ -248,9 +266,7 @@ def main() -> None:
         jobs = [pool.submit(judge, arguments.seed, number, arguments.limit) for number in numbers]
         for done in as_completed(jobs):
             rows.append(row := done.result())
-            print(
-                f"{len(rows)}/{len(jobs)}: {row['number']} {row['kind']}, {row['class']}", file=sys.stderr, flush=True
-            )
+            print(f"{len(rows)}/{len(jobs)}: {row['number']} {told(row)}", file=sys.stderr, flush=True)
     rows.sort(key=lambda row: row["number"])
     print("\n".join(summary(rows)))
     if arguments.out:
@@ -259,4 +275,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    measured(__doc__, judge, summary, lambda row: f"{row['kind']}, {row['class']}", count=300, limit=120.0)

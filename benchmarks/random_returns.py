@@ -15,14 +15,10 @@ on the seed alone.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -47,7 +43,7 @@ from perilune.problem.declared import given_of
 from perilune.problem.problem import Problem
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
-from random_problems import PROVED, OutOfTime, at_most, ending, logarithmic
+from random_problems import PROVED, OutOfTime, at_most, ending, logarithmic, measured
 
 EXHAUST = 3000.0  # m/s
 LEFT = 0.7  # of the mass, without propellant
@@ -193,29 +189,10 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         yield f"processor of {name}: {parts}"
 
 
-def main() -> None:
-    """Draw, solve, and print what became of them."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=9)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--limit", type=float, default=180.0)
-    parser.add_argument("--only", type=int, nargs="*")
-    parser.add_argument("--out", default="")
-    arguments = parser.parse_args()
-    rows, numbers = list[dict[str, Any]](), arguments.only or range(arguments.count)
-    with ProcessPoolExecutor(max_workers=arguments.jobs) as pool:
-        jobs = [pool.submit(judge, arguments.seed, number, arguments.limit) for number in numbers]
-        for done in as_completed(jobs):
-            rows.append(row := done.result())
-            words = f"{row['class']} ({row['cpu']:.1f} s), {row['words']} {row['why'][:150]}"
-            print(f"{len(rows)}/{len(jobs)}: {row['number']} {words}", file=sys.stderr, flush=True)
-    rows.sort(key=lambda row: row["number"])
-    print("\n".join(summary(rows)))
-    if arguments.out:
-        with open(arguments.out, "w", encoding="utf-8") as file:
-            json.dump(rows, file, indent=1)
+def told(row: dict[str, Any]) -> str:
+    """The line of a return as it comes."""
+    return f"{row['class']} ({row['cpu']:.1f} s), {row['words']} {row['why'][:150]}"
 
 
 if __name__ == "__main__":
-    main()
+    measured(__doc__, judge, summary, told, count=200, limit=180.0)

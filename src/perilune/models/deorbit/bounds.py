@@ -44,8 +44,8 @@ def interface_speeds(p: Any, m: Any) -> tuple[Any, Any]:
     gate, change = gate_radius(p), velocity_change(p, m)
     speed, turning = _speed(p, m, gate), p.body_rotation_rate * gate
     # The body turns below the plane of the orbit, which the velocity change tilts.
-    beside, size = speed - turning * m.cos(p.orbit_inclination), m.sqrt(turning * turning)
-    tilt = size * (change + size) / speed + _TILTS * m.sqrt(p.body_j2 * p.body_j2) * speed
+    beside, size = speed - turning * m.cos(p.orbit_inclination), m.fabs(turning)
+    tilt = size * (change + size) / speed + _TILTS * m.fabs(p.body_j2) * speed
     # With the height that is not known to better than the slack goes a speed.
     loose = tilt + p.body_gravitational_parameter * SLACK / (gate * gate * speed)
     return m.fmax(beside - change - loose, 0.0), beside + change + loose
@@ -71,9 +71,9 @@ def steepest_angle(p: Any, m: Any) -> Any:
         flat = ahead
     cosine = m.exp(-m.fmin(m.fmax(flat, 0.0), _STEEP))
     level = m.fmax(speed - change, _LEAST * speed)
-    carried = m.sqrt(p.body_rotation_rate * p.body_rotation_rate) * gate
+    carried = m.fabs(p.body_rotation_rate) * gate
     down = level * m.sqrt(m.fmax(1 - cosine * cosine, 0.0))
-    tilt = m.sqrt(p.body_j2 * p.body_j2) * _TILTS
+    tilt = m.fabs(p.body_j2) * _TILTS
     return m.atan2(down, m.fmax(level * cosine - carried, _LEAST * level * cosine)) + tilt
 
 

@@ -31,7 +31,7 @@ from perilune.models import ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.ballistic import borne_at_least
 from perilune.models.deorbit.bounds import SLACK, furthest_moved, interface_speeds, steepest_angle
-from perilune.models.deorbit.fall import always_faster, fall, slowest_arrival, terminal_speed
+from perilune.models.deorbit.fall import Fall, always_faster, fall, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
 from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes, velocity_change
 from perilune.models.deorbit.secular import drift
@@ -56,10 +56,9 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
     if air is not None and _of_one(p, low):
         if not hasattr(p, "vehicle_lift_to_drag"):
             found += borne_at_least(p, air)
-        found += [
-            *_slow_enough(p, air),
-            *(_in_plane(p, angles, air, drifts=drifts) if hasattr(p, "site_longitude") else ()),
-        ]
+        fallen = fall(p, air)
+        found += _slow_enough(p, air, fallen)
+        found += _in_plane(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
     return tuple(found)
 
 
@@ -148,10 +147,10 @@ def _of_one(p: Any, low: Any) -> bool:
     return not any(np.ndim(number) for number in numbers) and math.isfinite(sum(map(float, numbers)))
 
 
-def _slow_enough(p: Any, air: Air) -> tuple[Finding, ...]:
+def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
     """How fast a typical fall without lift arrives, which is no proof of others; and whether all arrive too fast."""
     advice = "more drag area, a higher site.altitude, or a greater site.speed_upper"
-    fallen, found = fall(p, air), list[Finding]()
+    found = list[Finding]()
     if fallen.lands:
         found.append(
             Finding(
@@ -183,10 +182,10 @@ def _slow_enough(p: Any, air: Air) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _in_plane(p: Any, angles: Physics, air: Air, *, drifts: bool) -> tuple[Finding, ...]:
+def _in_plane(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[Finding, ...]:
     """How far the site stays from the plane of the orbit while the flight can last, against what propellant turns."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
-    orbit, fallen = drift(*state(angle, node, p, NUMERIC), p), fall(p, air)
+    orbit = drift(*state(angle, node, p, NUMERIC), p)
     entry = fallen.time, float(fallen.rows[-1, 1])
     away, turned = nearest(p, orbit, entry)
     lifts = hasattr(p, "vehicle_lift_to_drag")

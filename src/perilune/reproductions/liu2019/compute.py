@@ -40,7 +40,6 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
 PASSES = ("descending", "ascending")
-FLOWN_NEAR = (16.0, 39.873)  # the grid point whose printed costates are shown along the flight
 
 
 @dataclass(frozen=True, kw_only=True)
