@@ -26,12 +26,19 @@ _NOT_KEPT = 0.02  # the same beyond which a flight is not said to keep it
 _TOUCHING = 1e-3  # of its range
 _FEW = 3  # switches that a mesh of eight segments follows
 _FINER = 100  # most iterations of an attempt on the finer mesh
+_NO_LENGTH = 1e-4  # of a flight: a phase that is shorter has none
 _LOOKS = 400  # times of a phase at which its conditions are looked at
 
 
 def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterator[tuple[Variable, Vector]]:
-    """Each path condition with its values [SI] along a flight, less a share of the phase at both ends."""
+    """Each path condition with its values [SI] along a flight, less a share of the phase at both ends.
+
+    Where such a share is left out, so are phases that have shrunk to nothing: they are all ends.
+    """
+    least = _NO_LENGTH * sum(flown.duration for flown in flight.trajectories) if ends else 0.0
     for k, (phase, flown) in enumerate(zip(problem.phases, flight.trajectories, strict=True)):
+        if flown.duration < least:
+            continue
         x, u = flight.flown(k, np.linspace(ends, 1.0 - ends, _LOOKS) * flown.duration)
         values = phase.evaluate("path", list(x), list(u), flight.parameters)
         yield from zip(phase.path_conditions, map(np.asarray, values), strict=True)

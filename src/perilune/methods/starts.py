@@ -6,7 +6,7 @@ import numpy as np
 
 from perilune.methods.assemble import unknowns_from
 from perilune.methods.ladder import Ladder
-from perilune.methods.trials import AT_BOUND, Trials
+from perilune.methods.trials import Trials
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.solution import Solution
 from perilune.problem.symbolic import canonical_free
@@ -14,6 +14,7 @@ from perilune.words.types import Matrix, Vector
 
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
+_ON_BOUND = 1e-6  # canonical distance at which a guess means a bound, as the direct method stays that far inside
 _SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
 
@@ -62,7 +63,7 @@ def held_in(trials: Trials, guess: Solution, y: Vector) -> Vector:
         i: limit
         for i, value in enumerate(free.tolist())
         for limit in (limits.lower[i], limits.upper[i])
-        if abs(value - limit) <= AT_BOUND or limits.lower[i] == limits.upper[i]
+        if abs(value - limit) <= _ON_BOUND or limits.lower[i] == limits.upper[i]
     }
     ranges = {}
     for i, (_, unknown) in enumerate(trials.conditions.ranges):
