@@ -69,10 +69,11 @@ class Flight:
 
     def __init__(self, code: Code, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> None:
         self.plan, self.Y, self.inverse = code.plan, Y, inverse
-        self.legs, ends = list[tuple[Any, BoundArcs | Split]](), list[Matrix]()
+        self.legs, ends, end = list[tuple[Any, BoundArcs | Split]](), list[Matrix](), list[Matrix]()
         for leg, opening in zip(code.plan.legs, code.openings, strict=True):
-            opened = opening.bind(Y, p, *(ends[-3:] if leg.follows else []))
-            z0, duration, mode, seeds, numbers = opened.outputs
+            opened = opening.bind(Y, p, *(end if leg.follows else []))
+            z0, duration, mode, slopes, numbers = opened.outputs
+            seeds = slopes if leg.seeds is None else np.tile(leg.seeds.ravel(), (len(Y), 1))
             asked = Request(
                 z0=z0,
                 p=numbers,
@@ -85,7 +86,8 @@ class Flight:
             )
             arcs = Split(leg.arcs, asked) if code.plan.settles else leg.arcs.bind(asked)
             self.legs.append((opened, arcs))
-            ends += [arcs.z, arcs.rates, arcs.columns.reshape(len(Y), -1)]
+            end = [arcs.z, arcs.rates, arcs.columns.reshape(len(Y), -1), *([] if leg.seeds is None else [slopes])]
+            ends += end
         known = [Y, choice, p, inverse] if self.plan.compiled else [Y, choice, p]
         self.closing = code.closing.bind(*known, *ends)
 

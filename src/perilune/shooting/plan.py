@@ -7,7 +7,8 @@ residual and what Newton makes of it. A change of the unknowns moves the end of 
 
     dz(T) = S(T) dz(0) + z'(T) dT,
 
-which goes through the link into the seeds of the next leg, or into the residual's derivative.
+which goes through the link into the seeds of the next leg, or into the residual's derivative. Where fewer entries of
+z(0) move than unknowns move them, the columns flown are those of z(0) itself, and S(T) dz(0) is their product.
 
 Free parameters and end conditions that are ranges may be *held*, each lane of a batch having its own choice: the
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
@@ -30,6 +31,7 @@ from perilune.kernels import Engine, Request
 from perilune.shooting.newton import Columns
 from perilune.shooting.propagate import Equations, engine, equations
 from perilune.shooting.settling import MOST_STEPS, settling
+from perilune.words.types import Matrix
 
 #: Up to so many coupled unknowns Newton's step is compiled with the residual; beyond, LAPACK takes over.
 COMPILED = 12
@@ -44,10 +46,13 @@ class Leg:
     flown, arcs
         What is integrated, and what integrates it with its columns.
     opening
-        (Y, p) or (Y, p, end z, end rate, columns of the leg before) -> z0, duration, mode, seeds, and the numbers
-        among p that the arc knows.
+        (Y, p) or (Y, p, end of the leg before) -> z0, duration, mode, slopes of z0, and the numbers among p that the
+        arc knows. An end is z, rate and columns; behind them come the slopes of a leg with `seeds`.
     follows
         Whether the opening takes the end of the leg before.
+    seeds
+        S(0) of an arc whose columns are those of its start, where fewer entries of it move than unknowns move them;
+        None where the slopes of z0 by these unknowns are its seeds themselves.
     most_steps
         After which the arc counts as lost.
     """
@@ -56,6 +61,7 @@ class Leg:
     arcs: Engine
     opening: ca.Function
     follows: bool
+    seeds: Matrix | None
     most_steps: int
 
 
@@ -107,16 +113,36 @@ def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _End:
-    """Symbols of a leg's end, and dz/dY there; of what is flown, which of a phase that settles is another z."""
+    """Symbols of a leg's end, and what it moves; of what is flown, which of a phase that settles is another z.
 
-    z: ca.SX
-    rate: ca.SX
-    columns: ca.SX
-    slope: ca.SX
+    Attributes
+    ----------
+    symbols
+        z, rate and columns; the slopes of the start where the columns are those of it.
+    slopes
+        Factors whose product is dz/dY but for the duration's part, and that of the duration.
+    moving
+        Unknowns that the first product is for.
+    """
+
+    symbols: list[ca.SX]
+    slopes: list[ca.SX]
+    duration: ca.SX
+    moving: list[int]
 
     @property
-    def symbols(self) -> list[ca.SX]:
-        return [self.z, self.rate, self.columns]
+    def z(self) -> ca.SX:
+        return self.symbols[0]
+
+    def change(self, of: ca.SX) -> ca.SX:
+        """d(of)/dY through z; from the left, as what is asked of an end are fewer rows than it has."""
+        by = ca.jacobian(of, self.z)
+        change = ca.SX(by.size1(), self.duration.size2())
+        product = by
+        for factor in self.slopes:
+            product = ca.mtimes(product, factor)
+        change[:, self.moving] = product
+        return ca.sparsify(change) + ca.mtimes(ca.sparsify(ca.mtimes(by, self.symbols[1])), self.duration)
 
 
 class _Tracing:
@@ -152,7 +178,7 @@ class _Tracing:
                 if j and before is not None:
                     node = self.whole[self.nodes[k, j]]
                     count = node.numel()
-                    gaps.append((before.z[:count] - node, before.slope[:count, :] - ca.jacobian(node, self.Y)))
+                    gaps.append((before.z[:count] - node, before.change(before.z[:count]) - ca.jacobian(node, self.Y)))
                 legs.append(leg)
                 ends.append(end)
                 before = end
@@ -191,32 +217,38 @@ class _Tracing:
         slope = ca.jacobian(start, self.Y)
         follows = before is not None and k > 0 and j == 0
         if follows and before is not None:
-            slope += ca.mtimes(ca.jacobian(start, before.z), before.slope)
+            slope += before.change(start)
         slope = ca.sparsify(slope)
-        moving = sorted(set(slope.sparsity().get_triplet()[1]))
-        seeds = slope[:, moving]
+        moved, moving = (sorted(set(places)) for places in slope.sparsity().get_triplet())
+        by_start = len(moved) < len(moving)
+        slopes = ca.densify(slope[moved, moving]) if by_start else slope[:, moving]
         symbols = [self.Y, self.p, *(before.symbols if follows and before is not None else [])]
         known = self.p[flown.numbers.tolist()]
-        results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(seeds), known]
-        pattern = np.array(ca.DM.ones(seeds.sparsity()).full(), dtype=bool)
+        results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(slopes), known]
+        seeds = np.eye(start.numel())[:, moved]
+        pattern = seeds > 0 if by_start else np.array(ca.DM.ones(slopes.sparsity()).full(), dtype=bool)
         arcs = engine(flown, tuple(tuple(row) for row in pattern.tolist()))
         leg = Leg(
             flown=flown,
             arcs=arcs,
             opening=ca.Function("opening", symbols, ca.cse([ca.SX(r) for r in results])),
             follows=follows,
+            seeds=seeds if by_start else None,
             most_steps=MOST_STEPS if settles else Request.max_steps,
         )
-        return leg, self._end(flown, moving, arcs.system.pattern, duration)
+        slopes = ca.SX.sym("D", len(moved), len(moving)) if by_start else None
+        return leg, self._end(flown, moving, arcs.system.pattern, duration, slopes)
 
-    def _end(self, flown: Equations, moving: list[int], pattern: ca.Sparsity, duration: ca.SX) -> _End:
-        size = flown.modes[0].size1_in(0)
-        z, rate = ca.SX.sym("z", size), ca.SX.sym("rate", size)
-        columns = ca.SX.sym("S", size * len(moving))
-        slope = ca.SX(size, len(self.active))
-        slope[:, moving] = ca.project(ca.reshape(columns, len(moving), size).T, pattern)
-        slope = ca.sparsify(slope) + ca.mtimes(rate, ca.sparsify(ca.jacobian(duration, self.Y)))
-        return _End(z=z, rate=rate, columns=columns, slope=slope)
+    def _end(
+        self, flown: Equations, moving: list[int], pattern: ca.Sparsity, duration: ca.SX, slopes: ca.SX | None
+    ) -> _End:
+        size, width = pattern.shape
+        z, rate, columns = (
+            ca.SX.sym(name, count) for name, count in (("z", size), ("rate", size), ("S", size * width))
+        )
+        factors = [ca.project(ca.reshape(columns, width, size).T, pattern), *([] if slopes is None else [slopes])]
+        symbols = [z, rate, columns, *([] if slopes is None else [ca.vec(slopes.T)])]
+        return _End(symbols=symbols, slopes=factors, duration=ca.sparsify(ca.jacobian(duration, self.Y)), moving=moving)
 
     def _whole(self, k: int, end: _End) -> ca.SX:
         """All of z at the end of phase k: zero where it is not flown."""
@@ -258,7 +290,7 @@ class _Tracing:
         residual = ca.simplify(residual[[i for i in range(residual.numel()) if i not in silent]])
         slope = ca.jacobian(residual, Y)
         for end in ends:
-            slope += ca.mtimes(ca.jacobian(residual, end.z), end.slope)
+            slope += end.change(residual)
         h = ca.densify(ca.vertcat(residual, *(gap for gap, _ in gaps)))
         J = ca.sparsify(ca.vertcat(slope, *(gap_slope for _, gap_slope in gaps)))
         extra = ca.vertcat(plain[c.stationarity_at], plain[[row for row, _ in c.ranges]], cost)
