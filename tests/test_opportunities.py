@@ -19,7 +19,7 @@ from perilune.cli import run
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.orbit import plane, state
-from perilune.models.deorbit.passes import passes
+from perilune.models.deorbit.passes import furthest_turned, passes
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Orbit, Returner, Transition
 from perilune.models.deorbit.secular import drift
@@ -201,6 +201,44 @@ def test_a_burn_down_to_nothing_may_wait_for_the_site(lower: float, binding: boo
     problem = returning(site=site, throttle=Throttle(lower=lower, upper=1.0))
     found = next(f for f in preflight(problem) if f.name == "site out of the plane of the orbit")
     assert (found.verdict == "impossible") is binding
+
+
+def test_no_thrust_changes_the_speed_at_the_apogee_by_more_than_three_times_as_much() -> None:
+    """By differences, on ellipses of all shapes, anywhere, in any direction; at the perigee of a circle 3."""
+
+    def slowest(r: float, across: float, up: float) -> float:
+        momentum, energy = r * across, (across * across + up * up) / 2 - 1 / r
+        return (1 - math.sqrt(1 + 2 * energy * momentum**2)) / momentum
+
+    rng, rates = np.random.default_rng(3), list[float]()
+    for e, true in zip(rng.uniform(1e-3, 0.99, 400), rng.uniform(-math.pi, math.pi, 400), strict=True):
+        r, across, up = 1 / (1 + e * math.cos(true)), 1 + e * math.cos(true), e * math.sin(true)
+        slopes = [
+            (slowest(r, across + h, up + k) - slowest(r, across - h, up - k)) / 2e-6 for h, k in ((1e-6, 0), (0, 1e-6))
+        ]
+        rates.append(math.hypot(*slopes))
+    assert 2.5 < max(rates) < 3 + 1e-5
+
+
+def test_the_bound_of_the_turn_holds_for_one_that_raises_the_apogee_before() -> None:
+    """At the perigee by a, at the apogee by the rest: never beyond the bound, for any a."""
+    p = SimpleNamespace(orbit_radius=6678e3, body_gravitational_parameter=3.986e14)
+    speed = math.sqrt(3.986e14 / 6678e3)
+    for share in (0.05, 0.2, 0.33, 0.36, 0.4):
+        bound = furthest_turned(p, share * speed)
+        for a in np.linspace(0.0, share, 50):
+            slow = 2 / (1 + a) - (1 + a)
+            assert bound > math.asin(min((share - a) / slow, 1.0))
+        assert share < bound and (bound < 1.1 * share or share > 0.25)
+    assert furthest_turned(p, math.inf) == math.pi
+
+
+def test_a_turn_high_up_is_not_refused() -> None:
+    """3.6 km/s turn the plane by 28 degrees at once, and by 60 where 2.7 km/s raise the apogee to ten radii before."""
+    vehicle = replace(VEHICLE, dry_mass=VEHICLE.mass * math.exp(-3600.0 / 3000.0))
+    more: dict[str, Any] = {"throttle": Throttle(lower=0.0, upper=1.0), "transition": Transition(longest_coast=8e4)}
+    found = preflight(returning(vehicle=vehicle, site=replace(SITE, latitude=math.radians(85.0)), **more))
+    assert all(one.passed for one in found if one.binding)
 
 
 def test_every_pass_is_found_on_an_ellipse_too() -> None:

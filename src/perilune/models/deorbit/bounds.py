@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.models.deorbit.passes import extremes, velocity_change
+from perilune.models.deorbit.passes import extremes, furthest_turned, velocity_change
 from perilune.models.deorbit.records import exhaust_speed
 
 SLACK = 25e3  # m, by which oblateness and the ellipsoid move the height of a flight within a turn
@@ -45,7 +45,7 @@ def interface_speeds(p: Any, m: Any) -> tuple[Any, Any]:
     speed, turning = _speed(p, m, gate), p.body_rotation_rate * gate
     # The body turns below the plane of the orbit, which the velocity change tilts.
     beside, size = speed - turning * m.cos(p.orbit_inclination), m.fabs(turning)
-    tilt = size * (change + size) / speed + _TILTS * m.fabs(p.body_j2) * speed
+    tilt = size * (m.fmin(furthest_turned(p, change, m), 2.0) + size / speed) + _TILTS * m.fabs(p.body_j2) * speed
     # With the height that is not known to better than the slack goes a speed.
     loose = tilt + p.body_gravitational_parameter * SLACK / (gate * gate * speed)
     return m.fmax(beside - change - loose, 0.0), beside + change + loose

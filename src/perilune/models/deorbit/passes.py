@@ -11,10 +11,21 @@ To do so in the burn of the descent takes, from the speed V on the orbit to V - 
 change sqrt(V^2 + (V - D)^2 - 2 V (V - D) cos a). A lift L/D, banked by 45 degrees, reaches an angle pi^2/48 (L/D)^2 to
 the side (Eggers, Allen, Neice, NACA TN 4046, 1957), which is taken off d.
 
-*What is out of reach for certain.* All propellant at right angles to the plane turns it by no more than dV/V_a, V_a the
-least speed of the orbit. Along the orbit it moves the vehicle by no more than (dV/V)(3 n t + 4) (Clohessy and
-Wiltshire's equations), and air holds it back. Where the site is further from the plane whenever the vehicle can be
-abeam of it, no flight without lift comes there.
+*What is out of reach for certain.* Thrust across the plane turns it by dV/w, w the speed along the horizon. That is
+least at the apogee, V_a, which may be raised first, to turn for less there (a bi-elliptic turn). Of an ellipse with the
+eccentricity e thrust in the plane at the true anomaly f, c = cos f, changes V_a by
+
+    |dV_a/dV| <= sqrt(1 - c^2 + ((1 + 2 c + e c^2)/(1 + e c))^2) <= 3,
+
+the most at the perigee of an ellipse that is nearly a circle. With this rate wherever it thrusts, and w = V_a, it would
+be turned the furthest, as a function of dV and V_a: by A with (dA/d dV)^2 = 9 (dA/dV_a)^2 + 1/V_a^2, and so by
+
+    A = asin(3 x)/3,     x = dV/V_a <= 1/3,
+
+and by any angle beyond. Oblateness turns the plane of another orbit otherwise: by 7 x of its secular rate at another
+size, and by x at another inclination. Along the orbit a velocity change moves the vehicle by no more than
+(dV/V)(3 n t + 4) (Clohessy and Wiltshire's equations), and air holds it back. Where the site is further from the plane
+whenever the vehicle can be abeam of it, no flight without lift comes there.
 """
 
 from __future__ import annotations
@@ -39,6 +50,7 @@ _NOTHING = 1e-9  # of full thrust: a burn down to nothing may wait
 _LEFT = 0.05  # of the mass, of which a vehicle that says no more of it could burn all else
 _LONGEST_ENTRY = 3600.0  # s
 _SURELY = 1.2  # times what linear equations say of a path that is bent
+_APART, _MOST_APART = 8.0, 2.0  # of secular rates: times dV/V, but not more than lost and doubled
 _ROUGHLY = 0.1  # rad, of oblateness and what the air does
 
 
@@ -145,6 +157,18 @@ def lightest(p: Any) -> Any:
     return getattr(p, "vehicle_dry_mass", _LEFT * p.vehicle_mass)
 
 
+def furthest_turned(p: Any, change: Any, m: Any = NUMERIC) -> Any:
+    """Angle [rad] by which a velocity change [m/s] turns the plane of the orbit at most, its apogee raised before."""
+    share = change / _slowest(p, m)
+    return m.where(3 * share < 1, m.asin(m.fmin(3 * share, 1.0)) / 3, math.pi)
+
+
+def _slowest(p: Any, m: Any) -> Any:
+    """Speed [m/s] at the apogee."""
+    low, high = extremes(p)
+    return m.sqrt(2 * p.body_gravitational_parameter * low / (high * (low + high)))
+
+
 def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None) -> tuple[float, float]:
     """How far the site stays from the plane at least while a flight from t = 0 can last, and what is turned by then.
 
@@ -163,12 +187,14 @@ def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | N
     spent = np.minimum(time, burn) * rate  # what may be burnt by then
     change = exhaust_speed(p) * np.log(p.vehicle_mass / (p.vehicle_mass - spent))
     low, high = extremes(p)
-    mu = p.body_gravitational_parameter
-    slow, fast = (math.sqrt(2 * mu * one / (other * (low + high))) for one, other in ((low, high), (high, low)))
+    slow = _slowest(p, NUMERIC)
+    fast = slow * high / low
+    oblate = 1.5 * abs(p.body_j2) * (p.body_radius / low) ** 2 * orbit.turn_rate * time
     moved = _SURELY * change / slow * (3 * orbit.turn_rate * time + 4) + _ROUGHLY + 2 * orbit.eccentricity
     behind = 2 * max(fast / low * entry[0] - entry[1], 0.0)
     ahead = _turned(angle - foot - behind / 2)  # of the site, by as much as half of what the air may hold back
-    away, turned = np.abs(left), change / slow
+    away = np.abs(left)
+    turned = furthest_turned(p, change) + np.minimum(_APART * change / slow, _MOST_APART) * oblate
     short = away - turned + np.where(np.abs(ahead) <= moved + behind / 2, 0.0, 2 * math.pi)
     k = int(np.argmin(short))
     return float(away[k]), float(turned[k])
