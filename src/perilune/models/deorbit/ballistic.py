@@ -1,11 +1,20 @@
 """What every ballistic entry bears at least: limits that none of them keeps, said before anything is solved.
 
-Without lift nothing is chosen below the interface: an entry is told by its speed and its path angle there. The angle
-lies between its bounds. The speed lies between its own, and between those that the propellant leaves
-(`perilune.models.deorbit.bounds`). Over this box the greatest load, heat rate and dynamic pressure of falls in a plane
-are computed. What none of them bears less than is the least over the box, less the most by which two neighbours on the
-grid differ, less `_LEFT_OUT` for what falls in a plane about a sphere leave out: oblateness, and air that turns.
-A fall that leaves the air and is not down three turns later is none that an entry may last.
+Without lift nothing is chosen below the interface: an entry is told by its mass, its speed and its path angle there.
+The angle lies between its bounds, the mass between all propellant and none, and the speed between its own bounds and
+those that the propellant leaves (`perilune.models.deorbit.bounds`). Over this box the greatest load, heat rate and
+dynamic pressure of falls in a plane are computed, each held up by as much as anything may that such a fall leaves out:
+
+- the air goes along as fast as in the most easterly plane to which the propellant turns the orbit;
+- of the body's pull are missing 3 |J2| + 4 |J3| + 5 |J4| of it, as above its oblate places, the centrifugal
+  acceleration, and twice the flattening, by which an ellipsoid is flatter than its equator;
+- what the vertical leans above an ellipsoid, by its flattening [rad] at most, widens the box of angles.
+
+*The least over the box.* Between the points of a grid, h apart, a smooth function lies below those at the corners by no
+more than h^2/8 of its second derivative along each axis, and one with a kink by no more than h/4 of the jump of its
+slope there. Both are less than a quarter of the second differences on the grid. Where some fall of a cell does not
+land, nothing is said of what is between, but that it differs by no more than neighbours do. A fall that leaves the air
+and is not down three turns later is none that an entry may last.
 """
 
 from __future__ import annotations
@@ -13,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,13 +31,16 @@ from perilune.models import aerodynamics
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.bounds import interface_speeds
 from perilune.models.deorbit.fall import Fall, fall
+from perilune.models.deorbit.passes import furthest_turned, lightest, velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 from perilune.words.units import STANDARD_GRAVITY
 
-_ANGLES, _SPEEDS = 5, 3  # of the grid over the box
-_LEFT_OUT = 0.1
+_ANGLES, _SPEEDS, _MASSES = 7, 5, 3  # of the grid over the box
+_BENDS = 0.25  # times second differences
+_LEFT_OUT = 0.01  # of the second order of what the plane leaves out
+_LEAST_PULL = 0.01  # of the body's pull
 _POINTS = 4001  # of a fall, which may leave the air and come back
 _SAID = {  # of each limit: what is compared, its unit, and what one of it is in SI
     "load": ("peak load of every fall without lift", "g0", STANDARD_GRAVITY),
@@ -45,39 +58,92 @@ def borne_at_least(p: Any, air: Air) -> Iterator[Finding]:
         Parameters [SI], numbers all of them, and the air.
     """
     limited = [name for name in _SAID if hasattr(p, f"limits_{name}")]
-    angles, speeds = _angles(p), box_of_speeds(p)
+    angles, speeds, masses = _angles(p), box_of_speeds(p), _masses(p)
     if not limited or angles is None or speeds is None:
         return
-    falls = [fall(p, air, steep, speed, _POINTS) for steep, speed in product(angles.tolist(), speeds.tolist())]
-    lands = np.array([fallen.lands for fallen in falls]).reshape(_ANGLES, _SPEEDS)
+    held = held_up(p)
+    entries = [(of_mass(held, mass), steep, speed) for mass, steep, speed in product(masses, angles, speeds)]
+    falls = [fall(light, air, float(steep), float(speed), _POINTS) for light, steep, speed in entries]
+    shape = len(masses), len(angles), len(speeds)
+    lands = np.array([fallen.lands for fallen in falls]).reshape(shape)
     if not lands.any():
         return
     for name in limited:
         what, unit, one = _SAID[name]
-        peaks = np.array([peak(name, fallen, p, air) for fallen in falls]).reshape(_ANGLES, _SPEEDS)
-        peaks = np.where(lands, peaks, np.nan)
-        apart = max(float(np.nanmax(np.abs(np.diff(peaks, axis=axis)), initial=0.0)) for axis in (0, 1))
+        peaks = np.array([peak(name, fallen, light, air) for fallen, (light, *_) in zip(falls, entries, strict=True)])
+        least, peaks = least_between(np.where(lands, peaks.reshape(shape), np.nan)), peaks[lands.ravel()]
+        mildest, hardest = np.min(peaks) / one, np.max(peaks) / one
         yield Finding(
-            name=what, value=(1 - _LEFT_OUT) * (float(np.nanmin(peaks)) - apart) / one,
-            limit=float(getattr(p, f"limits_{name}")) / one, at_least=False, unit=unit, binding=True,
-            meaning=f"no ballistic entry that the interface allows keeps limits.{name}: at the angles and speeds that"
-            f" it can have there they peak at {np.nanmin(peaks) / one:.3g} to {np.nanmax(peaks) / one:.3g} {unit}",
+            name=what, value=(1 - _LEFT_OUT) * least / one, limit=float(getattr(p, f"limits_{name}")) / one,
+            at_least=False, unit=unit, binding=True,
+            meaning=f"no ballistic entry that the interface allows keeps limits.{name}: over"
+            f" all masses, angles and speeds there they peak at {mildest:.3g} to {hardest:.3g} {unit}",
             advice=f"a lift (vehicle.lift_to_drag), another interface.angle, or a greater limits.{name}",
         )  # fmt: skip
 
 
+def least_between(peaks: Matrix) -> float:
+    """Least of a function in the cells of a grid, from its values there, which are nan where there is none."""
+    bends = np.zeros_like(peaks)
+    for axis, count in enumerate(peaks.shape):
+        if count > 2:
+            aside = [(1, 1) if other == axis else (0, 0) for other in range(peaks.ndim)]
+            bends += np.pad(np.abs(np.diff(peaks, 2, axis=axis)), aside, mode="edge")
+    least = math.inf
+    for cell in product(*(range(max(count - 1, 1)) for count in peaks.shape)):
+        corners = tuple(slice(k, k + 2) for k in cell)
+        if not np.isfinite(peaks[corners]).any():
+            continue
+        below = _BENDS * float(np.max(bends[corners]))
+        if not math.isfinite(below):
+            around = peaks[tuple(slice(max(k - 1, 0), k + 3) for k in cell)]
+            below = sum(float(np.nanmax(np.abs(np.diff(around, axis=axis)), initial=0.0)) for axis in range(peaks.ndim))
+        least = min(least, float(np.nanmin(peaks[corners])) - below)
+    return least
+
+
+def held_up(p: Any) -> Any:
+    """The same return whose falls are held up by as much as anything may that a fall in a plane leaves out."""
+    gate, mu = p.body_radius + p.interface_altitude, p.body_gravitational_parameter
+    oblate = sum((k + 1) * abs(getattr(p, f"body_j{k}", 0.0)) for k in (2, 3, 4))
+    centrifugal = (p.body_rotation_rate * gate) ** 2 * gate / mu
+    missing = oblate + centrifugal + 2 * getattr(p, "body_flattening", 0.0)
+    turned = float(furthest_turned(p, velocity_change(p)))
+    along = math.copysign(1.0, p.body_rotation_rate)  # the way that the air goes
+    away = max(math.acos(along * math.cos(p.orbit_inclination)) - turned, 0.0)
+    changed = {
+        "body_gravitational_parameter": mu * max(1 - missing, _LEAST_PULL),
+        "orbit_inclination": math.acos(along * math.cos(away)),
+    }
+    return SimpleNamespace(**{**vars(p), **changed})
+
+
+def of_mass(p: Any, mass: float) -> Any:
+    """The same return with a mass [kg] at the interface."""
+    name = "separation_mass" if hasattr(p, "separation_mass") else "vehicle_mass"
+    return SimpleNamespace(**{**vars(p), name: mass})
+
+
+def _masses(p: Any) -> Vector:
+    """Masses [kg] at the interface."""
+    if hasattr(p, "separation_mass"):
+        return np.array([p.separation_mass])
+    return np.linspace(lightest(p), p.vehicle_mass, _MASSES)
+
+
 def _angles(p: Any) -> Vector | None:
     """Angles [rad] at the interface; None where a bound is not known or not below the horizon."""
-    if hasattr(p, "interface_angle"):
-        return np.full(_ANGLES, p.interface_angle) if p.interface_angle < 0 else None
-    lower, upper = (getattr(p, f"interface_angle_{side}", math.nan) for side in ("lower", "upper"))
-    return np.linspace(lower, upper, _ANGLES) if lower < upper < 0 else None
+    stated = getattr(p, "interface_angle", math.nan)
+    lower, upper = (getattr(p, f"interface_angle_{side}", stated) for side in ("lower", "upper"))
+    leans = getattr(p, "body_flattening", 0.0)
+    lower, upper = lower - leans, upper + leans
+    return np.linspace(lower, upper, _ANGLES if lower < upper else 1) if lower <= upper < 0 else None
 
 
 def box_of_speeds(p: Any) -> Vector | None:
     """Speeds [m/s] beside the body at the interface; None where neither bounds nor the propellant tell them."""
     if hasattr(p, "interface_speed"):
-        return np.full(_SPEEDS, p.interface_speed)
+        return np.array([p.interface_speed])
     low, high = (getattr(p, f"interface_speed_{side}", math.nan) for side in ("lower", "upper"))
     if hasattr(p, "vehicle_dry_mass"):
         least, most = (float(speed) for speed in interface_speeds(p, NUMERIC))

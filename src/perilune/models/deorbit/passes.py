@@ -195,6 +195,7 @@ def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | N
     ahead = _turned(angle - foot - behind / 2)  # of the site, by as much as half of what the air may hold back
     away = np.abs(left)
     turned = furthest_turned(p, change) + np.minimum(_APART * change / slow, _MOST_APART) * oblate
+    turned = np.minimum(turned, math.pi)
     short = away - turned + np.where(np.abs(ahead) <= moved + behind / 2, 0.0, 2 * math.pi)
     k = int(np.argmin(short))
     return float(away[k]), float(turned[k])
