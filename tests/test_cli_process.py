@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Lock, Timer
+from types import SimpleNamespace
+from typing import Any
 
+import casadi as ca
+import numpy as np
 import pytest
 
 from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
+from perilune.direct import nlp
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -67,6 +75,25 @@ def test_ctrl_c_leaves_what_was_computed_and_nothing_half_done(
     assert set(snapshot(out)) == {"failure.json"}
     kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
     assert any(line.startswith("start") for line in kept["log"])
+
+
+def test_ctrl_c_in_the_direct_method_is_told_in_our_words_only(capsys: pytest.CaptureFixture[str]) -> None:
+    """CasADi prints a warning of its own where IPOPT is stopped; what else goes to standard error is kept."""
+    x, many = ca.MX.sym("x"), ca.MX(ca.linspace(0, 1, 1_000_000))
+    program = {"x": x, "f": ca.sumsqr(ca.sin(many * x) - 0.3 + 1e-3 * x * many), "p": ca.MX.sym("p", 0)}
+    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-300}
+    solver = nlp._Solver(ca.nlpsol("slow", "ipopt", program, options), Lock())
+    none = np.empty(0)
+    posed: Any = SimpleNamespace(given=none, lower=np.array([-9.0]), upper=np.array([9.0]), low=none, high=none)
+    stop = Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT))
+    stop.start()
+    with pytest.raises(KeyboardInterrupt):
+        solver(posed, np.array([5.0]))
+        time.sleep(1.0)
+        pytest.fail("it was over before it was stopped")
+    with nlp._told_in_our_words():
+        print("something else\nand a piece", end="", file=sys.stderr)
+    assert capsys.readouterr().err == "something else\nand a piece"
 
 
 def test_ctrl_c_in_a_destructor_is_not_lost() -> None:

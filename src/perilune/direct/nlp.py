@@ -17,11 +17,15 @@ what it does not find, the others, and the least misses are for IPOPT.
 
 from __future__ import annotations
 
+import io
 import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from threading import Lock
-from typing import Any
+from threading import Lock, current_thread, main_thread
+from typing import Any, TextIO
 
 import casadi as ca
 import numpy as np
@@ -222,6 +226,38 @@ def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> 
     return np.array(rows).reshape(mesh.nodes, len(both))
 
 
+class _Lines(io.StringIO):
+    """Whole lines to a stream, which come in pieces; not CasADi's word for Ctrl-C, which is told in ours."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        *lines, rest = (self.getvalue() + text).splitlines(keepends=True) or [""]
+        if rest.endswith("\n"):
+            lines, rest = [*lines, rest], ""
+        self.stream.write("".join(line for line in lines if "KeyboardInterruptException" not in line))
+        self.seek(0)
+        self.truncate()
+        super().write(rest)
+        return len(text)
+
+
+@contextmanager
+def _told_in_our_words() -> Iterator[None]:
+    """Standard error in the main thread, the only one that Ctrl-C reaches."""
+    if current_thread() is not main_thread():
+        yield
+        return
+    lines = _Lines(sys.stderr)
+    try:
+        with redirect_stderr(lines):
+            yield
+    finally:
+        sys.stderr.write(lines.getvalue())
+
+
 @dataclass(frozen=True, eq=False)
 class _Solver:
     """A compiled program; what it tells of its last run is of that run as long as one thread at a time has it."""
@@ -237,7 +273,7 @@ class _Solver:
         KeyboardInterrupt
             If the user stopped it.
         """
-        with self.lock:
+        with self.lock, _told_in_our_words():
             out = self.function(
                 x0=first, p=posed.given, lbx=posed.lower, ubx=posed.upper, lbg=posed.low, ubg=posed.high
             )
