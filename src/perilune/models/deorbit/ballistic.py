@@ -23,7 +23,7 @@ import math
 from collections.abc import Iterator
 from itertools import product
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,44 +42,72 @@ _BENDS = 0.25  # times second differences
 _LEFT_OUT = 0.01  # of the second order of what the plane leaves out
 _LEAST_PULL = 0.01  # of the body's pull
 _POINTS = 4001  # of a fall, which may leave the air and come back
-_SAID = {  # of each limit: what is compared, its unit, and what one of it is in SI
-    "load": ("peak load of every fall without lift", "g0", STANDARD_GRAVITY),
-    "heat_rate": ("peak heat rate of every fall without lift", "W/m^2", 1.0),
-    "dynamic_pressure": ("peak dynamic pressure of every fall without lift", "Pa", 1.0),
+
+
+class _Said(NamedTuple):
+    """What is compared, its unit, and what one of it is in SI."""
+
+    what: str
+    unit: str
+    one: float
+
+
+_SAID = {
+    "load": _Said("peak load", "g0", STANDARD_GRAVITY),
+    "heat_rate": _Said("peak heat rate", "W/m^2", 1.0),
+    "dynamic_pressure": _Said("peak dynamic pressure", "Pa", 1.0),
 }
 
 
-def borne_at_least(p: Any, air: Air) -> Iterator[Finding]:
-    """Each limit beside what every ballistic entry bears at least; nothing where the box of entries is not known.
+def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
+    """Each limit beside what every ballistic entry bears at least; a typical one where their box is not known.
 
     Parameters
     ----------
     p, air
         Parameters [SI], numbers all of them, and the air.
+    typical
+        A fall of them.
     """
     limited = [name for name in _SAID if hasattr(p, f"limits_{name}")]
     angles, speeds, masses = _angles(p), box_of_speeds(p), _masses(p)
-    if not limited or angles is None or speeds is None:
+    if angles is None or speeds is None:
+        yield from (_of_typical(name, typical, p, air) for name in limited if typical.lands)
         return
     held = held_up(p)
     entries = [(of_mass(held, mass), steep, speed) for mass, steep, speed in product(masses, angles, speeds)]
-    falls = [fall(light, air, float(steep), float(speed), _POINTS) for light, steep, speed in entries]
+    falls = [fall(light, air, float(steep), float(speed), _POINTS) for light, steep, speed in entries if limited]
     shape = len(masses), len(angles), len(speeds)
-    lands = np.array([fallen.lands for fallen in falls]).reshape(shape)
+    lands = np.array([fallen.lands for fallen in falls])
     if not lands.any():
         return
     for name in limited:
-        what, unit, one = _SAID[name]
+        one = _SAID[name].one
         peaks = np.array([peak(name, fallen, light, air) for fallen, (light, *_) in zip(falls, entries, strict=True)])
-        least, peaks = least_between(np.where(lands, peaks.reshape(shape), np.nan)), peaks[lands.ravel()]
-        mildest, hardest = np.min(peaks) / one, np.max(peaks) / one
-        yield Finding(
-            name=what, value=(1 - _LEFT_OUT) * least / one, limit=float(getattr(p, f"limits_{name}")) / one,
-            at_least=False, unit=unit, binding=True,
+        least = (1 - _LEFT_OUT) * least_between(np.where(lands, peaks, np.nan).reshape(shape)) / one
+        mildest, hardest = np.min(peaks[lands]) / one, np.max(peaks[lands]) / one
+        yield _beside_limit(
+            name, "every fall", least, p, binding=True,
             meaning=f"no ballistic entry that the interface allows keeps limits.{name}: over"
-            f" all masses, angles and speeds there they peak at {mildest:.3g} to {hardest:.3g} {unit}",
-            advice=f"a lift (vehicle.lift_to_drag), another interface.angle, or a greater limits.{name}",
+            f" all masses, angles and speeds there they peak at {mildest:.3g} to {hardest:.3g} {_SAID[name].unit}",
         )  # fmt: skip
+
+
+def _of_typical(name: str, fallen: Fall, p: Any, air: Air) -> Finding:
+    return _beside_limit(
+        name, "a fall", peak(name, fallen, p, air) / _SAID[name].one, p, binding=False,
+        meaning=f"a typical ballistic entry does not keep limits.{name}; whether any does is said where the speeds and"
+        " angles at the interface are bounded (interface.speed_lower, vehicle.dry_mass)",
+    )  # fmt: skip
+
+
+def _beside_limit(name: str, which: str, value: float, p: Any, *, binding: bool, meaning: str) -> Finding:
+    said = _SAID[name]
+    return Finding(
+        name=f"{said.what} of {which} without lift", value=value, limit=float(getattr(p, f"limits_{name}")) / said.one,
+        at_least=False, unit=said.unit, binding=binding, meaning=meaning,
+        advice=f"a lift (vehicle.lift_to_drag), another interface.angle, or a greater limits.{name}",
+    )  # fmt: skip
 
 
 def least_between(peaks: Matrix) -> float:

@@ -54,9 +54,9 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
         if not hasattr(p, "transition_longest_coast"):
             found.append(_burns_down(p, m, low))
     if air is not None and _of_one(p, low):
-        if not hasattr(p, "vehicle_lift_to_drag"):
-            found += borne_at_least(p, air)
         fallen = fall(p, air)
+        if not hasattr(p, "vehicle_lift_to_drag"):
+            found += borne_at_least(p, air, fallen)
         found += _slow_enough(p, air, fallen)
         found += _in_plane(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
     return tuple(found)
