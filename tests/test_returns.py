@@ -184,3 +184,35 @@ def test_an_engine_that_burns_all_the_way_leaves_no_drift() -> None:
     solution = Indirect().run(rough.problem, rough)
     assert solution.free["drift_time"] == 1e-3
     assert 0 < solution.objective - pl.solve(down(None), level=0).objective < 1e-3
+
+
+def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less() -> None:
+    """At -0.85 deg it falls for 22 minutes: errors of its costates grow 1e5 times ahead, and 1e4 times back.
+
+    Both are beyond what limits follow, and it is flown back. Another costate is still none.
+    """
+
+    def to(site: Landing) -> pl.Problem:
+        return deorbit_entry(
+            Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, dry_mass=350.0, ballistic_coefficient=345.0),
+            Orbit(radius=6878.14e3, inclination=math.radians(50)),
+            Interface(altitude=120e3, angle=math.radians(-0.85)),
+            EARTH,
+            manoeuvre=Manoeuvre(longitude=math.radians(16), latitude=math.radians(39.5), going="descending"),
+            minimise="propellant",
+            transition=Transition(longest_coast=4000.0),
+            air=Atmosphere(model="exponential", density=1.225, scale_height=7200.0),
+            site=site,
+        )
+
+    anywhere = pl.solve(to(Landing(altitude=10e3)), level=0)
+    place = {name: anywhere.results[f"landing_{name}"].value for name in ("longitude", "latitude")}
+    place["longitude"] += 0.02
+    solution = pl.solve(to(Landing(altitude=10e3, **place)), guess=anywhere, level=2)
+    assert solution.verification.level == 2 and solution.free["entry_time"] > 1300
+    entry = solution.trajectories[-1]
+    assert entry.costate is not None
+    moved = replace(entry.costate, values=(1 + 1e-5) * entry.costate.values, rates=(1 + 1e-5) * entry.costate.rates)
+    falsified = replace(solution, trajectories=(*solution.trajectories[:-1], replace(entry, costate=moved)))
+    failed = {check.name for check in verify(falsified, level=2).failed}
+    assert {"drift_transversality", "entry_transversality"} <= failed

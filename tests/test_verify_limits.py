@@ -114,7 +114,7 @@ def test_a_claimed_multiplier_beyond_its_limit_is_seen(make: Callable[[], pl.Pro
 
     solution = solved(make)
     arc = Arc(solution=solution, index=0)
-    sizes = _multiplier_sizes(arc) * arc.objective_scale / arc.end_scale
+    sizes = _multiplier_sizes(arc, 1.0) * arc.objective_scale / arc.end_scale
     for condition, size in zip(arc.phase.end_conditions, sizes.tolist(), strict=True):
         name = f"{arc.phase.name}.{condition.name}"
         claimed = solution.multipliers[name]

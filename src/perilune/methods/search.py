@@ -223,9 +223,7 @@ class Search:
         """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
         trials = self.trials
         root = trials.settled(y[None], choice, limits=trials.limits)[0]
-        # A neighbour is no further than rounding from its guess, but for flights on which that grows beyond all use.
-        lost = not is_neighbour(self.problem) or trials.shooting.rounding(root) or not np.isfinite(root.residual).all()
-        if not root.converged and lost and guess is not None:
+        if not root.converged and guess is not None and (not is_neighbour(self.problem) or self._lost(root)):
             root = self._in_pieces(root, guess, y, choice)
         name = trials.outside(root)
         if root.converged and name is None:
@@ -241,6 +239,14 @@ class Search:
             )
         self.tried.append("Newton from the guess")
         raise self._failure()
+
+    def _lost(self, root: Root) -> bool:
+        """Whether a neighbour, no further than rounding from its guess, is not met as that grows beyond all use.
+
+        Of what settles the derivatives are rough: a fall that climbs again before it is down is met in pieces alone.
+        """
+        shooting = self.trials.shooting
+        return shooting.plan.settles or shooting.rounding(root) or not np.isfinite(root.residual).all()
 
     def _in_pieces(self, root: Root, guess: Solution, y: Vector, choice: Vector) -> Root:
         """By multiple shooting, where a flight in one piece misses its end by more than what is rounding."""

@@ -37,7 +37,7 @@ from perilune.proof.arc import (
     objective_slope,
     slopes_at_end,
 )
-from perilune.proof.flight import MOST_GROWTH, Flight, costate_deviation
+from perilune.proof.flight import MOST_GROWTH, Deviation, Flight, costate_deviation
 from perilune.proof.guards import watched_rates
 from perilune.proof.numerics import telling
 from perilune.proof.pieces import just_before
@@ -73,12 +73,15 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
         return
     arcs = [arc for arc, _ in flown]
     nu = all_multipliers(arcs)
-    for (arc, flight), multipliers in zip(flown, nu, strict=True):
-        yield from _costates(arc, flight)
-        yield _transversality(arc)
+    deviations = [costate_deviation(arc) for arc in arcs]
+    # What follows is known no better than it begins: nothing does after the last.
+    known = [*(_passed_back(arc, begun) for arc, (_, begun) in zip(arcs, deviations[1:], strict=False)), 1.0]
+    for (arc, flight), multipliers, (deviation, _), ahead in zip(flown, nu, deviations, known, strict=True):
+        yield from _costates(arc, flight, deviation)
+        yield _transversality(arc, ahead)
         yield from _signs(arc, multipliers)
         yield _hamiltonian_constant(arc)
-    yield from _multipliers(solution, arcs, nu)
+    yield from _multipliers(solution, arcs, nu, known)
     for free in solution.problem.free:
         yield _stationary(arcs[0], free, list(_gradient_parts(arcs, nu, free.name)))
     for arc in arcs:
@@ -86,8 +89,16 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
             yield from minimality(arc)
 
 
-def _costates(arc: Arc, flight: Flight) -> Iterator[Check]:
-    deviation, active = costate_deviation(arc), _active(arc, flight)
+def _passed_back(arc: Arc, begun: Vector) -> Vector:
+    """What errors of the costates with which the next phase begins, scaled, are at the end of this one, (n,)."""
+    after = Arc(solution=arc.solution, index=arc.index + 1)
+    link, record = arc.problem.links[arc.index], arc.phase.state_record
+    slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX))
+    return (begun / after.state_scale) @ np.abs(slopes)
+
+
+def _costates(arc: Arc, flight: Flight, deviation: Deviation) -> Iterator[Check]:
+    active = _active(arc, flight)
     for state, value, growth in zip(arc.phase.states, deviation.largest, deviation.growth, strict=True):
         yield Check(
             name=f"{arc.prefix}costate_{state.name}", level=2, value=float(value), unit="1",
@@ -121,13 +132,14 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
 
 
-def _sizes_at_end(arc: Arc) -> Vector:
-    """Sizes of the components of lam(t_f), and of what has to explain them, at least 1; scaled."""
+def _sizes_at_end(arc: Arc, known: Vector | float) -> Vector:
+    """Sizes of the components of lam(t_f), and of what has to explain them, at least `known`; scaled."""
     lam = arc.costate(np.array([arc.duration]))[:, 0] * arc.state_scale
-    return np.maximum(1.0, np.maximum(np.abs(lam), np.abs(end_gradients(arc)[1])) / arc.objective_scale)
+    sizes = np.maximum(np.abs(lam), np.abs(end_gradients(arc)[1])) / arc.objective_scale
+    return np.maximum(1.0, np.maximum(known, sizes))
 
 
-def _multiplier_sizes(arc: Arc) -> Vector:
+def _multiplier_sizes(arc: Arc, known: Vector | float) -> Vector:
     """What errors of lam(t_f), each of its size, make of each multiplier, at least 1; scaled, (q,).
 
     Conditions that are nearly the same have multipliers that are nearly undetermined: up to `MOST_GROWTH` times.
@@ -135,7 +147,7 @@ def _multiplier_sizes(arc: Arc) -> Vector:
     psi, size, met = end_slopes(arc), arc.end_scale, end_sides(arc) != INSIDE
     sizes = np.ones(len(size))
     if met.any():
-        at_end = _sizes_at_end(arc)
+        at_end = _sizes_at_end(arc, known)
         spread = np.abs(np.linalg.pinv(psi[met].T / size[met])) @ at_end
         sizes[met] = np.clip(spread, 1.0, MOST_GROWTH * at_end.max())
     return sizes
@@ -197,13 +209,13 @@ def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
             )  # fmt: skip
 
 
-def _transversality(arc: Arc) -> Check:
+def _transversality(arc: Arc, known: Vector | float) -> Check:
     psi, size, met = end_slopes(arc), arc.end_scale, end_sides(arc) != INSIDE
     left = np.eye(psi.shape[1])
     if met.any():  # what no multipliers can explain
         scaled = psi[met].T / size[met]
         left = left - scaled @ np.linalg.pinv(scaled)
-    sizes = np.maximum(1.0, np.abs(left) @ _sizes_at_end(arc))
+    sizes = np.maximum(1.0, np.abs(left) @ _sizes_at_end(arc, known))
     missed = np.abs(end_multipliers(arc)[1])
     lam = arc.costate(np.array([arc.duration]))[:, 0] / arc.costate_scale
     # What the missing part would have to be counts too where lam itself says that a state does not tell.
@@ -216,11 +228,13 @@ def _transversality(arc: Arc) -> Check:
     )  # fmt: skip
 
 
-def _multipliers(solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector]) -> Iterator[Check]:
+def _multipliers(
+    solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector], known: Sequence[Vector | float]
+) -> Iterator[Check]:
     differences = []
-    for arc, nu in zip(arcs, found, strict=True):
+    for arc, nu, ahead in zip(arcs, found, known, strict=True):
         scaled = arc.end_scale / arc.objective_scale
-        sizes = np.maximum(_multiplier_sizes(arc), np.abs(nu) * scaled) / scaled
+        sizes = np.maximum(_multiplier_sizes(arc, ahead), np.abs(nu) * scaled) / scaled
         for condition, value, size in zip(arc.phase.end_conditions, nu, sizes, strict=True):
             name = f"{arc.phase.name}.{condition.name}"
             if name in solution.multipliers:

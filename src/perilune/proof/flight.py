@@ -47,7 +47,7 @@ class Deviation:
     `inside` is that at the points of the pieces (n, N, 4), `ends` at their ends (n, N, 2); `largest` of each component
     the largest of all, with what quadrature leaves `still_open`. `growth` is the most that errors of all components at
     one time, each of its size, become in it, from the start to anywhere or from anywhere to the end; `at_end` the most
-    that they become there.
+    that they become there; for limits up to `MOST_GROWTH` times their sizes.
     """
 
     inside: Matrix
@@ -171,11 +171,12 @@ def state_deviation(arc: Arc, start: Vector, sizes: Vector | None = None) -> Dev
     return carried(pieces, at, ends, slopes.state, slopes.matrix, Joints(first, jumps, over), still[:n], sizes)
 
 
-def costate_deviation(arc: Arc) -> Deviation:
+def costate_deviation(arc: Arc) -> tuple[Deviation, Vector]:
     """Costates flown along the table of the state from their own value at an end, less their table.
 
     From the end from which errors grow less: what comes down through air forgets how fast it was, so that costates at
-    its start follow from those at its end, and not the other way round.
+    its start follow from those at its end, and not the other way round. Also what errors of them are at the start,
+    scaled, (n,): what they have grown to there, where they come from the end, and else 1.
     """
     pieces, slopes, still = arc.looked_at
     n, unit = len(arc.state_scale), arc.costate_scale[:, None, None]
@@ -200,7 +201,10 @@ def costate_deviation(arc: Arc) -> Deviation:
     ahead = carried(pieces, at, ends, slope, matrix, joints, many * still[n:], sizes)
     turned = at[:, ::-1, ::-1], ends[:, ::-1, ::-1], -slope[:, ::-1, ::-1], -matrix[::-1, ::-1]
     back = carried(pieces[::-1], *turned, joints.turned, many * still[n:], sizes).turned
-    return back if back.growth.sum() < ahead.growth.sum() else ahead
+    backwards = back.growth.sum() < ahead.growth.sum() or not np.isfinite(ahead.growth).all()
+    chosen, most = back if backwards else ahead, MOST_GROWTH * sizes
+    begun = np.minimum(back.at_end, most) / many if backwards else np.ones(n)
+    return replace(chosen, growth=np.minimum(chosen.growth, most), at_end=np.minimum(chosen.at_end, most)), begun
 
 
 def _rescaled(matrix: Any, many: Vector) -> Any:
@@ -293,8 +297,7 @@ def _growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> 
         ahead, behind = first @ ahead, behind @ last
         at_end = np.maximum(at_end, np.abs(behind) @ sizes)
         most = np.maximum(most, np.maximum(np.abs(ahead) @ sizes, at_end))
-    # NaN, of tables that cannot pass, stays.
-    return np.minimum(most, MOST_GROWTH * sizes), np.minimum(at_end, MOST_GROWTH * sizes)
+    return most, at_end
 
 
 def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]:
