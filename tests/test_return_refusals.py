@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -178,6 +179,16 @@ def test_a_slow_fall_is_followed_to_its_end() -> None:
     fallen = fall(p, _air())
     assert fallen.lands and fallen.time > 1500.0
     assert fallen.rows[-1, 2] == pytest.approx(math.sqrt(2 * 5.0 * 9.82 / 1.225), rel=0.01)
+
+
+def test_the_typical_fall_is_flown_once() -> None:
+    """For the same numbers through the same air; what is kept cannot be written to."""
+    p, air = landing(0.4).parameters({}), _air()
+    fallen = fall(p, air)
+    assert fall(p, air) is fallen and not fallen.rows.flags.writeable
+    thin = SimpleNamespace(**{**vars(p), "atmosphere_density": 1.0})
+    assert fall(thin, air).time != fallen.time
+    assert fall(p, _air()) is not fallen and fall(p, _air()).time == fallen.time
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,7 @@ def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
     assert [phase.settles for phase in trials.conditions.phases] == [False, False, False, True]
     shooting, choice = trials.shooting, held_in(trials, solution, np.array(solution.unknowns))
     active = shooting.plan.active
+    assert shooting.plan.legs[-1].seeds is not None  # its start has fewer entries than there are unknowns before it
     for y in (np.array(solution.unknowns), 1.01 * np.array(solution.unknowns)):
         jacobian = shooting.jacobians(y[None], trials.p, choice)[0]
         for column, at in enumerate(active):

@@ -2,22 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import free_values, multipliers, objective_scale, trajectories
-from perilune.methods.flown import exported
+from perilune.methods.flown import Flown, aloft, exported
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Deferred, Solution, Statistics
+from perilune.problem.solution import Deferred, Solution, Statistics, Trajectory
+from perilune.problem.symbolic import state_scales
 from perilune.shooting.extremals import Found, same
+from perilune.shooting.function import Root
 from perilune.words.outcome import Outcome
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 
 _SAME = 1e-9  # of J and of the free parameters, canonical: what two extremals may differ by and be listed as one
+
+
+class Curves(Deferred):
+    """Trajectories of a root, exported when first looked at; its states can be looked at before."""
+
+    def __init__(self, problem: Problem, conditions: Conditions, root: Root) -> None:
+        super().__init__(len(problem.phases), self._exported)
+        self._problem, self._conditions, self._root = problem, conditions, root
+
+    def _exported(self) -> tuple[Trajectory, ...]:
+        of = self._problem, self._conditions
+        return trajectories(*of, self._root.y, exported(*of, self._root))
+
+    def states(self) -> list[Callable[[Vector], Matrix]]:
+        """For each phase its states (n, times) at shares of its length, SI."""
+        flown = aloft(self._problem, self._conditions, self._root.y)
+        return [partial(_states, self._problem, k, arc) for k, arc in enumerate(flown)]
+
+
+def _states(problem: Problem, k: int, flown: Flown, shares: Vector) -> Matrix:
+    scales = state_scales(problem, problem.phases[k])
+    return flown(shares * flown.duration)[:, : len(scales)].T * scales[:, None]
 
 
 def composed(
@@ -53,9 +78,7 @@ def composed(
         outcome=Outcome.SOLVED,
         objective=extremals[0].objective,
         free=extremals[0].free,
-        trajectories=Deferred(
-            len(problem.phases), lambda: trajectories(problem, conditions, best.y, exported(problem, conditions, best))
-        ),
+        trajectories=Curves(problem, conditions, best),
         multipliers=multipliers(problem, conditions, best.y),
         extremals=extremals,
         unknowns=best.y,

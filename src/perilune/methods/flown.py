@@ -20,7 +20,7 @@ from perilune.kernels import DenseArc
 from perilune.problem.problem import Problem
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST, Lanes
-from perilune.shooting.propagate import flight
+from perilune.shooting.propagate import engine, equations, flight, mode_at
 from perilune.shooting.settling import fallen
 from perilune.words.types import Matrix, Vector
 
@@ -98,6 +98,21 @@ def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings
             arc = flight(extremal, z0, p, float(duration[0]), **settings)
             flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=float(duration[0])))
         before = flown[-1].arcs[-1].z[-1]
+    return flown
+
+
+def aloft(problem: Problem, conditions: Conditions, y: Vector) -> list[Flown]:
+    """The flight from the unknowns y to look at its states: of a phase that settles they are flown without costates."""
+    p, before, flown = extremal_parameters(problem), np.zeros(0), list[Flown]()
+    for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
+        z0, duration = (np.array(out).ravel() for out in start(y, before, p))
+        length, kept = float(duration[0]), tuple(range(extremal.half)) if extremal.settles else ()
+        of = equations(extremal, kept, ())
+        mode = mode_at(extremal, z0, p)
+        arc = engine(of).dense(z0[of.kept], p[of.numbers], length, mode=mode, **_fine(conditions))
+        flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=length))
+        before = np.zeros(2 * extremal.half)
+        before[of.kept] = arc.z[-1]
     return flown
 
 

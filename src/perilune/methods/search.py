@@ -207,7 +207,8 @@ class Search:
 
     def _from_guess(self, guess: Solution) -> tuple[Search, list[Found]]:
         """Newton from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""
-        if any(flown.costate is None for flown in guess.trajectories):
+        own = guess.method == self.settings.name and guess.unknowns is not None  # which has costates
+        if not own and any(flown.costate is None for flown in guess.trajectories):
             guess = self.coarse.solve(guess) or guess
         held = self._met_by(guess)
         search = self._keeping(held) if held else self

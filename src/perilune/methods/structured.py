@@ -15,23 +15,29 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
+from itertools import pairwise
 
+import numpy as np
+
+from perilune.methods.answer import Curves
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.structures.carry import joined, split, timed
+from perilune.structures.carry import Joined, joined, split, timed
 from perilune.structures.leaving import worth_riding
-from perilune.structures.read import NEAR, Contact, arcs_of, broken, of_states, readings
+from perilune.structures.read import NEAR, POINTS, Contact, arcs_of, broken, of_states, readings, room_at
 from perilune.structures.regimes import revised_stays, stays_of, wavering
-from perilune.structures.restate import part_name, restate
+from perilune.structures.restate import part_name, renumbered, restate
 from perilune.structures.structure import Condition, Structure, conditions_of
 from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
 ATTEMPTS, MOST_ARCS = 6, 12
@@ -67,6 +73,8 @@ class Polish:
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
+        if (found := self._known_by_arcs(rough)) is not None:
+            return found
         seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
         least = _EXACT if is_neighbour(self.problem) else least
         for known in self._known(rough):
@@ -76,6 +84,21 @@ class Polish:
                 if (found := self.followed(known, structure, seen)) is not None:
                     return found
         return None
+
+    def _known_by_arcs(self, guess: Solution) -> Solution | None:
+        """From a guess whose extremal is known arc by arc, of a problem that differs in values of its parameters."""
+        known = guess.trajectories
+        if self.brief or not isinstance(known, Joined) or not self.problem.differs_in_values(guess.problem):
+            return None
+        structure = known.structure
+        self.watch(f"structure: {structure.text}")
+        try:
+            problem = renumbered(known.restated.problem, self.problem, structure)
+            solved = Search(self.settings, problem, self.watch).solve(known.restated)
+            return self._kept_to(structure, solved, joined(self.problem, solved, structure))[0]
+        except PeriluneError as error:
+            self.tried.append(f"structure {structure.text}: {error.what}")
+            return None
 
     def _known(self, rough: Solution) -> Iterator[Solution]:
         """The rough answer, and where a control wavers between its bounds that of a finer mesh: the better one first.
@@ -105,19 +128,28 @@ class Polish:
             whole, revised = rough, None
             try:
                 for solved in self._extremals(rough, structure):
-                    # A neighbour has the arcs of its guess.
-                    near, kept = is_neighbour(self.problem), timed(structure, solved)
-                    whole = joined(self.problem, solved, structure, named=not near)
-                    revised = kept if near else self._revised(kept, solved, whole)
-                    if revised is kept:
-                        self.tried.append(f"structure {structure.text}: an extremal")
-                        return self._composed(whole)
+                    whole = joined(self.problem, solved, structure, named=not is_neighbour(self.problem))
+                    answer, revised = self._kept_to(structure, solved, whole)
+                    if answer is not None:
+                        return answer
             except PeriluneError as error:
                 self.tried.append(f"structure {structure.text}: {error.what}")
                 return None
             self.tried.append(f"structure {structure.text}: an extremal of another one")
             rough, structure = whole, revised
         return None
+
+    def _kept_to(
+        self, structure: Structure, solved: Solution, whole: Solution
+    ) -> tuple[Solution | None, Structure | None]:
+        """The answer where the extremal of a structure keeps to it; else the structure that it asks for, if any."""
+        kept = timed(structure, solved)
+        # A neighbour has the arcs of its guess.
+        revised = kept if is_neighbour(self.problem) else self._revised(kept, solved, whole)
+        if revised is not kept:
+            return None, revised
+        self.tried.append(f"structure {structure.text}: an extremal")
+        return self._composed(whole), None
 
     def _composed(self, found: Solution) -> Solution:
         """Near a guess of this run's own it is the best, as it is the only one."""
@@ -163,17 +195,17 @@ class Polish:
 
     def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
         """The structure where the extremal keeps to it; another that it asks for; None where that is no structure."""
-        phases, same = [], True
-        for k, flown in enumerate(whole.trajectories):
+        phases, same, states = [], True, Aloft(self.problem, structure, solved, whole)
+        for k, arcs in enumerate(structure.phases):
             known = list(_contacts(structure, k))
             found = list(self._borne_out(structure, solved, k, known))
-            found = self._beside(whole, k, found)
+            found = self._beside(states, k, found)
             stays = stays_of(structure, k)
             asked = revised_stays(whole, k, stays, _NO_TIME)
             if asked is None:
                 return None
             same &= found == known and asked == stays
-            phases.append(arcs_of(self.problem, k, found, flown.duration, asked))
+            phases.append(arcs_of(self.problem, k, found, arcs[-1].until, asked))
         revised = Structure(tuple(phases))
         return structure if same else None if revised.plain else revised
 
@@ -196,11 +228,11 @@ class Polish:
             if solved.multipliers[at] <= 0:  # J falls where the condition gives way
                 yield contact
 
-    def _beside(self, whole: Solution, k: int, found: list[Contact]) -> list[Contact]:
+    def _beside(self, aloft: Aloft, k: int, found: list[Contact]) -> list[Contact]:
         """The contacts and those that are missing: where a condition is broken."""
         found = list(found)
         for name in of_states(self.problem, k):
-            for begin, end, at in broken(whole, k, name):
+            for begin, end, at in broken(*aloft.room_along(k, name)):
                 reach = _BESIDE * (end - begin)
                 near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
                 condition = conditions_of(self.problem, k, (name,))[name]
@@ -211,6 +243,37 @@ class Polish:
                     found.remove(contact)
                 found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
         return found
+
+
+@dataclass
+class Aloft:
+    """An extremal of a structure on its way, whose curves need not be made for that."""
+
+    problem: Problem
+    structure: Structure
+    solved: Solution
+    whole: Solution
+
+    @cached_property
+    def arcs(self) -> list[Callable[[Vector], Matrix]]:
+        """States of each arc of all phases, at shares of its length."""
+        curves = self.solved.trajectories
+        assert isinstance(curves, Curves), "of a search, which ends at a root"
+        return curves.states()
+
+    def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
+        """Times of phase k [s] and how far a condition is from its limit there [SI]."""
+        t, x = self._phase(k)
+        return t, room_at(self.problem, self.whole.parameters, k, name, t, x)
+
+    def _phase(self, k: int) -> tuple[Vector, Matrix]:
+        own, first = self.structure.phases[k], sum(map(len, self.structure.phases[:k]))
+        begins, times, states = [0.0, *(arc.until for arc in own)], list[Vector](), list[Matrix]()
+        for j, (begin, end) in enumerate(pairwise(begins)):
+            shares = np.linspace(0.0, 1.0, 2 + math.ceil(POINTS * (end - begin) / begins[-1]))
+            times.append(begin + shares * (end - begin))
+            states.append(self.arcs[first + j](shares))
+        return np.concatenate(times), np.concatenate(states, axis=1)
 
 
 def _as_it_pays(

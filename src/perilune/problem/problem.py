@@ -191,6 +191,20 @@ class Problem:
         ratios = tuple((place, scale / self.scales.of(unit)) for place, unit, scale in self._own_scales)
         return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges, ratios)
 
+    def differs_in_values(self, other: Problem) -> bool:
+        """Whether another problem is the same but for values of its parameters and ranges of the free ones."""
+        alike = self.structure == other.structure and self.scales == other.scales
+        return alike and (self.phases is other.phases or self._bounds == other._bounds)
+
+    @property
+    def _bounds(self) -> list[tuple[Any, Any]]:
+        """Those of states, end conditions and controls."""
+        return [
+            (c.lower, c.upper)
+            for phase in self.phases
+            for c in (*phase.states, *phase.end_conditions, *(c for _, c in scalars(phase.controls)))
+        ]
+
     @property
     def heading(self) -> str:
         """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger.
@@ -264,14 +278,9 @@ class Problem:
     @property
     def numbers(self) -> tuple[Any, ...]:
         """Every number of the problem, in order."""
-        bounds = [
-            (c.lower, c.upper)
-            for phase in self.phases
-            for c in (*phase.states, *phase.end_conditions, *(c for _, c in scalars(phase.controls)))
-        ]
         given = sorted((name, g.value) for name, g in self.given.items())
         free = tuple((f.name, *_range(f)) for f in self.free)
-        return (self.name, tuple(given), free, tuple(bounds), (*astuple(self.scales), *self._own_scales))
+        return (self.name, tuple(given), free, tuple(self._bounds), (*astuple(self.scales), *self._own_scales))
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, Problem):

@@ -141,22 +141,44 @@ def _read_only(values: Any) -> Any:
     return array
 
 
-class Deferred(Sequence[Trajectory]):
-    """Trajectories that are made when first looked at, or sent away: most members of a table never are."""
+class Deferred(Sequence[Any]):
+    """What is made when first looked at, or sent away, as trajectories: of most members of a table it never is.
 
-    def __init__(self, count: int, make: Callable[[], tuple[Trajectory, ...]]) -> None:
+    Parameters
+    ----------
+    count
+        How many there are; None where that is not known before.
+    make
+        Makes them.
+    """
+
+    def __init__(self, count: int | None, make: Callable[[], tuple[Any, ...]]) -> None:
         self._count, self._make = count, make
-        self._made: tuple[Trajectory, ...] | None = None
+        self._made: tuple[Any, ...] | None = None
+
+    @property
+    def made(self) -> bool:
+        """Whether it was looked at."""
+        return self._made is not None
 
     def __len__(self) -> int:
-        return self._count
+        return len(self[:]) if self._count is None else self._count
 
     def __getitem__(self, index: Any) -> Any:
         if self._made is None:
             self._made = self._make()
         return self._made[index]
 
-    def __iter__(self) -> Iterator[Trajectory]:
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, (tuple, Deferred)) and tuple(self) == tuple(other))
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+    def __repr__(self) -> str:
+        return repr(tuple(self))
+
+    def __iter__(self) -> Iterator[Any]:
         return iter(self[:])  # an IndexError while they are made is a fault, and not the end of a sequence
 
 
@@ -235,7 +257,7 @@ class Solution:
     statistics: Statistics = field(default_factory=Statistics)
     verification: Verification = field(default_factory=Verification)
     repeated: Callable[[Solution], Sequence[Check]] | None = None
-    structure: tuple[NamedArc, ...] = ()
+    structure: Sequence[NamedArc] = ()
 
     def __post_init__(self) -> None:
         for name, kind in (("free", "free parameter"), ("multipliers", "multiplier")):
@@ -245,6 +267,7 @@ class Solution:
 
     def __getstate__(self) -> dict[str, Any]:
         plain = {"free": dict(self.free), "multipliers": dict(self.multipliers), "trajectories": (*self.trajectories,)}
+        plain["structure"] = (*self.structure,)
         return {f.name: getattr(self, f.name) for f in fields(self)} | plain
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -84,6 +84,28 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
     )
 
 
+class Joined(Deferred):
+    """Trajectories in the user's phases, made when first looked at of those of a restated problem.
+
+    Attributes
+    ----------
+    structure
+        The arcs, with the times of this solution.
+    restated
+        The solution of the restated problem.
+    """
+
+    def __init__(self, problem: Problem, structure: Structure, restated: Solution) -> None:
+        super().__init__(len(problem.phases), self._trajectories)
+        self.structure, self.restated = structure, restated
+        self._names = [phase.name for phase in problem.phases]
+
+    def _trajectories(self) -> tuple[Trajectory, ...]:
+        parts = iter(self.restated.trajectories)
+        arcs = zip(self._names, self.structure.phases, strict=True)
+        return tuple(_joined(name, list(islice(parts, len(own)))) for name, own in arcs)
+
+
 def joined(problem: Problem, restated: Solution, structure: Structure, *, named: bool = True) -> Solution:
     """A solution of the restated problem as one of the user's.
 
@@ -96,7 +118,7 @@ def joined(problem: Problem, restated: Solution, structure: Structure, *, named:
     structure
         The arcs.
     named
-        Whether they are told by name, for which the curves are looked at.
+        Whether they are told by name.
 
     Returns
     -------
@@ -110,18 +132,12 @@ def joined(problem: Problem, restated: Solution, structure: Structure, *, named:
         last = part_name(phase.name, count - 1, count)
         known = {c.name: restated.multipliers.get(f"{last}.{c.name}") for c in phase.end_conditions}
         multipliers |= {f"{phase.name}.{name}": nu for name, nu in known.items() if nu is not None}
-
-    def trajectories() -> tuple[Trajectory, ...]:
-        parts = iter(restated.trajectories)
-        return tuple(
-            _joined(phase.name, list(islice(parts, count))) for phase, count in zip(problem.phases, counts, strict=True)
-        )
-
+    structure = timed(structure, restated)
     whole = replace(
         restated,
         problem=problem,
         free=_users(problem, structure, restated.free),
-        trajectories=Deferred(len(problem.phases), trajectories),
+        trajectories=Joined(problem, structure, restated),
         multipliers=multipliers,
         outcome=_unproved(restated.outcome),
         extremals=tuple(
@@ -132,7 +148,7 @@ def joined(problem: Problem, restated: Solution, structure: Structure, *, named:
         unknowns=None,
         verification=Verification(),
     )
-    return with_names(whole, timed(structure, restated)) if named else whole
+    return with_names(whole, structure) if named else whole
 
 
 def timed(structure: Structure, restated: Solution) -> Structure:

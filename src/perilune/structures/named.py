@@ -12,7 +12,7 @@ from perilune.problem.controls import scalars
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.phase import Phase
 from perilune.problem.rates import acts
-from perilune.problem.solution import Solution, full
+from perilune.problem.solution import Deferred, Solution, full
 from perilune.problem.variables import Variable
 from perilune.structures.regimes import Stay, stays_of
 from perilune.structures.structure import Structure, margins
@@ -25,7 +25,7 @@ ON = 1e-6  # the same of a condition that a control can hold at once, of all tha
 
 
 def with_names(solution: Solution, structure: Structure | None = None) -> Solution:
-    """The solution with its arcs in words.
+    """The solution with its arcs in words, which are found when they are first asked for.
 
     Parameters
     ----------
@@ -34,8 +34,11 @@ def with_names(solution: Solution, structure: Structure | None = None) -> Soluti
     structure
         What it rides along and touches of conditions on states, with the times of this solution; nothing where None.
     """
-    found = [arc for k in range(len(solution.problem.phases)) for arc in _of_phase(solution, k, structure)]
-    return replace(solution, structure=tuple(found))
+
+    def found() -> tuple[NamedArc, ...]:
+        return tuple(arc for k in range(len(solution.problem.phases)) for arc in _of_phase(solution, k, structure))
+
+    return replace(solution, structure=Deferred(None, found))
 
 
 def _of_phase(solution: Solution, k: int, structure: Structure | None) -> list[NamedArc]:

@@ -30,7 +30,7 @@ from perilune.structures.regimes import (
 )
 from perilune.structures.structure import Arc, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 
 NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
 BULGE = 8.0  # times what S falls below 0 it may rise above on an arc that is ridden; 1 to 6 were met
@@ -156,23 +156,26 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
             yield Contact(name=name, begin=at, end=at, ridden=False)
 
 
-def broken(solution: Solution, k: int, name: str) -> Iterator[tuple[float, float, float]]:
-    """Where a condition of phase k is broken by more than rounding: from when to when, and when the most [s]."""
-    t, room = room_along(solution, k, name)
+def broken(t: Vector, room: Vector) -> Iterator[tuple[float, float, float]]:
+    """Where a condition is broken by more than rounding, from S at times: from when to when, and when the most [s]."""
     for first, last in _groups(room < -ROUNDING * float(np.ptp(room))):
         yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
 
 
 def room_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
     """Times of a phase and S there [SI]."""
-    problem, flown = solution.problem, solution.trajectories[k]
-    value = margins(problem, k)[name][1]
-    phase = problem.phases[k]
+    flown = solution.trajectories[k]
     t = np.union1d(flown.time, np.linspace(0.0, flown.duration, POINTS))
-    x, u = solution.flown(k, t)
+    return t, room_at(solution.problem, solution.parameters, k, name, t, np.asarray(flown.state(t)).T)
+
+
+def room_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -> Vector:
+    """S of a condition on states alone at times of phase k [SI], from the states there, (n, times)."""
+    phase, value = problem.phases[k], margins(problem, k)[name][1]
     bounds = {given: g.value for given, g in plain_bounds(problem).items()}
-    p: Any = SimpleNamespace(**vars(solution.parameters), **bounds)
-    return t, full(value(phase.state_record(*x), phase.control_record(*u), p, NUMERIC)[0], t)
+    known: Any = SimpleNamespace(**vars(p), **bounds)
+    u = np.zeros(len(phase.control_names))  # which stands in none
+    return full(value(phase.state_record(*x), phase.control_record(*u), known, NUMERIC)[0], t)
 
 
 def _groups(near: Any) -> list[tuple[int, int]]:

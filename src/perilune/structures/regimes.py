@@ -229,6 +229,8 @@ def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: floa
     shortest
         Of the phase: an arc that is shorter is none.
     """
+    if not known:
+        return []
     found, least = list[Stay](), shortest * whole.trajectories[k].duration
     for at, control in linear_scalars(whole.problem, k):
         own = [s for s in known if s.control == control.name]

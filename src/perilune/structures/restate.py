@@ -71,6 +71,24 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True) ->
     return _Restated(problem, structure, repeated).problem()
 
 
+def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Problem:
+    """What `restate` returns, from what it returned of a problem that differs in values of its parameters alone.
+
+    Nothing is traced again.
+
+    Parameters
+    ----------
+    restated
+        Of that other problem, with the arcs of the structure.
+    problem, structure
+        As for `restate`.
+    """
+    given = {**{name: g for name, g in restated.given.items() if name not in problem.given}, **problem.given}
+    given = MappingProxyType({name: given[name] for name in restated.given})  # in its order
+    free = tuple(_Restated(problem, structure, True).free())
+    return restated.changed(given=given, free=free, structure=restated.structure)
+
+
 def part_name(name: str, j: int, count: int) -> str:
     """Name of the j-th of so many parts of a phase, or of its duration."""
     return name if count == 1 else f"{name}-{j + 1}"
@@ -136,7 +154,7 @@ class _Restated:
             objective=own["objective"],
             results=own.get("results"),
             given=MappingProxyType({**user.given, **bounds}),
-            free=tuple(self._free()),
+            free=tuple(self.free()),
             bookkeeping=None,
             rough_flight=None,
             form=None,
@@ -144,7 +162,7 @@ class _Restated:
 
     def _bounds_named(self) -> set[str]:
         return {
-            plain_bound(phase, phase.states[c.bound[0]], c.bound[1])
+            plain_bound(phase.name, phase.states[c.bound[0]], c.bound[1])
             for k, phase in enumerate(self.user.phases)
             for c in self._conditions(k).values()
             if c.bound is not None
@@ -153,7 +171,8 @@ class _Restated:
     def _conditions(self, k: int) -> dict[str, Condition]:
         return conditions_of(self.user, k, self.structure.named(k))
 
-    def _free(self) -> Iterator[Free]:
+    def free(self) -> Iterator[Free]:
+        """Free parameters: the user's, but for durations that are sums, and those of the arcs."""
         yield from (f for f in self.user.free if f.name not in self.sums)
         known = {f.name: f for f in self.user.free}
         for k, (phase, arcs) in enumerate(zip(self.user.phases, self.structure.phases, strict=True)):

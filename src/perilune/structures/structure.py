@@ -10,9 +10,11 @@ Source: Bryson, Ho, *Applied Optimal Control*, 1975, sections 3.11 to 3.13.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import accumulate
+from types import MappingProxyType
 from typing import Any
 
 from perilune.problem.phase import Phase
@@ -159,19 +161,32 @@ class Condition:
         return Variable(name=name, unit=unit, scale=None if own.scale is None else own.scale / time**i)
 
 
-def margins(problem: Problem, k: int) -> dict[str, tuple[Variable, Expression, tuple[int, str] | None]]:
+Margins = Mapping[str, tuple[Variable, Expression, tuple[int, str] | None]]
+
+
+def margins(problem: Problem, k: int) -> Margins:
     """Every S >= 0 of phase k by its name: path conditions, then finite bounds of states."""
-    phase, form, found = problem.phases[k], problem.form, {}
-    for i, variable in enumerate(phase.path_conditions):
-        found[variable.name] = (variable, component(form.expressions[k, "path"], i), None)
-    for i, state in enumerate(phase.states):
+    phase = problem.phases[k]
+    path = problem.form.expressions.get((k, "path"))
+    return _margins(path, phase.name, tuple(phase.path_conditions), tuple(phase.states))
+
+
+@lru_cache(maxsize=64)
+def _margins(
+    path: Expression | None, phase: str, path_conditions: tuple[Variable, ...], states: tuple[Variable, ...]
+) -> Margins:
+    found = {}
+    for i, variable in enumerate(path_conditions):
+        assert path is not None, "stated with its conditions"
+        found[variable.name] = (variable, component(path, i), None)
+    for i, state in enumerate(states):
         for side in SIDES:
             limit = getattr(state, side)
             if isinstance(limit, str) or math.isfinite(limit):
                 own = Variable(name=f"{state.name}_{side}", unit=state.unit, scale=state.scale)
                 held = limit if isinstance(limit, str) else plain_bound(phase, state, side)
                 found[f"{state.name}.{side}"] = (own, _room(state, side, held), (i, side))
-    return found
+    return MappingProxyType(found)
 
 
 def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, Condition]:
@@ -198,15 +213,15 @@ def moved_by(condition: Condition) -> set[str]:
     return {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
 
 
-def plain_bound(phase: Phase, state: Variable, side: str) -> str:
+def plain_bound(phase: str, state: Variable, side: str) -> str:
     """Name of the given parameter that holds a bound which is a number: formulas hold no numbers with a unit."""
-    return f"{phase.name}.{state.name}.{side}"
+    return f"{phase}.{state.name}.{side}"
 
 
 def plain_bounds(problem: Problem) -> dict[str, Given]:
     """Those parameters of all states that have such a bound."""
     return {
-        plain_bound(phase, state, side): Given(value=limit, unit=state.unit)
+        plain_bound(phase.name, state, side): Given(value=limit, unit=state.unit)
         for phase in problem.phases
         for state in phase.states
         for side in SIDES

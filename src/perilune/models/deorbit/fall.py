@@ -16,6 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -95,6 +97,30 @@ def lowest(p: Any) -> Any:
 
 def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None, points: int = POINTS) -> Fall:
     """From the interface to the end of the entry; at a typical path angle and speed where none is given."""
+    if angle is None and speed is None:  # which a problem, its rough flight and its preflight ask for, one by one
+        return _typical(tuple((name, float(value)) for name, value in vars(p).items()), _Itself(air), points)
+    return _fall(p, air, angle, speed, points)
+
+
+@dataclass(frozen=True, eq=False)
+class _Itself:
+    """Air as a key: equal to itself alone."""
+
+    air: Air
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and self.air is other.air
+
+    def __hash__(self) -> int:
+        return id(self.air)
+
+
+@lru_cache(maxsize=8)
+def _typical(numbers: tuple[tuple[str, float], ...], of: _Itself, points: int) -> Fall:
+    return _fall(SimpleNamespace(**dict(numbers)), of.air, None, None, points)
+
+
+def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: int) -> Fall:
     radius = float(p.body_radius + p.interface_altitude)
     angle = typical_angle(p) if angle is None else angle
     speed = typical_speed(p, radius + 3e5) if speed is None else speed
@@ -106,7 +132,9 @@ def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = Non
     start = [p.interface_altitude, 0.0, speed, angle, 0.0]
     flown = solve_ivp(_rates(p, air), (0.0, _LONGEST), start, rtol=1e-6, atol=1e-6, events=landed, dense_output=True)
     time = float(flown.t[-1])
-    return Fall(time=time, lands=flown.status == 1, rows=flown.sol(np.linspace(0.0, time, points)).T)
+    rows = flown.sol(np.linspace(0.0, time, points)).T
+    rows.flags.writeable = False
+    return Fall(time=time, lands=flown.status == 1, rows=rows)
 
 
 def terminal_speed(p: Any, air: Air) -> float:

@@ -1,0 +1,77 @@
+"""From a neighbour whose arcs are known: Newton's method alone, and the same answer as from its curves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import perilune as pl
+from perilune.methods import structured
+from perilune.problem.solution import Deferred, Solution
+from perilune.structures.carry import Joined
+from problems.constrained import bryson_denham, bryson_denham_truth
+
+
+@pytest.fixture(scope="module")
+def touching() -> Solution:
+    return pl.solve(bryson_denham(1 / 5), level=0)
+
+
+@pytest.mark.parametrize("ceiling", [0.21, 1 / 5.5, 1 / 9, 0.3])
+def test_arcs_that_are_known_are_left_where_they_are_none(touching: Solution, ceiling: float) -> None:
+    """A touch stays one for 1/6 <= l < 1/4; below that it is ridden, and above there is none (J = 2)."""
+    solution = pl.solve(touching.problem.with_given(ceiling=ceiling), guess=touching)
+    assert solution.objective == pytest.approx(bryson_denham_truth(ceiling) if ceiling < 1 / 4 else 2.0, rel=1e-10)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    words = {1 / 9: ["along room"], 0.3: []}
+    assert [arc.words for arc in solution.structure] == words.get(ceiling, ["room touched"])
+
+
+def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor are the curves of a guess made, or those of the answer, before they are looked at."""
+    guess = pl.solve(touching.problem.with_given(ceiling=0.22), guess=touching, level=0)
+    problem = touching.problem.with_given(ceiling=0.23)
+    plain = replace(guess, trajectories=(*guess.trajectories,))
+    from_curves = pl.solve(problem, guess=plain, level=0)
+    guess = pl.solve(touching.problem.with_given(ceiling=0.22), guess=touching, level=0)
+    for name in ("restate", "readings", "split"):
+        monkeypatch.setattr(structured, name, None)
+    solution = pl.solve(problem, guess=guess, level=0)
+    for known in (guess.trajectories, solution.trajectories):
+        assert isinstance(known, Joined) and not known.made
+    monkeypatch.undo()
+    assert solution.objective == pytest.approx(from_curves.objective, rel=1e-13)
+    assert solution.statistics.rung == from_curves.statistics.rung == "structure"
+    assert solution.statistics.tried == from_curves.statistics.tried
+    (arc,), (other,) = solution.structure, from_curves.structure
+    assert (arc.words, arc.begin) == (other.words, pytest.approx(other.begin, abs=1e-12))
+    times = from_curves.trajectories[0].time
+    reached = [s.trajectories[0].state(times) for s in (solution, from_curves)]
+    assert reached[0] == pytest.approx(reached[1], abs=1e-11)
+
+
+def test_arcs_of_other_conditions_are_not_taken_over(touching: Solution) -> None:
+    """A bound of the same flight is no value of a parameter; of another form nothing is known at all."""
+    bounded, tilted = bryson_denham(1 / 5, as_bound=True), replace(touching.problem, objective_scale=2.0)
+    x, *others = bounded.phases[0].states
+    phase = replace(bounded.phases[0], states=(replace(x, upper=0.21), *others))
+    assert bounded.differs_in_values(bounded.with_given(speed=2.0))
+    assert not bounded.differs_in_values(replace(bounded, phases=(phase,)))
+    assert not touching.problem.differs_in_values(bounded)
+    assert not touching.problem.differs_in_values(tilted)
+
+
+def test_what_is_made_later_is_what_it_holds() -> None:
+    """Equal to a tuple, printed as one, sent away as one; of unknown length before."""
+    made = list[int]()
+
+    def make() -> tuple[int, ...]:
+        made.append(1)
+        return (1, 2)
+
+    later = Deferred(None, make)
+    assert not made
+    assert later == (1, 2) and (1, 2) == later and later != (1, 3) and len(later) == 2 and bool(later)
+    assert repr(later) == "(1, 2)" and hash(later) == hash((1, 2)) and made == [1]
+    assert not Deferred(None, tuple)
