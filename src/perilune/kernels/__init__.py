@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from perilune.kernels.flight.arcs import Arcs, ArcStatus, Request
     from perilune.kernels.flight.bound import BoundArcs, Engine
     from perilune.kernels.flight.dense import DenseArc
-    from perilune.kernels.flight.engine import compile_arcs
+    from perilune.kernels.flight.engine import LANES, compile_arcs
 
 _HOME = {
     "prune": "algebra.prune",
@@ -28,10 +28,12 @@ _HOME = {
     "Request": "flight.arcs",
     "BoundArcs": "flight.bound",
     "DenseArc": "flight.dense",
+    "LANES": "flight.engine",
     "compile_arcs": "flight.engine",
 }
 __all__ = [
-    "ArcStatus", "Arcs", "BoundArcs", "DenseArc", "Engine", "Event", "Request", "compile_arcs", "compile_map", "prune",
+    "LANES", "ArcStatus", "Arcs", "BoundArcs", "DenseArc", "Engine", "Event", "Request", "compile_arcs", "compile_map",
+    "prune",
 ]  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import BoundArcs, Engine, Request, compile_map
+from perilune.kernels import LANES, BoundArcs, Engine, Request, compile_map
 from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan
 from perilune.words.types import Matrix, Vector
@@ -48,7 +48,10 @@ class Split:
         self.accuracy, self.fine, self.rough = asked.rtol, fine, rough
         self._states = engine.bind(replace(asked, seeds=None, rtol=fine, atol=fine))
         few = min(asked.max_steps, _STEPS_OF_COLUMNS)
-        self._columns = engine.bind(replace(asked, rtol=rough, atol=rough, max_steps=few))
+        columns = replace(asked, rtol=rough, atol=rough, max_steps=few)
+        assert asked.seeds is not None, "whose columns are asked"
+        shared = asked.seeds.shape[2] > engine.system.nc
+        self._columns = Shared(engine, columns) if shared else engine.bind(columns)
         self.z, self.rates, self.columns = self._states.z, self._states.rates, self._columns.columns
 
     def __call__(self) -> None:
@@ -64,6 +67,40 @@ class Split:
         return np.union1d(self._states.lost, self._columns.lost)
 
 
+class Shared:
+    """Columns of arcs shared out among the lanes that fly together: each flies the same arc with some of them.
+
+    One lane would leave the others idle, and of many the one that flies longest would keep three others waiting.
+    """
+
+    def __init__(self, engine: Engine, asked: Request) -> None:
+        assert asked.seeds is not None, "whose columns are asked"
+        self.asked, (lanes, nz), width = asked, asked.seeds.shape[:2], engine.system.nc
+        names = ("z0", "duration", "rtol", "mode", *(("p",) if len(asked.p) > 1 else ()))
+        own = {name: np.empty((lanes * LANES, *getattr(asked, name).shape[1:])) for name in names}
+        seeds = np.zeros((lanes * LANES, nz, width))
+        self._arcs = engine.bind(replace(asked, seeds=seeds, **own, atol=own["rtol"]))
+        self._given = [(of.reshape(lanes, LANES, -1), getattr(asked, name)) for name, of in own.items()]
+        self._side_by_side = np.zeros((lanes, nz, LANES * width))
+        self._shares = [array.reshape(lanes, LANES, nz, width) for array in (seeds, self._arcs.columns)]
+        self.columns = np.empty(asked.seeds.shape)
+
+    def __call__(self) -> None:
+        """Fly them."""
+        for own, given in self._given:
+            own[:] = given.reshape(len(own), 1, -1)
+        together, (seeds, columns), count = self._side_by_side, self._shares, self.columns.shape[2]
+        together[:, :, :count] = self.asked.seeds
+        seeds[:] = together.reshape(*together.shape[:2], LANES, -1).transpose(0, 2, 1, 3)
+        self._arcs()
+        self.columns[:] = columns.transpose(0, 2, 1, 3).reshape(together.shape)[:, :, :count]
+
+    @property
+    def lost(self) -> NDArray[np.intp]:
+        """Lanes that are lost."""
+        return np.unique(self._arcs.lost // LANES)
+
+
 class Flight:
     """A plan bound to arrays, which are read at each call: (lanes, ...) or, for `choice` and `p`, (1, ...)."""
 
@@ -73,12 +110,12 @@ class Flight:
         for leg, opening in zip(code.plan.legs, code.openings, strict=True):
             opened = opening.bind(Y, p, *(end if leg.follows else []))
             z0, duration, mode, slopes, numbers = opened.outputs
-            seeds = slopes if leg.seeds is None else np.tile(leg.seeds.ravel(), (len(Y), 1))
+            seeds, nz = slopes if leg.seeds is None else np.tile(leg.seeds.ravel(), (len(Y), 1)), leg.arcs.system.nz
             asked = Request(
                 z0=z0,
                 p=numbers,
                 duration=duration[:, 0],
-                seeds=seeds.reshape(len(Y), leg.arcs.system.nz, leg.arcs.system.nc),
+                seeds=seeds.reshape(len(Y), nz, seeds.shape[1] // nz),
                 rtol=accuracy,
                 atol=accuracy,
                 mode=mode[:, 0],

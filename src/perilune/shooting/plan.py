@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import Engine, Request
+from perilune.kernels import LANES, Engine, Request
 from perilune.shooting.newton import Columns
 from perilune.shooting.propagate import Equations, engine, equations
 from perilune.shooting.settling import MOST_STEPS, settling
@@ -226,7 +226,11 @@ class _Tracing:
         known = self.p[flown.numbers.tolist()]
         results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(slopes), known]
         seeds = np.eye(start.numel())[:, moved]
-        pattern = seeds > 0 if by_start else np.array(ca.DM.ones(slopes.sparsity()).full(), dtype=bool)
+        pattern = np.array(seeds if by_start else ca.DM.ones(slopes.sparsity()).full(), dtype=bool)
+        count = pattern.shape[1]
+        shared = settles is not None and count > 1  # each of the lanes that fly together takes a share of the columns
+        if shared:
+            pattern = np.repeat(pattern.max(axis=1, keepdims=True), -(-count // LANES), axis=1)
         arcs = engine(flown, tuple(tuple(row) for row in pattern.tolist()))
         leg = Leg(
             flown=flown,
@@ -237,7 +241,10 @@ class _Tracing:
             most_steps=MOST_STEPS if settles else Request.max_steps,
         )
         slopes = ca.SX.sym("D", len(moved), len(moving)) if by_start else None
-        return leg, self._end(flown, moving, arcs.system.pattern, duration, slopes)
+        changed = arcs.system.pattern
+        if shared:
+            changed = ca.horzcat(*[ca.DM(changed, 1.0)[:, 0]] * count).sparsity()
+        return leg, self._end(flown, moving, changed, duration, slopes)
 
     def _end(
         self, flown: Equations, moving: list[int], pattern: ca.Sparsity, duration: ca.SX, slopes: ca.SX | None
