@@ -20,7 +20,7 @@ from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import LANES, BoundArcs, Engine, Request, compile_map
 from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan
-from perilune.words.types import Matrix, Vector
+from perilune.words.types import Batch, Matrix, Vector
 
 _FINER, _OF_COLUMNS = 1e-2, 1e-7  # of what is asked; the least tolerance of columns
 _STEPS_OF_COLUMNS = 400  # at most: at that tolerance a flight to the ground takes 50 to 150
@@ -83,7 +83,7 @@ class Shared:
         self._given = [(of.reshape(lanes, LANES, -1), getattr(asked, name)) for name, of in own.items()]
         self._side_by_side = np.zeros((lanes, nz, LANES * width))
         self._shares = [array.reshape(lanes, LANES, nz, width) for array in (seeds, self._arcs.columns)]
-        self.columns = np.empty(asked.seeds.shape)
+        self.columns: Batch = np.empty(asked.seeds.shape)
 
     def __call__(self) -> None:
         """Fly them."""
