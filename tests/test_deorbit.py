@@ -58,8 +58,8 @@ QUIET = Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0, ap=4.0)
 SITE = Landing(longitude=math.radians(-98.0), latitude=math.radians(38.0), altitude=10e3)
 
 
-def returning(vehicle: Returner = VEHICLE, **more: Any) -> pl.Problem:
-    return deorbit_entry(vehicle, ORBIT, STEEP, BODY, **{"manoeuvre": PLACE, "air": AIR, **more})
+def returning(vehicle: Returner = VEHICLE, orbit: Orbit = ORBIT, **more: Any) -> pl.Problem:
+    return deorbit_entry(vehicle, orbit, STEEP, BODY, **{"manoeuvre": PLACE, "air": AIR, **more})
 
 
 @pytest.mark.parametrize(
@@ -157,6 +157,11 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
         (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0), "a base_radius and a cone_angle"),
         (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0, cone_angle=0.2, nose_radius=2.0), "no sphere-cone"),
         (lambda: replace(VEHICLE, bank="reversed"), "lift_to_drag is missing"),
+        (lambda: replace(VEHICLE, bank="free"), "lift_to_drag is missing"),
+        (lambda: replace(BODY, j2=1.0), "body.j2 is more than a body has"),
+        (lambda: replace(BODY, j4=0.3), "body.j4 is more than a body has"),
+        (lambda: returning(orbit=replace(ORBIT, inclination=0.0)), "above the equator has no ascending"),
+        (lambda: returning(orbit=replace(ORBIT, inclination=math.pi)), "above the equator has no ascending"),
         (lambda: replace(STEEP, angle_lower=-0.2), "say one thing twice"),
         (lambda: replace(BOUNDED, speed_lower=9000.0), "are no range"),
         (lambda: replace(AIR, density=None), "atmosphere.density is missing"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -100,6 +101,20 @@ def test_the_bound_of_the_angle_beside_an_impulse() -> None:
         vehicle = replace(VEHICLE, thrust=1e5, dry_mass=500.0 * math.exp(-change / 3000.0))
         p = returning(-degrees, vehicle, body=still).parameters({})
         assert 1.0 < steepest_angle(p, NUMERIC) / math.radians(degrees) < most
+
+
+def test_what_floats_down_is_looked_at_at_once() -> None:
+    """A square kilometre of drag: stiff equations, and a fall of hours, which is said."""
+    problem = returning(-2.0, replace(VEHICLE, drag_area=1e6), air=AIR, site=Landing(altitude=10e3))
+    begun = time.process_time()
+    (said,) = (f for f in preflight(problem) if "three turns" in f.name)
+    assert time.process_time() - begun < 1.0
+    assert said.verdict == "warning" and 30.0 < float(said.value) < 40.0
+    p: Any = problem.parameters({})
+    fallen = fall(p, problem.preflight.keywords["air"])  # type: ignore[union-attr]
+    height, _, speed, *_ = fallen.rows[-1]
+    density, pull = 1.225 * math.exp(-height / 7200.0), 3.986005e14 / (6371e3 + height) ** 2
+    assert speed == pytest.approx(math.sqrt(2 * 500.0 * pull / (density * 1e6)), rel=0.01)
 
 
 def test_bounds_are_told_of_many_problems_at_once() -> None:

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from typing import Any
 
 from perilune.words.declared import quantity, record, words
 
+# Of each harmonic alone: above 1/(n + 1) a pole would push away, and far below 0 another place on the surface.
+_ZONAL: dict[int, dict[str, Any]] = {
+    n: {"least": low, "most": high, "outside": "is more than a body has that pulls everywhere"}
+    for n, low, high in ((2, -0.66, 0.33), (3, -0.25, 0.25), (4, -0.46, 0.2))
+}
 LIKE = 0.02  # of its radius and of its pull: constants of a body differ by less, from paper to paper
 
 
@@ -54,7 +60,7 @@ class OblateBody(Body):
     """A body and its second zonal harmonic."""
 
     j2: float = quantity(
-        "1", "2.03e-4", above=-1.0, most=1.0, default=0.0, hint="unnormalised; 0 for a sphere",
+        "1", "2.03e-4", **_ZONAL[2], default=0.0, hint="unnormalised; 0 for a sphere",
         about="second zonal harmonic, unnormalised; 0 for a sphere",
     )  # fmt: skip
 
@@ -68,13 +74,13 @@ class Planet(OblateBody):
     radius: float = quantity("m", "6378.137 km", above=0.0, about="altitudes are above it; that of the equator")
     rotation_rate: float = quantity("rad/s", "7.292115e-5 rad/s", about="inertial (sidereal); negative is retrograde")
     j2: float = quantity(
-        "1", "1.0826e-3", above=-1.0, most=1.0, default=0.0, about="second zonal harmonic, unnormalised"
+        "1", "1.0826e-3", **_ZONAL[2], default=0.0, about="second zonal harmonic, unnormalised"
     )  # fmt: skip
     j3: float | None = quantity(
-        "1", "-2.53e-6", above=-1.0, most=1.0, default=None, about="third zonal harmonic, unnormalised"
+        "1", "-2.53e-6", **_ZONAL[3], default=None, about="third zonal harmonic, unnormalised"
     )  # fmt: skip
     j4: float | None = quantity(
-        "1", "-1.62e-6", above=-1.0, most=1.0, default=None, about="fourth zonal harmonic, unnormalised"
+        "1", "-1.62e-6", **_ZONAL[4], default=None, about="fourth zonal harmonic, unnormalised"
     )  # fmt: skip
     flattening: float | None = quantity(
         "1", "3.353e-3", above=0.0, below=0.5, default=None,

@@ -25,13 +25,19 @@ from typing import Any
 from perilune.models.deorbit.passes import extremes, furthest_turned, velocity_change
 from perilune.models.deorbit.records import exhaust_speed
 
-SLACK = 25e3  # m, by which oblateness and the ellipsoid move the height of a flight within a turn
+_LEAST_SLACK = 25e3  # m
+_OBLATE = 3.5  # times J2 and the radius
 _SURELY = 1.2  # times what linear equations say of a path that is bent
 _STEPS = 60
 _TILTS = 3.0  # times J2, by which oblateness tilts a path
 _LEAST = 0.02  # of a speed or a cosine: what comes below may be anything
 _NOTHING = 1e-9  # of full thrust
 _STEEP = 20.0  # -ln c of a path that is as good as vertical
+
+
+def slack(p: Any, m: Any) -> Any:
+    """By how much [m] oblateness and the ellipsoid move the height of a flight within a turn."""
+    return m.fmax(_OBLATE * m.fabs(p.body_j2) * p.body_radius, _LEAST_SLACK)
 
 
 def gate_radius(p: Any) -> Any:
@@ -47,20 +53,20 @@ def interface_speeds(p: Any, m: Any) -> tuple[Any, Any]:
     beside, size = speed - turning * m.cos(p.orbit_inclination), m.fabs(turning)
     tilt = size * (m.fmin(furthest_turned(p, change, m), 2.0) + size / speed) + _TILTS * m.fabs(p.body_j2) * speed
     # With the height that is not known to better than the slack goes a speed.
-    loose = tilt + p.body_gravitational_parameter * SLACK / (gate * gate * speed)
+    loose = tilt + p.body_gravitational_parameter * slack(p, m) / (gate * gate * speed)
     return m.fmax(beside - change - loose, 0.0), beside + change + loose
 
 
 def steepest_angle(p: Any, m: Any) -> Any:
     """Steepest path angle [rad] beside the body at the interface, below the horizon and so positive."""
     low, high = extremes(p)
-    mu, gate, change = p.body_gravitational_parameter, gate_radius(p) - SLACK, velocity_change(p, m)
+    mu, gate, change = p.body_gravitational_parameter, gate_radius(p) - slack(p, m), velocity_change(p, m)
     speed = _speed(p, m, gate)
     flat = m.log(speed * gate / m.sqrt(2 * mu * low * high / (low + high)))  # -ln c
     step = change / _STEPS
     for k in range(1, _STEPS + 1):
         slow, fast = m.fmax(speed - k * step, _LEAST * speed), speed + k * step
-        far = SLACK + m.fmin(
+        far = slack(p, m) + m.fmin(
             high + furthest_moved(p, m, k * step), mu / m.fmax(mu / gate - fast * fast / 2, _LEAST * mu / gate)
         )
         gained = 2 * mu * (1 / gate - 1 / far)

@@ -130,7 +130,9 @@ def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: in
 
     landed.terminal = True  # type: ignore[attr-defined]
     start = [p.interface_altitude, 0.0, speed, angle, 0.0]
-    flown = solve_ivp(_rates(p, air), (0.0, _LONGEST), start, rtol=1e-6, atol=1e-6, events=landed, dense_output=True)
+    flown = solve_ivp(
+        _rates(p, air), (0.0, _LONGEST), start, method="LSODA", rtol=1e-6, atol=1e-6, events=landed, dense_output=True
+    )  # what floats down has stiff equations
     time = float(flown.t[-1])
     rows = flown.sol(np.linspace(0.0, time, points)).T
     rows.flags.writeable = False

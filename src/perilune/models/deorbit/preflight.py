@@ -6,7 +6,7 @@ that of an impulse at the apogee r_2, against the velocity there, to an ellipse 
     dV = sqrt(2 mu/r_2) (sqrt(r_1/(r_1 + r_2)) - sqrt(r_a/(r_a + r_2))),   r_1 the perigee of the orbit
 
 No finite burn does better, and drag begins at the interface only. Oblateness moves the height of a flight by some
-kilometres within a turn: `SLACK` stands for that.
+kilometres within a turn: `slack` stands for that.
 
 *At the interface.* What `bounds` says of its speed and its angle.
 
@@ -30,8 +30,8 @@ import numpy as np
 from perilune.models import ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.ballistic import borne_at_least
-from perilune.models.deorbit.bounds import SLACK, furthest_moved, interface_speeds, steepest_angle
-from perilune.models.deorbit.fall import Fall, always_faster, fall, slowest_arrival, terminal_speed
+from perilune.models.deorbit.bounds import furthest_moved, interface_speeds, slack, steepest_angle
+from perilune.models.deorbit.fall import Fall, always_faster, fall, lowest, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
 from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes, velocity_change
 from perilune.models.deorbit.secular import drift
@@ -90,7 +90,7 @@ def _least_change(p: Any, m: Any, low: Any, high: Any, gate: Any) -> Any:
 def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
     return Finding(
         name="velocity change that comes down to the interface",
-        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + SLACK),
+        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + slack(p, m)),
         limit=velocity_change(p, m),
         at_least=False,
         unit="m/s",
@@ -103,7 +103,7 @@ def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
 def _burns_down(p: Any, m: Any, low: Any) -> Finding:
     return Finding(
         name="way down to the interface",
-        value=(low - p.body_radius - p.interface_altitude - SLACK) / 1e3,
+        value=(low - p.body_radius - p.interface_altitude - slack(p, m)) / 1e3,
         limit=furthest_moved(p, m, velocity_change(p, m)) / 1e3,
         at_least=False,
         unit="km",
@@ -160,7 +160,16 @@ def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
                 advice=advice,
             )
         )  # fmt: skip
-    if hasattr(p, "vehicle_lift_to_drag") or all(one.passed for one in found):
+    else:
+        found.append(
+            Finding(
+                name="altitude of a fall without lift after three turns", value=float(fallen.rows[-1, 0]) / 1e3,
+                limit=lowest(p) / 1e3, at_least=False, unit="km", binding=False,
+                meaning="the vehicle may float, or leave the air again",
+                advice="a smaller drag area, or a steeper interface.angle",
+            )
+        )  # fmt: skip
+    if hasattr(p, "vehicle_lift_to_drag") or not fallen.lands or found[0].passed:
         return tuple(found)
     steep = steepest_angle(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else math.inf
     speeds = interface_speeds(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else (0.0, math.inf)

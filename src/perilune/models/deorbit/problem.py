@@ -173,6 +173,7 @@ def _entry(air: Air, *, bank: str | None, nose: bool, heat: bool, placed: bool, 
     )
 
 
+_LEVEL = 1e-12  # rad, of an orbit above the equator
 _PARTS = 20  # of a limit: so many g0, the unit of a load, are a hard entry, and its touch is as well told
 
 
@@ -189,6 +190,13 @@ def _ranges(
     highest = math.asin(math.sin(p.orbit_inclination))
     low, _ = extremes(p)
     low = m.fmax(low, p.body_radius)  # what is lower is refused as such
+    if hasattr(p, "manoeuvre_latitude") and not highest > _LEVEL:
+        raise PeriluneError(
+            "an orbit above the equator has no ascending and no descending side", got="orbit.inclination = "
+            f"{math.degrees(p.orbit_inclination):g} deg, and a [manoeuvre] on a pass",
+            expected="orbit.node_longitude and orbit.argument_of_latitude in place of [manoeuvre]",
+            advice="or another orbit.inclination",
+        )  # fmt: skip
     if hasattr(p, "manoeuvre_latitude") and not abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, m)) < highest:
         raise PeriluneError(
             "the orbit never comes to the latitude of the manoeuvre",
@@ -307,7 +315,8 @@ def deorbit_entry(
         for name in above
     ]  # fmt: skip
     if flown is not None and site is not None:
-        bank, placed = vehicle.bank if vehicle.lift_to_drag is not None else None, site.longitude is not None
+        lifts, placed = vehicle.lift_to_drag is not None, site.longitude is not None
+        bank = (vehicle.bank or "free") if lifts else None
         bound = limits or Limits()
         phases.append(
             _entry(flown, bank=bank, nose=nose, heat=heat, placed=placed, limits=bound, opens=parachute is not None)

@@ -156,9 +156,10 @@ class Returner:
     lift_to_drag: float | None = quantity(
         "1", "0.25", default=None, above=0.0, most=10.0, about="with it there is a lift, turned by the bank"
     )
-    bank: str = words(
-        "reversed", *BANKS, default="free",
-        about="free: all of the lift, to any side; reversed: to and fro, which leaves a share of it up or down",
+    bank: str | None = words(
+        "reversed", *BANKS, default=None,
+        about="free, as where it is left out: all of the lift, to any side; reversed: to and fro, which leaves a share"
+        " of it up or down",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -178,7 +179,7 @@ class Returner:
                 "this is no sphere-cone", got=f"a nose of {self.nose_radius:g} m on a base of {self.base_radius:g} m",
                 expected="nose_radius cos(cone_angle) <= base_radius, where the nose meets the cone",
             )  # fmt: skip
-        if self.bank != "free" and self.lift_to_drag is None:
+        if self.bank is not None and self.lift_to_drag is None:
             raise PeriluneError(
                 "vehicle.lift_to_drag is missing", got="a bank, and no lift", expected="both, or neither"
             )
