@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.orbit import from_place, plane
@@ -131,12 +132,13 @@ def _site(rng: np.random.Generator, orbit: Orbit, place: Manoeuvre, angle: float
 
 
 def flown_after_all(drawn: Return) -> bool:
-    """Whether the direct method finds a flight, coming from one that lands anywhere."""
+    """Whether the direct method finds a flight, coming from one of either method that lands anywhere."""
     method, near, step, problem = Pseudospectral(nodes=5, segments=8, refine=0), 0.0, 1 / STEPS, drawn.problem
     try:
-        flight = method.run(drawn.anywhere)
-    except PeriluneError:
-        return False
+        flight = Indirect().run(drawn.anywhere)
+    except PeriluneError as error:
+        if (flight := getattr(error, "flight", None)) is None:  # which is the direct method's, if it has one
+            return False
     names = ("longitude", "latitude")
     landed = {name: flight.results[f"landing_{name}"].value for name in names}
     aim = {name: float(problem.given[f"site_{name}"].value) for name in names}

@@ -217,3 +217,25 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
     falsified = replace(solution, trajectories=(*solution.trajectories[:-1], replace(entry, costate=moved)))
     failed = {check.name for check in verify(falsified, level=2).failed}
     assert {"drift_transversality", "entry_transversality"} <= failed
+
+
+@pytest.mark.parametrize("drifts", [True, False])
+def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -> None:
+    """0.13 m/s^2 burn all the way: no extremal has a drift, and those without one are found where it is held at least.
+
+    The direct method's program for it is not solved in 300 iterations from any of its starts.
+    """
+    problem = deorbit_entry(
+        Returner(mass=1e3, thrust=130.0, exhaust_velocity=3000.0, dry_mass=700.0, ballistic_coefficient=430.0),
+        Orbit(radius=EARTH.radius + 263e3, inclination=math.radians(31)),
+        Interface(altitude=120e3, angle_lower=math.radians(-3.5), angle_upper=math.radians(-1.8)),
+        EARTH,
+        manoeuvre=Manoeuvre(longitude=0.0, latitude=0.0, going="descending"),
+        transition=Transition(longest_coast=4000.0) if drifts else None,
+        air=Atmosphere(model="exponential", density=1.225, scale_height=7200.0),
+        site=Landing(altitude=10e3),
+    )
+    solution = pl.solve(problem, level=2)
+    assert solution.verification.passed and solution.statistics.rung == "random costates"
+    assert solution.objective == pytest.approx(1697.381, abs=1e-3)
+    assert solution.free.get("drift_time", 1e-3) == 1e-3

@@ -23,7 +23,15 @@ from perilune.methods.judge import Breach, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
 from perilune.methods.smoothing import Smoothing
-from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, known, on_the_sphere
+from perilune.methods.starts import (
+    PATIENCE,
+    STRIDE,
+    held_in,
+    hold_nothing_left,
+    hold_ranges,
+    known,
+    on_the_sphere,
+)
 from perilune.methods.trials import Trials
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
@@ -284,6 +292,8 @@ class Search:
         if not roots.converged.any():
             hold_ranges(trials, choices)
             roots = trials.settled(roots.y, choices, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
+        if not roots.converged.any() and trials.scanned is None and hold_nothing_left(trials, choices := 0.0 * choices):
+            roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
         members: list[Member] = []
         for value in holds:
             lanes = np.nonzero((held == value) & roots.converged)[0].tolist()

@@ -15,6 +15,7 @@ from perilune.words.types import Matrix, Vector
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
 _ON_BOUND = 1e-6  # canonical distance at which a guess means a bound, as the direct method stays that far inside
+_NOTHING = 1e-3  # of what is typical of a duration: one that may be shorter may as well be none
 _SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
 
@@ -41,6 +42,16 @@ def hold_ranges(trials: Trials, choices: Matrix) -> None:
     for number, (i, bound) in enumerate(bounds, 1):
         choices[number :: len(bounds) + 1, i] = 1.0
         choices[number :: len(bounds) + 1, held + i] = bound
+
+
+def hold_nothing_left(trials: Trials, choices: Matrix) -> bool:
+    """Hold at its least each duration that may shrink to nothing, as of a coast; whether there is any."""
+    held, found = trials.shooting.plan.held, False
+    for i, free in enumerate(trials.problem.free):
+        if free.name in trials.problem.duration_names and 0.0 < free.lower < _NOTHING * free.typical:
+            choices[:, i], choices[:, held + i] = 1.0, trials.limits.lower[i]
+            found = True
+    return found
 
 
 def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:

@@ -32,7 +32,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import Joined, joined, split, timed
 from perilune.structures.leaving import worth_riding
-from perilune.structures.read import NEAR, POINTS, Contact, arcs_of, broken, of_states, readings, room_at
+from perilune.structures.read import NEAR, POINTS, Contact, arcs_of, broken, contacts, of_states, readings, room_at
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, renumbered, restate
 from perilune.structures.structure import Condition, Structure, conditions_of
@@ -101,20 +101,26 @@ class Polish:
             return None
 
     def _known(self, rough: Solution) -> Iterator[Solution]:
-        """The rough answer, and where a control wavers between its bounds that of a finer mesh: the better one first.
+        """The rough answer, and of some that of a finer mesh: the better one first.
 
-        There it may be singular, or held by a condition on states, which a mesh tells the worse the rougher it is.
+        Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
+        one may touch it twice. A mesh tells the worse the rougher it is.
         """
-        finer = not self.guessed and wavering(rough)
+        wavers = not self.guessed and wavering(rough)
+        finer = wavers or (not self.guessed and self._rides(rough))
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
         if finer:
             from perilune.methods.pseudospectral import Pseudospectral
 
             with suppress(PeriluneError):
-                yield Pseudospectral(nodes=6, segments=32, refine=0).near(rough)
+                yield Pseudospectral(nodes=6, segments=32 if wavers else 24, refine=0).near(rough, close=not wavers)
         if finer and rough.statistics.residual > _ROUGH:
             yield rough
+
+    def _rides(self, rough: Solution) -> bool:
+        phases = range(len(self.problem.phases))
+        return any(c.ridden for k in phases for name in of_states(self.problem, k) for c in contacts(rough, k, name))
 
     def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
         """From the first structure that an answer has to the one that its extremal keeps to."""
