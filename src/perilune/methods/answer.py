@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import free_values, multipliers, objective_scale, trajectories
-from perilune.methods.flown import Flown, aloft, exported
+from perilune.methods.flown import Aloft, exported
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Statistics, Trajectory
-from perilune.problem.symbolic import state_scales
 from perilune.shooting.extremals import Found, same
 from perilune.shooting.function import Root
 from perilune.words.outcome import Outcome
-from perilune.words.types import Matrix, Vector
+from perilune.words.types import Vector
 
 _SAME = 1e-9  # of J and of the free parameters, canonical: what two extremals may differ by and be listed as one
 
@@ -34,15 +32,9 @@ class Curves(Deferred):
         of = self._problem, self._conditions
         return trajectories(*of, self._root.y, exported(*of, self._root))
 
-    def states(self) -> list[Callable[[Vector], Matrix]]:
-        """For each phase its states (n, times) at shares of its length, SI."""
-        flown = aloft(self._problem, self._conditions, self._root.y)
-        return [partial(_states, self._problem, k, arc) for k, arc in enumerate(flown)]
-
-
-def _states(problem: Problem, k: int, flown: Flown, shares: Vector) -> Matrix:
-    scales = state_scales(problem, problem.phases[k])
-    return flown(shares * flown.duration)[:, : len(scales)].T * scales[:, None]
+    def aloft(self) -> Aloft:
+        """The flight of the root, for its states."""
+        return Aloft(self._problem, self._conditions, self._root.y)
 
 
 def composed(

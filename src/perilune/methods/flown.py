@@ -18,9 +18,10 @@ from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import DenseArc
 from perilune.problem.problem import Problem
+from perilune.problem.symbolic import state_scales
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST, Lanes
-from perilune.shooting.propagate import engine, equations, flight, mode_at
+from perilune.shooting.propagate import Equations, engine, equations, flight, mode_at
 from perilune.shooting.settling import fallen
 from perilune.words.types import Matrix, Vector
 
@@ -82,6 +83,11 @@ class Flown:
             values[here] = self.arcs[i](t[here] - self.begins[i])
         return values
 
+    def states(self, t: Vector, count: int) -> Matrix:
+        """The first entries of z at times, (n, count), of a phase that is flown in one piece."""
+        (arc,) = self.arcs
+        return arc(t, count)
+
     def _piece(self, t: Vector) -> NDArray[np.int64]:
         return np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.arcs) - 1)
 
@@ -101,19 +107,55 @@ def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings
     return flown
 
 
-def aloft(problem: Problem, conditions: Conditions, y: Vector) -> list[Flown]:
-    """The flight from the unknowns y to look at its states: of a phase that settles they are flown without costates."""
-    p, before, flown = extremal_parameters(problem), np.zeros(0), list[Flown]()
-    for extremal, start in zip(conditions.phases, conditions.starts, strict=True):
-        z0, duration = (np.array(out).ravel() for out in start(y, before, p))
-        length, kept = float(duration[0]), tuple(range(extremal.half)) if extremal.settles else ()
-        of = equations(extremal, kept, ())
-        mode = mode_at(extremal, z0, p)
-        arc = engine(of).dense(z0[of.kept], p[of.numbers], length, mode=mode, **_fine(conditions))
-        flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=length))
-        before = np.zeros(2 * extremal.half)
-        before[of.kept] = arc.z[-1]
-    return flown
+@dataclass
+class Aloft:
+    """The flight from the unknowns y as far as its states are looked at, phase by phase.
+
+    Of a phase that settles they are flown without its costates, which are flown from its end.
+    """
+
+    problem: Problem
+    conditions: Conditions
+    y: Vector
+
+    def __post_init__(self) -> None:
+        self._p = extremal_parameters(self.problem)
+        self._starts: dict[int, tuple[Vector, float]] = {}
+        self._flown: dict[int, Flown] = {}
+
+    def start(self, k: int) -> tuple[Vector, float]:
+        """Return z at the start of phase k, and its length, canonical."""
+        if k not in self._starts:
+            before = self._end(k - 1) if k else np.zeros(0)
+            z, duration = (np.array(out).ravel() for out in self.conditions.starts[k](self.y, before, self._p))
+            self._starts[k] = z, float(duration[0])
+        return self._starts[k]
+
+    def at(self, k: int, shares: Vector) -> Matrix:
+        """States of phase k (n, times) at shares of its length, SI; at its start it is not flown."""
+        scales = state_scales(self.problem, self.problem.phases[k])
+        if not shares.any():
+            return np.repeat((self.start(k)[0][: len(scales)] * scales)[:, None], len(shares), axis=1)
+        return self._phase(k).states(shares * self.start(k)[1], len(scales)).T * scales[:, None]
+
+    def _phase(self, k: int) -> Flown:
+        if k not in self._flown:
+            extremal, (z, duration) = self.conditions.phases[k], self.start(k)
+            of = self._equations(k)
+            arc = engine(of).dense(
+                z[of.kept], self._p[of.numbers], duration, mode=mode_at(extremal, z, self._p), **_fine(self.conditions)
+            )
+            self._flown[k] = Flown(arcs=(arc,), begins=np.zeros(1), duration=duration)
+        return self._flown[k]
+
+    def _equations(self, k: int) -> Equations:
+        extremal = self.conditions.phases[k]
+        return equations(extremal, tuple(range(extremal.half)) if extremal.settles else (), ())
+
+    def _end(self, k: int) -> Vector:
+        z = np.zeros(2 * self.conditions.phases[k].half)
+        z[self._equations(k).kept] = self._phase(k).arcs[-1].z[-1]
+        return z
 
 
 def _fine(conditions: Conditions) -> dict[str, float]:

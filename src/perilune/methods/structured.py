@@ -19,12 +19,13 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 
 import numpy as np
 
 from perilune.methods.answer import Curves
+from perilune.methods.flown import Aloft
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
 from perilune.problem.neighbours import is_neighbour
@@ -32,7 +33,18 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import Joined, joined, split, timed
 from perilune.structures.leaving import worth_riding
-from perilune.structures.read import NEAR, POINTS, Contact, arcs_of, broken, contacts, of_states, readings, room_at
+from perilune.structures.read import (
+    NEAR,
+    POINTS,
+    Contact,
+    arcs_of,
+    broken,
+    contacts,
+    of_states,
+    readings,
+    room_at,
+    still,
+)
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, renumbered, restate
 from perilune.structures.structure import Condition, Structure, conditions_of
@@ -201,11 +213,11 @@ class Polish:
 
     def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
         """The structure where the extremal keeps to it; another that it asks for; None where that is no structure."""
-        phases, same, states = [], True, Aloft(self.problem, structure, solved, whole)
+        phases, same, way = [], True, _Way(self.problem, structure, solved, whole)
         for k, arcs in enumerate(structure.phases):
             known = list(_contacts(structure, k))
             found = list(self._borne_out(structure, solved, k, known))
-            found = self._beside(states, k, found)
+            found = self._beside(way, k, found)
             stays = stays_of(structure, k)
             asked = revised_stays(whole, k, stays, _NO_TIME)
             if asked is None:
@@ -234,11 +246,11 @@ class Polish:
             if solved.multipliers[at] <= 0:  # J falls where the condition gives way
                 yield contact
 
-    def _beside(self, aloft: Aloft, k: int, found: list[Contact]) -> list[Contact]:
+    def _beside(self, way: _Way, k: int, found: list[Contact]) -> list[Contact]:
         """The contacts and those that are missing: where a condition is broken."""
         found = list(found)
         for name in of_states(self.problem, k):
-            for begin, end, at in broken(*aloft.room_along(k, name)):
+            for begin, end, at in broken(*way.room_along(k, name)):
                 reach = _BESIDE * (end - begin)
                 near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
                 condition = conditions_of(self.problem, k, (name,))[name]
@@ -252,34 +264,42 @@ class Polish:
 
 
 @dataclass
-class Aloft:
-    """An extremal of a structure on its way, whose curves need not be made for that."""
+class _Way:
+    """What an extremal of a structure goes through, whose curves need not be made for that."""
 
     problem: Problem
     structure: Structure
     solved: Solution
     whole: Solution
 
-    @cached_property
-    def arcs(self) -> list[Callable[[Vector], Matrix]]:
-        """States of each arc of all phases, at shares of its length."""
-        curves = self.solved.trajectories
-        assert isinstance(curves, Curves), "of a search, which ends at a root"
-        return curves.states()
-
     def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
         """Times of phase k [s] and how far a condition is from its limit there [SI]."""
-        t, x = self._phase(k)
+        t, x = self._still(k) if still(self.problem, k, name) else self._phases(k)
         return t, room_at(self.problem, self.whole.parameters, k, name, t, x)
 
+    @cached_property
+    def _aloft(self) -> Aloft:
+        curves = self.solved.trajectories
+        assert isinstance(curves, Curves), "of a search, which ends at a root"
+        return curves.aloft()
+
+    @cached_property
+    def _phases(self) -> Callable[[int], tuple[Vector, Matrix]]:
+        return cache(self._phase)
+
     def _phase(self, k: int) -> tuple[Vector, Matrix]:
-        own, first = self.structure.phases[k], sum(map(len, self.structure.phases[:k]))
-        begins, times, states = [0.0, *(arc.until for arc in own)], list[Vector](), list[Matrix]()
+        begins, times, states = [0.0, *(arc.until for arc in self.structure.phases[k])], list[Vector](), list[Matrix]()
         for j, (begin, end) in enumerate(pairwise(begins)):
             shares = np.linspace(0.0, 1.0, 2 + math.ceil(POINTS * (end - begin) / begins[-1]))
             times.append(begin + shares * (end - begin))
-            states.append(self.arcs[first + j](shares))
+            states.append(self._aloft.at(self._first(k) + j, shares))
         return np.concatenate(times), np.concatenate(states, axis=1)
+
+    def _still(self, k: int) -> tuple[Vector, Matrix]:
+        return np.zeros(1), self._aloft.at(self._first(k), np.zeros(1))
+
+    def _first(self, k: int) -> int:
+        return sum(map(len, self.structure.phases[:k]))
 
 
 def _as_it_pays(

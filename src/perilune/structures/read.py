@@ -10,14 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from perilune.problem.form import Form
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts
 from perilune.problem.solution import Solution, full
+from perilune.problem.tape import Expression
 from perilune.structures.regimes import (
     EXACT,
     LEVELS,
@@ -136,6 +139,19 @@ def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
 def of_states(problem: Problem, k: int) -> list[str]:
     """Names of the conditions of phase k on states alone."""
     return [name for name, (_, value, _) in margins(problem, k).items() if not acts(value)]
+
+
+def still(problem: Problem, k: int, name: str) -> bool:
+    """Whether a condition of phase k stands still all along it, as all states in it do: that of a mass on a coast."""
+    return _still(problem.form, k, problem.phases[k].state_names, margins(problem, k)[name][1])
+
+
+@lru_cache(maxsize=256)
+def _still(form: Form, k: int, names: tuple[str, ...], value: Expression) -> bool:
+    tape = form.expressions[k, "dynamics"].tape
+    rates = [tape.instructions[at] for at in tape.outputs]
+    moved = {n for n, op in zip(names, rates, strict=True) if op[0] != "const" or float(op[1]) != 0.0}
+    return not any(op[0] == "x" and op[1] in moved for op in value.tape.instructions)
 
 
 def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:

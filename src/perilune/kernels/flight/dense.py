@@ -59,20 +59,24 @@ class DenseArc:
     _pieces: Batch  # (8, steps, nz): start, and the seven terms of the interpolant
     _lengths: Vector
 
-    def __call__(self, t: ArrayLike) -> Matrix:
-        """Return z at times, (nz,) for a number and (n, nz) for (n,); outer pieces go on beyond the ends."""
+    def __call__(self, t: ArrayLike, count: int | None = None) -> Matrix:
+        """Return z, or its first entries, at times, (nz,) for a number and (n, nz) for (n,).
+
+        Outer pieces go on beyond the ends.
+        """
         times = np.atleast_1d(np.asarray(t, dtype=float))
         if not len(self._lengths):
-            values = np.repeat(self.z[:1], len(times), axis=0)
+            values = np.repeat(self.z[:1, :count], len(times), axis=0)
         else:
             sign = 1.0 if self.t[-1] >= self.t[0] else -1.0
             i = np.clip(np.searchsorted(sign * self.t, sign * times, side="right") - 1, 0, len(self._lengths) - 1)
             lengths = self._lengths[i]  # of an arc of no length, 0
             s = np.divide(times - self.t[i], lengths, out=np.zeros(len(times)), where=lengths != 0)[:, None]
-            values = np.zeros((len(times), self.z.shape[1]))
+            pieces = self._pieces[:, :, :count]
+            values = np.zeros((len(times), pieces.shape[2]))
             for k in range(7, 0, -1):
-                values = (values + self._pieces[k][i]) * (s if k % 2 else 1.0 - s)
-            values += self._pieces[0][i]
+                values = (values + pieces[k][i]) * (s if k % 2 else 1.0 - s)
+            values += pieces[0][i]
         return values if np.ndim(t) else values[0]
 
 
