@@ -8,7 +8,8 @@ residual and what Newton makes of it. A change of the unknowns moves the end of 
     dz(T) = S(T) dz(0) + z'(T) dT,
 
 which goes through the link into the seeds of the next leg, or into the residual's derivative. Where fewer entries of
-z(0) move than unknowns move them, the columns flown are those of z(0) itself, and S(T) dz(0) is their product.
+z(0) move than unknowns move them, the columns flown of a phase that settles are those of z(0) itself, and S(T) dz(0) is
+their product.
 
 Free parameters and end conditions that are ranges may be *held*, each lane of a batch having its own choice: the
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
@@ -220,7 +221,8 @@ class _Tracing:
             slope += before.change(start)
         slope = ca.sparsify(slope)
         moved, moving = (sorted(set(places)) for places in slope.sparsity().get_triplet())
-        by_start = len(moved) < len(moving)
+        # Elsewhere not: where conditions say each other again, a product of rounded factors has another rank.
+        by_start = settles is not None and len(moved) < len(moving)
         slopes = ca.densify(slope[moved, moving]) if by_start else slope[:, moving]
         symbols = [self.Y, self.p, *(before.symbols if follows and before is not None else [])]
         known = self.p[flown.numbers.tolist()]
