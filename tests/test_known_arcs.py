@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import pytest
 
 import perilune as pl
+from perilune.conditions.pontryagin import derive
 from perilune.methods import structured
+from perilune.problem.neighbours import movable, moved
 from perilune.problem.solution import Deferred, Solution
+from perilune.structures import read as reading
 from perilune.structures.carry import Joined
+from perilune.structures.read import own_readings, readings
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 
@@ -75,3 +81,26 @@ def test_what_is_made_later_is_what_it_holds() -> None:
     assert later == (1, 2) and (1, 2) == later and later != (1, 3) and len(later) == 2 and bool(later)
     assert repr(later) == "(1, 2)" and hash(later) == hash((1, 2)) and made == [1]
     assert not Deferred(None, tuple)
+
+
+def test_a_guess_is_read_once_for_all_its_neighbours(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept is of this very solution, and is gone with it."""
+    read = list[int]()
+    monkeypatch.setattr(reading, "readings", lambda *of: read.append(1) or readings(*of))
+    one, other = (replace(touching, objective=touching.objective) for _ in range(2))
+    first = own_readings(one, 1e-7)
+    assert own_readings(one, 1e-7) == first == readings(one.problem, one, 1e-7) and len(read) == 1
+    assert own_readings(other, 1e-7) == first and len(read) == 2
+    assert own_readings(one, 1e-2) and len(read) == 3
+    kept = weakref.ref(one)
+    del one
+    gc.collect()
+    assert kept() is None
+
+
+def test_a_start_is_moved_without_asking_for_anything_anew(touching: Solution) -> None:
+    """The same as with other given values; what is derived of it is what is derived of the problem."""
+    problem = movable(touching.problem)
+    ahead = moved(problem, offset_v=1e-3)
+    assert ahead == problem.with_given(offset_v=1e-3) and ahead.structure == problem.structure
+    assert derive(ahead) is derive(touching.problem)

@@ -41,6 +41,7 @@ from perilune.structures.read import (
     broken,
     contacts,
     of_states,
+    own_readings,
     readings,
     room_at,
     still,
@@ -90,7 +91,8 @@ class Polish:
         seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
         least = _EXACT if is_neighbour(self.problem) else least
         for known in self._known(rough):
-            structures = readings(self.problem, known, least)
+            own = known.problem.phases is self.problem.phases  # as of the guess that a neighbour begins with
+            structures = own_readings(known, least) if own else readings(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
             for structure in few or structures:
                 if (found := self.followed(known, structure, seen)) is not None:

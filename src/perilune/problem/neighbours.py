@@ -48,6 +48,12 @@ def movable(problem: Problem) -> Problem:
     return problem.changed(start=MovedStart(problem), given=given, form=None)
 
 
+def moved(problem: Problem, **values: float) -> Problem:
+    """A `movable` problem with other offsets [SI]. Nothing that is stated of it knows them: all else stays."""
+    given = {name: Given(value=values.get(name, g.value), unit=g.unit) for name, g in problem.given.items()}
+    return problem.changed(given=MappingProxyType(given), structure=problem.structure)
+
+
 def unmoved(problem: Problem) -> Problem:
     """The problem without the offsets of its start."""
     if not isinstance(problem.start, MovedStart):

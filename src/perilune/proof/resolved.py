@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from perilune.problem.neighbours import held, movable, offset_of, released
+from perilune.problem.neighbours import held, movable, moved, offset_of, released
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
@@ -72,8 +72,8 @@ def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
         size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
         def slope(shift: float, name: str = offset_of(state.name)) -> float:
-            moved = (held(released(problem.with_given(**{name: s}), durations), **chosen) for s in (shift, -shift))
-            ahead, behind = (_objective(resolve, neighbour, solution) for neighbour in moved)
+            sides = (held(released(moved(problem, **{name: s}), durations), **chosen) for s in (shift, -shift))
+            ahead, behind = (_objective(resolve, neighbour, solution) for neighbour in sides)
             return (ahead - behind) / (2 * shift)
 
         limit = COSTATE_LIMIT * max(1.0, abs(lam) * size)
@@ -105,8 +105,8 @@ def _parameters(solution: Solution, bound: dict[str, float], resolve: Resolve) -
         widest = min(PARAMETER_SHIFT * size, 0.5 * (value - free.lower), 0.5 * (free.upper - value))
         for share in _SHARES:
             shift = share * widest
-            moved = [held(problem, **bound, **{free.name: value + s}) for s in (shift, -shift)]
-            sides = [_objective(resolve, neighbour, solution) for neighbour in moved]
+            beside = [held(problem, **bound, **{free.name: value + s}) for s in (shift, -shift)]
+            sides = [_objective(resolve, neighbour, solution) for neighbour in beside]
             if np.isfinite(sides).all():
                 break
         # What J may owe to rounding is not taken for a curvature.
