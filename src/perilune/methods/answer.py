@@ -26,15 +26,15 @@ class Curves(Deferred):
 
     def __init__(self, problem: Problem, conditions: Conditions, root: Root) -> None:
         super().__init__(len(problem.phases), self._exported)
-        self._problem, self._conditions, self._root = problem, conditions, root
+        self.problem, self.conditions, self.root = problem, conditions, root
 
     def _exported(self) -> tuple[Trajectory, ...]:
-        of = self._problem, self._conditions
-        return trajectories(*of, self._root.y, exported(*of, self._root))
+        of = self.problem, self.conditions
+        return trajectories(*of, self.root.y, exported(*of, self.root))
 
     def aloft(self) -> Aloft:
         """The flight of the root, for its states."""
-        return Aloft(self._problem, self._conditions, self._root.y)
+        return Aloft(self.problem, self.conditions, self.root.y)
 
 
 def composed(

@@ -32,7 +32,7 @@ from perilune.methods.starts import (
     known,
     on_the_sphere,
 )
-from perilune.methods.trials import Trials
+from perilune.methods.trials import Trials, found_at
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
@@ -238,8 +238,7 @@ class Search:
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
             root = trials.shooting.met(root) if is_neighbour(self.problem) else root
-            held = trials.scanned is None or root.choice[trials.scanned] > 0
-            return [Found(root=root, minimum=held or trials.shooting.curvature(root, trials.scanned or 0) > 0)]
+            return [found_at(trials.shooting, trials.scanned, root)]
         if name is not None:
             raise NotConvergedError(
                 f"from this guess the extremal lies outside the bounds of {name}",

@@ -16,6 +16,7 @@ from perilune.problem.solution import Solution
 from perilune.problem.symbolic import free_scales
 from perilune.shooting.active import Limits, limits_of, settle
 from perilune.shooting.continuum import completed
+from perilune.shooting.extremals import Found
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.shooting.newton import FINEST
 from perilune.words.types import Matrix, Vector
@@ -45,7 +46,7 @@ class Trials:
         self.p: Vector = extremal_parameters(problem)
         self.shooting = Shooting(self.conditions)
         self.limits = limits_of(problem, self.conditions)
-        self.scanned = _scanned_parameter(problem)
+        self.scanned = scanned_parameter(problem)
         self.history: list[Iteration] = []
         self.best_failure: Root | None = None
 
@@ -112,7 +113,14 @@ class Trials:
         return None
 
 
-def _scanned_parameter(problem: Problem) -> int | None:
+def found_at(shooting: Shooting, scanned: int | None, root: Root) -> Found:
+    """A root and whether J is least there along the parameter that is scanned, if any."""
+    held = scanned is None or root.choice[scanned] > 0
+    return Found(root=root, minimum=held or shooting.curvature(root, scanned or 0) > 0)
+
+
+def scanned_parameter(problem: Problem) -> int | None:
+    """Index of the first free parameter between finite bounds that is no duration."""
     for i, f in enumerate(problem.free):
         if math.isfinite(f.upper - f.lower) and f.name not in problem.duration_names:
             return i

@@ -1,0 +1,112 @@
+"""The extremal of a solution at other values of given parameters: Newton's method from it, many at once.
+
+Values of given parameters are numbers that the shooting function takes. So nothing is stated, traced, derived or
+tabulated again: a family is one call in lanes. Whether an extremal keeps the rest of its conditions, and whether it is
+the best one, is for others to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from perilune.conditions.canonical import extremal_parameters
+from perilune.methods.answer import Curves, composed
+from perilune.methods.trials import found_at, scanned_parameter
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution, Statistics
+from perilune.shooting.active import limits_of, settle
+from perilune.shooting.function import Root, Roots, Shooting
+from perilune.structures.carry import Joined, joined
+from perilune.structures.restate import renumbered
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.types import Matrix
+
+
+class Nearby:
+    """Extremals near that of a solution, which differ from it in values of given parameters.
+
+    Parameters
+    ----------
+    solution
+        Of the indirect method, as it was found here: one that was saved or sent away is solved again first.
+
+    Raises
+    ------
+    PeriluneError
+        If nothing but its curves is known of it.
+    """
+
+    def __init__(self, solution: Solution) -> None:
+        known = solution.trajectories
+        self.solution, self.arcs = solution, known if isinstance(known, Joined) else None
+        curves = known.restated.trajectories if isinstance(known, Joined) else known
+        if not isinstance(curves, Curves):
+            raise PeriluneError(
+                "of this solution nothing but its curves is known",
+                got=f"a solution of the method {solution.method}",
+                expected="one of Indirect(), as it was found",
+                advice="perilune.solve(solution.problem, guess=solution)",
+            )
+        self.problem: Problem = curves.problem
+        self.root, self.shooting = curves.root, Shooting(curves.conditions)
+        self.limits = limits_of(self.problem, curves.conditions)
+        self._places = {name: i for i, name in enumerate(self.problem.given)}
+
+    def numbers(self, values: Mapping[str, ArrayLike]) -> Matrix:
+        """What the shooting function takes, (lanes, numbers), canonical, from values in SI, numbers or arrays (lanes,).
+
+        Raises
+        ------
+        PeriluneError
+            If a name is no given parameter, or that of a bound between which an end condition has to lie.
+        """
+        bounds = {limit for phase in self.problem.phases for c in phase.end_conditions for limit in (c.lower, c.upper)}
+        for name in values:
+            if name not in self.solution.problem.given:
+                raise unknown_name("given parameter", name, sorted(self.solution.problem.given))
+            if name in bounds:
+                raise PeriluneError(
+                    f"{name} bounds an end condition, which may be held at it or not",
+                    expected="a parameter of the equations",
+                    advice="perilune.solve(problem.with_given(...), guess=solution), one by one",
+                )
+        arrays = np.broadcast_arrays(np.zeros(1), *(np.asarray(value, dtype=float) for value in values.values()))[1:]
+        found = np.tile(extremal_parameters(self.problem), (len(arrays[0]) if arrays else 1, 1))
+        for name, array in zip(values, arrays, strict=True):
+            found[:, self._places[name]] = array / self.problem.scales.of(self.problem.unit_of(name))
+        return found
+
+    def roots(self, values: Mapping[str, ArrayLike], begin: Matrix | None = None) -> Roots:
+        """Newton's method at values of given parameters, in lanes.
+
+        Parameters
+        ----------
+        values
+            As for `numbers`.
+        begin
+            Unknowns to begin with, (lanes, unknowns), such as those of neighbours; by default those of the solution.
+
+        Returns
+        -------
+        Roots
+            Each with what it holds; `converged` says which are extremals.
+        """
+        p = self.numbers(values)
+        Y = np.tile(self.root.y, (len(p), 1)) if begin is None else begin
+        return settle(self.shooting, Y, p, np.tile(self.root.choice, (len(p), 1)), self.limits)
+
+    def at(self, root: Root, values: Mapping[str, float]) -> Solution:
+        """An extremal that was found as a solution of the problem with these values, unverified."""
+        problem = self.solution.problem.with_given(**values)
+        own = problem if self.arcs is None else renumbered(self.problem, problem, self.arcs.structure)
+        statistics = Statistics(rung="guess", iterations=len(root.history))
+        extremal = found_at(self.shooting, scanned_parameter(own), root)
+        found = composed(self.solution.method, own, self.shooting.conditions, [extremal], statistics)
+        if self.arcs is None:
+            return found
+        whole = joined(problem, found, self.arcs.structure)
+        return replace(whole, statistics=replace(whole.statistics, rung=self.solution.statistics.rung))

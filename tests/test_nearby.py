@@ -1,0 +1,71 @@
+"""The extremal of a solution at other values of parameters, in lanes: each what a solve from that solution gives."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.methods.nearby import Nearby
+from perilune.problem.solution import Solution
+from perilune.words.outcome import PeriluneError
+from problems.constrained import bryson_denham, bryson_denham_truth
+
+
+@pytest.fixture(scope="module")
+def touching() -> Solution:
+    return pl.solve(bryson_denham(1 / 5), level=0)
+
+
+def test_a_family_of_touches_in_lanes(touching: Solution) -> None:
+    """J = 2 + 6 (1 - 4 l)^2 (Bryson, Denham, Dreyfus 1963), for ceilings at which the flight touches."""
+    nearby, ceilings = Nearby(touching), np.linspace(0.17, 0.24, 15)
+    roots = nearby.roots({"ceiling": ceilings})
+    assert roots.converged.all()
+    assert roots.costs == pytest.approx([bryson_denham_truth(ceiling) for ceiling in ceilings], rel=1e-11)
+    for lane in (0, 14):
+        found = nearby.at(roots[lane], {"ceiling": float(ceilings[lane])})
+        alone = pl.solve(found.problem, guess=touching, level=0)
+        assert found.objective == alone.objective and found.structure == alone.structure
+        assert found.statistics.rung == alone.statistics.rung
+        assert pl.prove(found).outcome is pl.Outcome.PROVED
+
+
+def test_a_landing_in_lanes_is_each_alone(landing: pl.Problem, hybrid: Solution) -> None:
+    """To the last bit; two parameters at once, one of them the same for all."""
+    nearby, names = Nearby(hybrid), ("vehicle_thrust", "vehicle_mass")
+    thrust, mass = (landing.given[name].value for name in names)
+    shares = np.linspace(0.99, 1.01, 7)
+    roots = nearby.roots({"vehicle_thrust": thrust * shares, "vehicle_mass": 1.001 * mass})
+    assert roots.converged.all()
+    for lane in (0, 3, 6):
+        values = dict(zip(names, (thrust * float(shares[lane]), 1.001 * mass), strict=True))
+        found = nearby.at(roots[lane], values)
+        alone = pl.solve(landing.with_given(**values), guess=hybrid, level=0)
+        assert found.objective == pytest.approx(alone.objective, rel=1e-13)
+        assert found.extremals[0].nature is alone.extremals[0].nature
+        for name, value in alone.free.items():
+            assert found.free[name] == pytest.approx(value, rel=1e-10)
+    again = nearby.roots({"vehicle_thrust": thrust * shares, "vehicle_mass": 1.001 * mass}, begin=roots.y)
+    assert again.converged.all() and again.evaluations.max() <= roots.evaluations.max()
+
+
+def test_nothing_is_derived_or_compiled_again(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Were it, there would be nothing to do it with."""
+    from perilune.conditions import pontryagin
+    from perilune.shooting import plan
+
+    nearby = Nearby(touching)
+    for module, name in ((pontryagin, "canonical_equations"), (plan, "_Tracing"), (plan, "engine")):
+        monkeypatch.setattr(module, name, None)
+    assert nearby.roots({"ceiling": [0.18, 0.19]}).converged.all()
+
+
+def test_what_cannot_be_taken_is_said(touching: Solution) -> None:
+    """A name that is none, and a solution that was sent away."""
+    with pytest.raises(PeriluneError, match="no given parameter of this name"):
+        Nearby(touching).roots({"cieling": 0.2})
+    with pytest.raises(PeriluneError, match="nothing but its curves is known"):
+        Nearby(pickle.loads(pickle.dumps(touching)))
