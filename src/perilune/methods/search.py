@@ -27,10 +27,11 @@ from perilune.methods.starts import (
     PATIENCE,
     STRIDE,
     held_in,
-    hold_nothing_left,
     hold_ranges,
     known,
+    leave_out,
     on_the_sphere,
+    vanishing,
 )
 from perilune.methods.trials import Trials, found_at
 from perilune.problem.neighbours import is_neighbour
@@ -40,9 +41,9 @@ from perilune.problem.symbolic import free_scales
 from perilune.shooting.continuation import Member
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.extremals import Found, HeldFamily, distinct, new_among, same, scan
-from perilune.shooting.function import Root
+from perilune.shooting.function import Root, Roots
 from perilune.words.outcome import NotConvergedError, PeriluneError
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
@@ -287,18 +288,27 @@ class Search:
         choices = np.tile(trials.shooting.holding({}), (len(Y), 1))
         if trials.scanned is not None:
             choices[:, trials.scanned], choices[:, trials.shooting.plan.held + trials.scanned] = 1.0, held
-        roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
-        if not roots.converged.any():
-            hold_ranges(trials, choices)
-            roots = trials.settled(roots.y, choices, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
-        if not roots.converged.any() and trials.scanned is None and hold_nothing_left(trials, choices := 0.0 * choices):
-            roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
+        roots = self._settled_starts(Y, choices)
+        if not roots.converged.any() and vanishing(trials):
+            self.watch(f"start: {_RANDOM}{where}, without what may be left out")
+            leave_out(trials, Y, choices)
+            roots = self._settled_starts(Y, choices)
         members: list[Member] = []
         for value in holds:
             lanes = np.nonzero((held == value) & roots.converged)[0].tolist()
             members += [Member(value=value, root=root) for root in distinct(roots[lane] for lane in lanes)]
         self.agreed = len(members) == 1 and bool(np.mean(roots.converged) >= _AGREED)
         yield from self._judged(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
+
+    def _settled_starts(self, Y: Matrix, choices: Matrix) -> Roots:
+        """Roots from starts with what they hold; where there is none, from where they came, with ranges held."""
+        trials = self.trials
+        roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
+        if roots.converged.any():
+            return roots
+        holding = choices.copy()
+        hold_ranges(trials, holding)
+        return trials.settled(roots.y, holding, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
 
     def _carried_members(self) -> Iterator[tuple[Member, str]]:
         """Extremals of shorter flights, carried to the whole one."""

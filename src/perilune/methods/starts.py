@@ -15,7 +15,7 @@ from perilune.words.types import Matrix, Vector
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
 _ON_BOUND = 1e-6  # canonical distance at which a guess means a bound, as the direct method stays that far inside
-_NOTHING = 1e-3  # of what is typical of a duration: one that may be shorter may as well be none
+_VANISHING = 1e-3  # of the longest that a phase may last
 _SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
 
@@ -30,6 +30,24 @@ def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
     return Y
 
 
+def vanishing(trials: Trials) -> dict[int, float]:
+    """Free parameters that are lengths of phases which may be left out all but for an instant, and their least."""
+    lower, upper, problem = trials.limits.lower, trials.limits.upper, trials.problem
+    lengths = [i for i, name in enumerate(problem.free_names) if name in problem.duration_names]
+    return {i: float(lower[i]) for i in lengths if 0 < lower[i] < _VANISHING * upper[i]}
+
+
+def leave_out(trials: Trials, Y: Matrix, choices: Matrix) -> None:
+    """Begin without the phases that may vanish, the phase before each lasting for as long as both."""
+    problem, first = trials.problem, trials.conditions.free_at.start
+    for i, least in vanishing(trials).items():
+        k = problem.duration_names.index(problem.free_names[i])
+        if k and problem.duration_names[k - 1] in problem.free_names:
+            Y[:, first + problem.free_names.index(problem.duration_names[k - 1])] += Y[:, first + i]
+        Y[:, first + i] = least
+        choices[:, i], choices[:, trials.shooting.plan.held + i] = 1.0, least
+
+
 def hold_ranges(trials: Trials, choices: Matrix) -> None:
     """Hold in one start none of the ranges, in the next the first at a bound, and so on."""
     first, held = trials.shooting.plan.free, trials.shooting.plan.held
@@ -42,16 +60,6 @@ def hold_ranges(trials: Trials, choices: Matrix) -> None:
     for number, (i, bound) in enumerate(bounds, 1):
         choices[number :: len(bounds) + 1, i] = 1.0
         choices[number :: len(bounds) + 1, held + i] = bound
-
-
-def hold_nothing_left(trials: Trials, choices: Matrix) -> bool:
-    """Hold at its least each duration that may shrink to nothing, as of a coast; whether there is any."""
-    held, found = trials.shooting.plan.held, False
-    for i, free in enumerate(trials.problem.free):
-        if free.name in trials.problem.duration_names and 0.0 < free.lower < _NOTHING * free.typical:
-            choices[:, i], choices[:, held + i] = 1.0, trials.limits.lower[i]
-            found = True
-    return found
 
 
 def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
