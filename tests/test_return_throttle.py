@@ -12,7 +12,7 @@ import pytest
 
 import perilune as pl
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Interface, Landing, Orbit, Returner, Separation, Transition
+from perilune.models.deorbit.records import Interface, Landing, Orbit, Parachute, Returner, Separation, Transition
 from perilune.models.vehicle import Throttle
 from perilune.problem.preflight import preflight
 from perilune.scenario import load_text
@@ -94,7 +94,6 @@ def test_the_dry_mass_holds_with_a_throttle() -> None:
         ('lower = "0.2"', "throttle.upper is missing"),
         ('lower = "0.2"\nupper = "1.5"', "throttle.upper is out of range"),
         ('lower = "0.2"\nhigher = "1"', "no key of this name in [throttle]"),
-        ('lower = "0.2"\nupper = "1"\n[separation]\nmass = "300 kg"', "do not go together yet"),
     ],
 )
 def test_a_throttle_that_cannot_be_is_refused(section: str, said: str) -> None:
@@ -107,8 +106,20 @@ def test_a_scenario_has_a_throttle() -> None:
     problem = load_text(f'{SCENARIO}\n[throttle]\nlower = "0.2"\nupper = "1"\n')
     assert problem.phases[1].control_names == ("toward_x", "toward_y", "toward_z", "throttle")
     assert [c.name for c in problem.phases[2].end_conditions][-1] == "mass_left"
-    with pytest.raises(PeriluneError, match="do not go together yet"):
-        returning(
-            vehicle=VEHICLE, air=AIR, site=Landing(), throttle=Throttle(lower=0.2, upper=1.0),
-            separation=Separation(mass=300.0),
-        )  # fmt: skip
+
+
+def test_what_is_left_behind_was_throttled() -> None:
+    """Least propellant with a throttle that no flight needs, and 300 kg that go on: the flight at full thrust."""
+    parts: dict[str, Any] = {
+        "vehicle": VEHICLE, "air": AIR, "site": Landing(altitude=5e3), "separation": Separation(mass=300.0),
+        "parachute": Parachute(altitude=8e3, drag_area=100.0), "transition": Transition(longest_coast=4000.0),
+    }  # fmt: skip
+    throttled = pl.solve(returning(**parts, throttle=Throttle(lower=0.2, upper=1.0)), level=2)
+    full = pl.solve(returning(**parts), level=1)
+    assert throttled.verification.passed and full.verification.passed
+    same(throttled, full)
+    for name in ("entry_time", "landing_speed", "peak_load"):
+        assert throttled.results[name].value == pytest.approx(full.results[name].value, rel=1e-7)
+    whole = throttled.trajectories[2].state.values[:, throttled.problem.phases[2].state_names.index("whole")]
+    np.testing.assert_allclose(whole, throttled.results["mass_at_interface"].value, rtol=1e-12)
+    assert throttled.results["propellant"].value == pytest.approx(500.0 - whole[-1], rel=1e-12)

@@ -18,7 +18,6 @@ from perilune.models.deorbit.records import (
     Returner,
     Separation,
 )
-from perilune.models.vehicle import Throttle
 from perilune.words.outcome import PeriluneError
 
 
@@ -31,15 +30,6 @@ def epoch_of(aim: Aim) -> datetime:
             advice='model = "us1976" is of no time',
         )  # fmt: skip
     return epoch
-
-
-def refuse_throttled_apart(throttle: Throttle | None, separation: Separation | None) -> None:
-    """Refuse a throttle of a vehicle that is left behind: what it has burnt is known by no mass at the end."""
-    if throttle is not None and separation is not None:
-        raise PeriluneError(
-            "[throttle] and [separation] do not go together yet", got="both of them",
-            expected="full thrust, or a vehicle that enters the air whole",
-        )  # fmt: skip
 
 
 def refuse_more_than_there_is(vehicle: Returner, separation: Separation | None) -> None:

@@ -32,7 +32,14 @@ STATES = (
 )
 SITE = ("site_up", "site_north", "site_east")
 HEAT_SIZE = 1e7  # J/m^2
+# What the vehicle weighed before a part of it was left behind, kept where a throttle decides it.
+WHOLE = Variable(name="whole", unit="kg", description="mass at the interface, before separation")
 HEAT = Variable(name="heat", unit="J/m^2", description="heat load at the stagnation point", scale=HEAT_SIZE)
+
+
+def beside_motion(*, heat: bool, weighed: bool) -> tuple[Variable, ...]:
+    """States of the phases in the air beside the motion and the mass."""
+    return (*((HEAT,) if heat else ()), *((WHOLE,) if weighed else ()))
 
 
 def where(x: Any) -> Triple:
@@ -76,7 +83,7 @@ def burning(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def falling(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
-    """Rates in the air: x, y, z, vx, vy, vz, m, and the heat load where it is a state."""
+    """Rates in the air: x, y, z, vx, vy, vz, m, and the heat load and the whole mass where they are states."""
     r, v = where(x), how_fast(x)
     density = air.density(ellipsoid.altitude(r, p, m), p, m)
     felt = aerodynamics.drag(density, v, x.m, p, m)
@@ -85,7 +92,8 @@ def falling(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
         lift = p.vehicle_lift_to_drag * aerodynamics.drag_acceleration(density, v, x.m, p, m)
         felt = combine((1, felt), (lift * u.lift_up, upward), (lift * getattr(u, "lift_right", 0.0), right))
     heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(x, "heat") else ()
-    return *v, *combine((1, free_acceleration(r, v, AXIS, p, m)), (1, felt)), 0.0, *heat
+    rates = *v, *combine((1, free_acceleration(r, v, AXIS, p, m)), (1, felt)), 0.0, *heat
+    return *rates, *((0.0,) if hasattr(x, "whole") else ())
 
 
 def within_limits(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:

@@ -40,12 +40,12 @@ def velocity(x: Any, p: Any, m: Any, *, air: Air) -> Triple:
 def moving(x: Any, p: Any, m: Any, *, air: Air) -> Any:
     """The state with its velocity."""
     vx, vy, vz = velocity(x, p, m, air=air)
-    return SimpleNamespace(x=x.x, y=x.y, z=x.z, vx=vx, vy=vy, vz=vz, m=x.m)
+    return SimpleNamespace(**x._asdict(), vx=vx, vy=vy, vz=vz)
 
 
 def sinking(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
-    """Rates: x, y, z, m, and the heat load where it is a state."""
-    return *velocity(x, p, m, air=air), 0.0, *((0.0,) if hasattr(x, "heat") else ())
+    """Rates: x, y, z, m, and the heat load and the whole mass where they are states."""
+    return *velocity(x, p, m, air=air), *(0.0 for _ in x._fields[3:])
 
 
 def opened(x: Any, p: Any, m: Any) -> Sequence[Any]:
@@ -68,12 +68,12 @@ def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str], air:
     return told.results(first, moving(last, p, m, air=air), p, m, names=names)
 
 
-def phase(air: Air, *, heat: bool, placed_: bool) -> Phase:
-    """From the altitude at which it opens to that of the site."""
+def phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:
+    """From the altitude at which it opens to that of the site, with what states are kept beside the motion."""
     names = flight.SITE if placed_ else flight.SITE[:1]
     return Phase(
         name="parachute",
-        states=(*flight.STATES[:3], mass_state(False), *((flight.HEAT,) if heat else ())),
+        states=(*flight.STATES[:3], mass_state(False), *kept),
         dynamics=partial(sinking, air=air),
         duration="parachute_time",
         end=flight.beside_site,

@@ -69,6 +69,8 @@ def _transition_time(x: Any, p: Any, m: Any) -> Any:
 
 def _minus_mass(x: Any, p: Any, m: Any) -> Any:
     """Less what is left of the whole vehicle, of which another part may go on into the air."""
+    if hasattr(x, "whole"):
+        return -x.whole
     if hasattr(p, "separation_mass"):
         return p.vehicle_thrust / exhaust_speed(p) * p.burn_time - p.vehicle_mass
     return -x.m
@@ -95,14 +97,10 @@ def _on(x: Any, p: Any, m: Any) -> Sequence[Any]:
     return tuple(x)
 
 
-def _into_the_air(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """The same with what enters the air."""
-    return *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
-
-
-def _into_the_air_with_heat(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """The same, where the heat is counted."""
-    return *_into_the_air(x, p, m), 0.0
+def _into_the_air(x: Any, p: Any, m: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
+    """The same with what enters the air, where the heat is counted, and what the whole weighed."""
+    entering = *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
+    return *entering, *((0.0,) if heat else ()), *((x.m,) if weighed else ())
 
 
 def _interface_conditions(interface: Interface, *, weighed: bool) -> tuple[Variable, ...]:
@@ -146,13 +144,15 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool, th
     )
 
 
-def _entry(air: Air, *, bank: str | None, nose: bool, heat: bool, placed: bool, limits: Limits, opens: bool) -> Phase:
+def _entry(
+    air: Air, *, bank: str | None, nose: bool, kept: tuple[Variable, ...], placed: bool, limits: Limits, opens: bool
+) -> Phase:
     names = flight.SITE if placed else flight.SITE[:1]
     ends = ("height_above_opening",) if opens else names
     limited = [name for name in flight.LIMITED if getattr(limits, name) is not None]
     return Phase(
         name="entry",
-        states=(*flight.STATES, mass_state(False), *((flight.HEAT,) if heat else ())),
+        states=(*flight.STATES, mass_state(False), *kept),
         controls=() if bank is None else (flight.BANKS[bank],),
         dynamics=partial(flight.falling, air=air),
         duration=_DURATIONS["entry"],
@@ -289,7 +289,6 @@ def deorbit_entry(
         heating = Heating()
     checks.refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
     checks.refuse_out_of_order(interface, site if flown is not None else None, parachute)
-    checks.refuse_throttled_apart(throttle, separation)
     checks.refuse_more_than_there_is(vehicle, separation)
     checks.refuse_undetermined_lift(aim, vehicle, flown, site)
     checks.refuse_without_effect(vehicle, flown, heating, separation, limits, parachute)
@@ -310,6 +309,8 @@ def deorbit_entry(
         given = {**flown.given, **given}
     above = [name for name in names if name not in ("entry", "parachute")]
     dry, heat, nose = "vehicle_dry_mass" in given, minimise == "heat_load", vehicle.nose_radius is not None
+    weighed = throttle is not None and separation is not None
+    kept = flight.beside_motion(heat=heat, weighed=weighed)
     phases = [
         _above_the_air(name, last=name == above[-1], interface=interface, dry=dry, throttled=throttle is not None)
         for name in above
@@ -318,12 +319,11 @@ def deorbit_entry(
         lifts, placed = vehicle.lift_to_drag is not None, site.longitude is not None
         bank = (vehicle.bank or "free") if lifts else None
         bound = limits or Limits()
-        phases.append(
-            _entry(flown, bank=bank, nose=nose, heat=heat, placed=placed, limits=bound, opens=parachute is not None)
-        )
+        opens = parachute is not None
+        phases.append(_entry(flown, bank=bank, nose=nose, kept=kept, placed=placed, limits=bound, opens=opens))
         if parachute is not None:
-            phases.append(parachutes.phase(flown, heat=heat, placed_=placed))
-    enter = _into_the_air_with_heat if heat else _into_the_air
+            phases.append(parachutes.phase(flown, kept=kept, placed_=placed))
+    enter = partial(_into_the_air, heat=heat, weighed=weighed)
     links = [{"entry": enter, "parachute": parachutes.opened}.get(name, _on) for name in names[1:]]
     told_results = partial(told.results, names=names)
     if parachute is not None and flown is not None:

@@ -24,7 +24,7 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit import parachute
 from perilune.models.deorbit.fall import POINTS, carried, fall, typical_angle
 from perilune.models.deorbit.orbit import AXIS, plane, shape
-from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust
+from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust, throttled
 from perilune.models.rotating import combine, cross, dot, local_axes
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Physics, Vector
@@ -176,6 +176,7 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     last, at = descent(p, angle, *((0.0, 0.0, 1.0) if long else parts))
     flies = not long and last[0] >= (1 - _NEAR) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
     found, time, mass = list[Matrix](), 0.0, p.vehicle_mass
+    weighed = throttled(p) and hasattr(p, "separation_mass")
     turned = 0.0
     for name in (name for name in names if name not in ("entry", "parachute")):
         rows = []
@@ -192,7 +193,8 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
             level = speed * math.cos(gamma) + carried(p, distance)
             row = distance, turned + swept, speed * math.sin(gamma), level
             moved = _state(p, angle, node, time + share * fallen.time, row)
-            rows.append([*moved, getattr(p, "separation_mass", mass), *((load,) if heat else ())])
+            kept = *((load,) if heat else ()), *((mass,) if weighed else ())
+            rows.append([*moved, getattr(p, "separation_mass", mass), *kept])
         found.append(np.array(rows, dtype=float))
     if "parachute" in names:
         sunk = (p.parachute_altitude - p.site_altitude) * np.linspace(0.0, 1.0, POINTS)[:, None]

@@ -77,7 +77,9 @@ def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> S
     in_air = sum(lengths.get(name, 0.0) for name in ("entry", "parachute"))
     times = {"flight_time": to_interface + in_air, "transition_time": to_interface}
     times |= {f"{name}_time": length for name, length in lengths.items()}
-    burnt = p.vehicle_mass - last.m if throttled(p) else p.vehicle_thrust / exhaust_speed(p) * p.burn_time
+    burnt = p.vehicle_mass - getattr(last, "whole", last.m)
+    if not throttled(p):
+        burnt = p.vehicle_thrust / exhaust_speed(p) * p.burn_time
     change = exhaust_speed(p) * m.log(p.vehicle_mass / (p.vehicle_mass - burnt))
     landed = (speed(last, m), *_below(last, p, m)) if "entry" in names else ()
     return *(times[name] for name in _TIMES if name in times), burnt, change, *landed
