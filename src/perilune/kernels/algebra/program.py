@@ -7,6 +7,8 @@ rewrites make it cheaper without touching its meaning beyond a rounding: several
 one reciprocal, constant powers become products and square roots, and what depends on parameters alone is
 hoisted out (`hoist`).
 
+Choices by which CasADi writes tables are read off them (`tables`).
+
 Source of value numbering: Cocke & Schwartz, *Programming Languages and Their Compilers*, 1970.
 """
 
@@ -18,6 +20,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from perilune.kernels.algebra.tables import with_tables
 from perilune.words.outcome import PeriluneError
 
 #: Operations by CasADi's name for them (without ``OP_``), and ours.
@@ -36,8 +39,12 @@ _COMMUTATIVE = {"add", "mul", "eq", "ne", "and", "or"}
 #: Operations that a processor with fused multiply-add does at full rate: what a share of its peak counts.
 ARITHMETIC = {"add", "sub", "mul", "neg"}
 
-# An instruction: ("input", argument, index), ("const", value) or (operation, operand, ...), operands being
-# indices.
+#: Instructions without operands.
+PLAIN = ("input", "const", "table")
+
+# An instruction: ("input", argument, index), ("const", value), ("table", values) or (operation, operand, ...), operands
+# being indices. ("read", x, knots, values) is that one of the values, of which there is one more than knots, at the
+# place of x among the knots.
 Instruction = tuple[Any, ...]
 
 
@@ -59,13 +66,13 @@ class Program:
     @property
     def cost(self) -> int:
         """Operations counted with the weight that a vector unit gives them."""
-        weights = {"input": 0, "const": 0, "div": 6, "sqrt": 7}
+        weights = {"input": 0, "const": 0, "table": 0, "div": 6, "sqrt": 7}
         return sum(weights.get(op[0], 1 if op[0] in ARITHMETIC else 20) for op in self.instructions)
 
     @property
     def operations(self) -> Counter[str]:
         """How often each operation occurs."""
-        return Counter(op[0] for op in self.instructions if op[0] not in ("input", "const"))
+        return Counter(op[0] for op in self.instructions if op[0] not in PLAIN)
 
 
 class _Numbering:
@@ -151,7 +158,7 @@ class _Numbering:
         """Append a program; returns where its values went."""
         place: list[int] = []
         for number, (op, *operands) in enumerate(program.instructions):
-            if op in ("input", "const"):
+            if op in PLAIN:
                 place.append(self.append(program.instructions[number]))
             elif op == "div" and operands[1] in self._shared_divisors:
                 place.append(self.do("mul", place[operands[0]], self.do("inv", place[operands[1]])))
@@ -229,11 +236,11 @@ def _simplify(program: Program) -> Program:
     divisors = Counter(op[2] for op in program.instructions if op[0] == "div")
     numbering = _Numbering(frozenset(number for number, uses in divisors.items() if uses > 1))
     place = numbering.rewrite(program)
-    return _live(Program(tuple(numbering.instructions), tuple(place[i] for i in program.outputs)))
+    return _live(Program(*with_tables(tuple(numbering.instructions), tuple(place[i] for i in program.outputs))))
 
 
 def _operands(instruction: Instruction) -> tuple[int, ...]:
-    return () if instruction[0] in ("input", "const") else instruction[1:]
+    return () if instruction[0] in PLAIN else instruction[1:]
 
 
 def _live(program: Program) -> Program:
@@ -266,7 +273,7 @@ def hoist(program: Program, argument: int) -> tuple[Program, Program]:
         if instruction[0] == "input":
             alone.append(instruction[1] == argument)
         else:
-            plain = all(alone[i] or program.instructions[i][0] == "const" for i in operands)
+            plain = all(alone[i] or program.instructions[i][0] in ("const", "table") for i in operands)
             alone.append(plain and any(alone[i] for i in operands))
     used = set(program.outputs)
     for number, instruction in enumerate(program.instructions):

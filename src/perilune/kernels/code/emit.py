@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 from perilune.kernels.algebra.program import Program
 from perilune.kernels.code import vecmath
-from perilune.kernels.code.ir import Mask, Ptr, Vec, Writer
+from perilune.kernels.code.ir import NUM, Bits, Mask, Num, Ptr, Vec, Writer
 
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTRINSICS = {"sqrt", "fabs", "copysign", "floor", "ceil"}
@@ -38,6 +38,8 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *,
     fetch = _inputs(w, program)
     zero = ("const", (0.0).hex())
     names: dict[int, Vec] = {}
+    tables: dict[int, Ptr[Num]] = {}
+    found: dict[tuple[int, int], Bits] = {}  # places of values among knots
     result = Ptr("%out", w.vector)
     places: dict[int, list[int]] = {}
     for index, number in enumerate(program.outputs):
@@ -46,12 +48,21 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *,
     for number, (op, *operands) in enumerate(program.instructions):
         if op == "const":
             names[number] = w.const(float.fromhex(operands[0]))
+        elif op == "table":
+            tables[number] = Ptr(f"@{name}.table{number}", NUM)
+        elif op == "read":
+            x, knots, values = operands
+            if (x, knots) not in found:
+                numbers = map(float.fromhex, program.instructions[knots][1])
+                found[x, knots] = w.place(names.get(x) or fetch(x, number), numbers)
+            names[number] = w.read(tables[values], found[x, knots])
         elif op != "input":
             names[number] = operation(w, op, *(names.get(i) or fetch(i, number) for i in operands))
         for index in places.get(number, ()):
             w.store(names.get(number) or fetch(number, number), result, index)
     pointers = ", ".join(f"ptr noalias nocapture readonly align 8 %in{i}" for i in arguments)
-    return (
+    constants = [w.constant(at, map(float.fromhex, program.instructions[n][1])) for n, at in tables.items()]
+    return "".join(constants) + (
         f"define internal void @{name}({pointers}, "
         f"ptr noalias nocapture writeonly align 8 %out) nounwind alignstack({max(16, 8 * width)}) {{\n"
         f"{w.body()}\n  ret void\n}}\n"

@@ -13,7 +13,7 @@ tells a mask from a vector before LLVM does.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -192,6 +192,29 @@ class Writer:
         """Return a vector with a whole number in each lane."""
         value = self.let(NUM, f"sitofp i64 {integer} to double")
         return self.gathered(lambda _: value)
+
+    # -- tables
+    # -----------------------------------------------------------------------------------------------
+    def constant(self, name: Ptr[Num], values: Iterable[float]) -> str:
+        """Return the text of an array of doubles beside the functions."""
+        numbers = [f"double {literal(value)}" for value in values]
+        return f"{name} = internal constant [{len(numbers)} x double] [{', '.join(numbers)}]\n"
+
+    def place(self, x: Vec, knots: Iterable[float]) -> Bits:
+        """Return how many of the knots do not lie above x, none where that is NaN."""
+        count = self.bits(0)
+        for knot in knots:
+            beyond = self.let(
+                self.integers, f"sext {self.mask} {self.compare('ole', self.const(knot), x)} to {self.integers}"
+            )
+            count = self.let(self.integers, f"sub {self.integers} {count}, {beyond}")
+        return count
+
+    def read(self, table: Ptr[Num], place: Bits) -> Vec:
+        """Return the entry of an array at a place of each lane."""
+        return self.gathered(
+            lambda lane: self.load(table, self.let(INT, f"extractelement {self.integers} {place}, i32 {lane}"))
+        )
 
     # -- masks and bits
     # -----------------------------------------------------------------------------------------------
