@@ -194,7 +194,7 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
     """
 
     def to(site: Landing) -> pl.Problem:
-        return deorbit_entry(
+        problem = deorbit_entry(
             Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, dry_mass=350.0, ballistic_coefficient=345.0),
             Orbit(radius=6878.14e3, inclination=math.radians(50)),
             Interface(altitude=120e3, angle=math.radians(-0.85)),
@@ -205,6 +205,8 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
             air=Atmosphere(model="exponential", density=1.225, scale_height=7200.0),
             site=site,
         )
+        *above, entry = problem.phases  # so near to leaving, the direct method does not find it with the condition
+        return problem.changed(phases=(*above, replace(entry, path=None, path_conditions=())), form=None)
 
     anywhere = pl.solve(to(Landing(altitude=10e3)), level=0)
     place = {name: anywhere.results[f"landing_{name}"].value for name in ("longitude", "latitude")}

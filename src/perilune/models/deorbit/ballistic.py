@@ -39,7 +39,7 @@ from perilune.words.units import STANDARD_GRAVITY
 
 _ANGLES, _SPEEDS, _MASSES = 7, 5, 3  # of the grid over the box
 _BENDS = 0.25  # times second differences
-_LEFT_OUT = 0.01  # of the second order of what the plane leaves out
+LEFT_OUT = 0.01  # of the second order of what the plane leaves out
 _LEAST_PULL = 0.01  # of the body's pull
 _POINTS = 4001  # of a fall, which may leave the air and come back
 
@@ -70,7 +70,7 @@ def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
         A fall of them.
     """
     limited = [name for name in _SAID if hasattr(p, f"limits_{name}")]
-    angles, speeds, masses = _angles(p), box_of_speeds(p), _masses(p)
+    angles, speeds, masses = box_of_angles(p), box_of_speeds(p), box_of_masses(p)
     if angles is None or speeds is None:
         yield from (_of_typical(name, typical, p, air) for name in limited if typical.lands)
         return
@@ -84,7 +84,7 @@ def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
     for name in limited:
         one = _SAID[name].one
         peaks = np.array([peak(name, fallen, light, air) for fallen, (light, *_) in zip(falls, entries, strict=True)])
-        least = (1 - _LEFT_OUT) * least_between(np.where(lands, peaks, np.nan).reshape(shape)) / one
+        least = (1 - LEFT_OUT) * least_between(np.where(lands, peaks, np.nan).reshape(shape)) / one
         mildest, hardest = np.min(peaks[lands]) / one, np.max(peaks[lands]) / one
         yield _beside_limit(
             name, "every fall", least, p, binding=True,
@@ -152,14 +152,14 @@ def of_mass(p: Any, mass: float) -> Any:
     return SimpleNamespace(**{**vars(p), name: mass})
 
 
-def _masses(p: Any) -> Vector:
+def box_of_masses(p: Any) -> Vector:
     """Masses [kg] at the interface."""
     if hasattr(p, "separation_mass"):
         return np.array([p.separation_mass])
     return np.linspace(lightest(p), p.vehicle_mass, _MASSES)
 
 
-def _angles(p: Any) -> Vector | None:
+def box_of_angles(p: Any) -> Vector | None:
     """Angles [rad] at the interface; None where a bound is not known or not below the horizon."""
     stated = getattr(p, "interface_angle", math.nan)
     lower, upper = (getattr(p, f"interface_angle_{side}", stated) for side in ("lower", "upper"))

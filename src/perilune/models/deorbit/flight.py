@@ -117,6 +117,16 @@ def above_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     return (ellipsoid.altitude(where(x), p, m) - p.interface_altitude,)
 
 
+def below_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Depth below the interface [m]: an entry that comes above it again has left the air."""
+    return (p.interface_altitude - ellipsoid.altitude(where(x), p, m),)
+
+
+def in_the_air(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """What an entry keeps: it stays below the interface, and within the limits."""
+    return *below_interface(x, u, p, m), *within_limits(x, u, p, m, air=air)
+
+
 def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """End of the transition: altitude, speed and path angle where they are stated, mass where no time says it."""
     ends = [ellipsoid.altitude(where(x), p, m) - p.interface_altitude]

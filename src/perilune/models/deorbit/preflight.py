@@ -12,6 +12,8 @@ kilometres within a turn: `slack` stands for that.
 
 *Limits* of a ballistic entry. What `ballistic` says that every one bears.
 
+*In the air.* What `skip` says of entries that leave it again.
+
 *Slow enough.* What `fall` says of arriving at the site.
 
 *Sideways.* What `passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
@@ -35,6 +37,7 @@ from perilune.models.deorbit.fall import Fall, always_faster, fall, lowest, slow
 from perilune.models.deorbit.orbit import state
 from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes, velocity_change
 from perilune.models.deorbit.secular import drift
+from perilune.models.deorbit.skip import leaves_again
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Physics
@@ -56,7 +59,7 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
     if air is not None and _of_one(p, low):
         fallen = fall(p, air)
         if not hasattr(p, "vehicle_lift_to_drag"):
-            found += borne_at_least(p, air, fallen)
+            found += (*borne_at_least(p, air, fallen), *leaves_again(p, air, fallen))
         found += _slow_enough(p, air, fallen)
         found += _in_plane(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
     return tuple(found)

@@ -163,8 +163,13 @@ def _entry(
         ),
         marks=told.at_opening if opens else None,
         mark_variables=told.AT_OPENING if opens else (),
-        path=partial(flight.within_limits, air=air) if limited else None,
-        path_conditions=tuple(_left(name, limits) for name in limited),
+        path=partial(flight.in_the_air, air=air) if limited else flight.below_interface,
+        path_conditions=(
+            Variable(
+                name="depth_below_interface", unit="m", description="negative where the entry leaves the air again"
+            ),
+            *(_left(name, limits) for name in limited),
+        ),
         outputs=partial(told.felt, air=air),
         output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
         integrals=partial(told.heated, air=air) if nose else None,
@@ -174,6 +179,9 @@ def _entry(
 
 
 _LEVEL = 1e-12  # rad, of an orbit above the equator
+_IN_THE_AIR = Variable(
+    name="depth_below_interface", unit="m", description="negative where the entry leaves the air again"
+)
 _PARTS = 20  # of a limit: so many g0, the unit of a load, are a hard entry, and its touch is as well told
 
 

@@ -1,0 +1,104 @@
+"""Entries that leave the air again: falls that rise above the interface once more, and so are none.
+
+A fall that is shallow and fast passes its lowest point before drag has slowed it, and climbs out. How high it rises
+again is computed over the box of all masses, angles and speeds at the interface (`perilune.models.deorbit.ballistic`),
+each fall pulled down by as much as anything may that one in a plane leaves out: oblateness and the flattening make the
+body pull harder, and the air goes along as slowly as in the most westerly plane to which the propellant turns the
+orbit. Where every one of them leaves, no ballistic entry stays in the air.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.models.atmosphere import Air
+from perilune.models.deorbit.ballistic import (
+    LEFT_OUT,
+    box_of_angles,
+    box_of_masses,
+    box_of_speeds,
+    least_between,
+    of_mass,
+)
+from perilune.models.deorbit.fall import Fall, fall
+from perilune.models.deorbit.passes import furthest_turned, velocity_change
+from perilune.problem.preflight import Finding
+from perilune.words.types import Matrix
+
+_POINTS = 2001  # of a fall, which takes up to three turns
+
+
+def leaves_again(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
+    """Whether every ballistic entry leaves the air again; else whether a typical one does.
+
+    Parameters
+    ----------
+    p, air
+        Parameters [SI], numbers all of them, and the air.
+    typical
+        A fall of them.
+    """
+    if (tops := _tops(p, air)) is not None:
+        least = (1 - LEFT_OUT) * least_between(tops)
+        if least > 0:
+            yield _beside_interface(
+                "every fall", least, binding=True,
+                meaning="every ballistic entry that the interface allows leaves the air again (skip-out): over all"
+                f" masses, angles and speeds there they rise to {np.min(tops) / 1e3:.3g} km above it or more",
+            )  # fmt: skip
+            return
+    yield _beside_interface(
+        "a fall", risen_again(typical, p.interface_altitude), binding=False,
+        meaning="a typical ballistic entry leaves the air again (skip-out)",
+    )  # fmt: skip
+
+
+def _beside_interface(which: str, top: float, *, binding: bool, meaning: str) -> Finding:
+    return Finding(
+        name=f"height above the interface to which {which} without lift rises again", value=max(top, 0.0) / 1e3,
+        limit=0.0, at_least=False, unit="km", binding=binding, meaning=meaning,
+        advice="a steeper interface.angle, or a lower speed at the interface",
+    )  # fmt: skip
+
+
+def _tops(p: Any, air: Air) -> Matrix | None:
+    """How far [m] falls rise again above the interface, on a grid over their box; None where any does not."""
+    masses, angles, speeds = box_of_masses(p), box_of_angles(p), box_of_speeds(p)
+    if angles is None or speeds is None:
+        return None
+    down, found = pulled_down(p), list[float]()
+    # The steepest and slowest leave last.
+    for mass, steep, speed in product(masses, angles, speeds):
+        found.append(
+            risen_again(fall(of_mass(down, mass), air, float(steep), float(speed), _POINTS), p.interface_altitude)
+        )
+        if not found[-1] > 0:
+            return None
+    return np.array(found).reshape(len(masses), len(angles), len(speeds))
+
+
+def risen_again(fallen: Fall, interface: float) -> float:
+    """How far [m] a fall rises above the interface after its lowest point; -inf where it never climbs."""
+    heights = fallen.rows[:, 0]
+    climbs = np.nonzero(np.diff(heights) > 0)[0]
+    return float(np.max(heights[climbs[0] + 1 :])) - interface if len(climbs) else -math.inf
+
+
+def pulled_down(p: Any) -> Any:
+    """The same return whose falls are pulled down by as much as anything may that a fall in a plane leaves out."""
+    oblate = sum((k + 1) * abs(getattr(p, f"body_j{k}", 0.0)) for k in (2, 3, 4))
+    turned = float(furthest_turned(p, velocity_change(p))) if hasattr(p, "vehicle_dry_mass") else math.pi
+    along = math.copysign(1.0, p.body_rotation_rate)  # the way that the air goes
+    away = min(math.acos(along * math.cos(p.orbit_inclination)) + turned, math.pi)
+    changed = {
+        "body_gravitational_parameter": p.body_gravitational_parameter
+        * (1 + oblate + 2 * getattr(p, "body_flattening", 0.0)),
+        "orbit_inclination": math.acos(along * math.cos(away)),
+    }
+    return SimpleNamespace(**{**vars(p), **changed})
