@@ -14,6 +14,7 @@ from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import beyond_shooting, free_values, residual_scales
 from perilune.methods.coarse import Coarse, along_path
 from perilune.methods.judge import Breach
+from perilune.methods.undetermined import undetermined
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.continuum import nearly_open
@@ -125,6 +126,9 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
     if nearest is not None and nearly_open(nearest):
         got += f"; {NOT_ISOLATED}"
         advice = "a condition more at the end, a shorter or a free duration; " + advice
+    if coarse.solution is not None and (loose := undetermined(coarse.solution)):
+        got += f"; in the direct method's flight nothing determines {' and '.join(loose)}: any that arrives is as good"
+        advice = "minimise what depends on it, as the time of flight; " + advice
     if flight is not None and (beyond := beyond_shooting(flight, conditions)) is not None:
         got, advice = beyond
     return NotConvergedError(
