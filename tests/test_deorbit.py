@@ -287,6 +287,9 @@ def test_who_falls_too_fast_for_a_parachute_is_told_before() -> None:
     assert [found[0].passed for found in said] == [True, False] and not said[1][0].binding
     terminal = math.sqrt(2 * 125.0 * 9.82 / 1.225)
     assert said[0][0].value == pytest.approx(terminal, rel=0.02)
+    # The mass that falls steadily at 300 m/s at the site itself: rho V^2 S/(2 g).
+    enough = 1.225 * 300.0**2 * 0.1 / (2 * 3.986005e14 / 6371e3**2)
+    assert f"slow enough below {enough:.0f} kg of its 500 kg" in said[1][0].meaning
     named = returning(replace(VEHICLE, drag_area=0.1), site=replace(SITE, speed_upper=2000.0))
     assert all(f.passed for f in preflight(named) if f.name.startswith("landing speed"))
 

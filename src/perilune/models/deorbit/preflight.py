@@ -153,13 +153,16 @@ def _of_one(p: Any, low: Any) -> bool:
 def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
     """How fast a typical fall without lift arrives, which is no proof of others; and whether all arrive too fast."""
     advice = "more drag area, a higher site.altitude, or a greater site.speed_upper"
-    found = list[Finding]()
+    found, light = list[Finding](), ""
+    if fallen.lands and hasattr(p, "vehicle_drag_area") and not hasattr(p, "separation_mass"):
+        enough = p.vehicle_mass * (p.site_speed_upper / terminal_speed(p, air)) ** 2
+        light = f"; falling steadily it is slow enough below {enough:.0f} kg of its {p.vehicle_mass:g} kg"
     if fallen.lands:
         found.append(
             Finding(
                 name="landing speed of a fall without lift", value=float(fallen.rows[-1, 2]), limit=p.site_speed_upper,
                 at_least=False, unit="m/s", binding=False,
-                meaning="the vehicle may arrive faster than site.speed_upper, which a parachute can take",
+                meaning=f"the vehicle may arrive faster than site.speed_upper, which a parachute can take{light}",
                 advice=advice,
             )
         )  # fmt: skip
