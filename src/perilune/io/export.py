@@ -195,17 +195,23 @@ def trajectory_name(solution: Solution, k: int) -> str:
 
 def whole_document(solution: Solution, scenario_text: str | None = None) -> dict[str, Any]:
     """Everything about a solution, as the tree that ``solution.json`` holds."""
-    problem = solution.problem
-    scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": versions(),
+        **problem_document(solution.problem, scenario_text),
+        **answer_document(solution),
+        "phases": phases_document(solution),
+    }
+
+
+def problem_document(problem: Problem, scenario_text: str | None = None) -> dict[str, Any]:
+    """A problem as a tree that `perilune.io.reload.read_problem` makes it of again, wherever it was stated."""
+    scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
+    return {
         "scenario": scenario,
         "made": _made_document(problem) if scenario is None else None,
         "problem": physics_document(problem),
         "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
-        **answer_document(solution),
-        "phases": phases_document(solution),
     }
 
 

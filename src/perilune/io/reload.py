@@ -74,7 +74,7 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
         from perilune.scenario import load_text as problem_from_scenario
     path = demand_path(directory, "the directory of a saved solution")
     document = _document(path)
-    problem = _problem(document, problem_from_scenario)
+    problem = read_problem(document, problem_from_scenario)
     found = read_answer(document, problem, read_trajectories(document, problem))
     return replace(found, repeated=Repeated.of(path, document))
 
@@ -138,10 +138,10 @@ def _document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
+def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
     """The problem by its scenario or its model where there is one, which must be that of the expressions."""
     stated = None if document.get("scenario") is None else problem_from_scenario(_scenario_text(document))
-    if document["format"]["version"] == WITH_SCENARIO_ONLY:
+    if document["format"]["version"] == WITH_SCENARIO_ONLY and document["format"]["name"] == FORMAT_NAME:
         stated = stated or part(document, "scenario", dict)
         _check_given(document, stated)
         return stated

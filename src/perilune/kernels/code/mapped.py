@@ -53,11 +53,11 @@ class BoundMap:
 class Map:
     """A traced function over lanes. Use `compile_map`."""
 
-    def __init__(self, function: Any, cache: bool, compiled: bool) -> None:
+    def __init__(self, function: Any, times: int, cache: bool, compiled: bool) -> None:
         self._sizes = [function.size1_in(i) for i in range(function.n_in())]
         self._widths = [function.numel_out(i) for i in range(function.n_out())]
-        self._flat = _flat(function)
-        self._call = _native(self._flat, self._widths, cache) if compiled else None
+        self._flat, self._times = _flat(function), times
+        self._call = _native(self._flat, self._widths, times, cache) if compiled else None
 
     def bind(self, *arguments: Matrix) -> BoundMap:
         """Bind to arrays (lanes, n); one of one row serves every lane.
@@ -89,14 +89,26 @@ class Map:
         def evaluate() -> None:
             columns = [np.broadcast_to(a, (bound.lanes, a.shape[1])).T for a in bound.inputs]
             rows = np.asarray(function(*columns)).reshape(-1, bound.lanes).T
+            for _ in range(1, self._times):
+                rows = np.asarray(function(rows.T, *columns[1:])).reshape(-1, bound.lanes).T
             for out, found in zip(bound.outputs, np.split(rows, cuts, axis=1), strict=True):
                 out[:] = found
 
         return evaluate
 
 
-def compile_map(function: Any, *, cache: bool = True, backend: str | None = None) -> Map:
+def compile_map(function: Any, *, times: int = 1, cache: bool = True, backend: str | None = None) -> Map:
     """Compile an SX ``casadi.Function`` of column vectors.
+
+    Parameters
+    ----------
+    function
+        What to compile.
+    times
+        How often it is applied: its one output takes the place of its first argument and the others stay, as in a march
+        of equal steps.
+    cache, backend
+        As for `compile_arcs`.
 
     Returns
     -------
@@ -104,7 +116,7 @@ def compile_map(function: Any, *, cache: bool = True, backend: str | None = None
         (a (lanes, na), b (lanes, nb), ...) -> its outputs, each (lanes, m), matrices row by row as NumPy reads them; an
         argument of one row serves every lane.
     """
-    return Map(function, cache, native.chosen(backend))
+    return Map(function, times, cache, native.chosen(backend))
 
 
 def _flat(function: Any) -> Any:
@@ -144,18 +156,19 @@ def _in_rows(array: Matrix) -> Matrix:
     return rows if whole else np.ascontiguousarray(rows)
 
 
-def _native(function: Any, widths: Sequence[int], cache: bool) -> Any:
+def _native(function: Any, widths: Sequence[int], times: int, cache: bool) -> Any:
     """Return ``map(first group, last group, table)`` of a flat function, from disk or compiled."""
 
     def build() -> bytes:
-        return native.compile_ir(_module(function, widths))
+        return native.compile_ir(_module(function, widths, times))
 
-    name = disk.key(function.serialize(), f"map {_WIDTH} {widths}", *native.processor(), *native.versions())
+    what = f"map {_WIDTH} {widths}" + (f" {times} times" if times > 1 else "")
+    name = disk.key(function.serialize(), what, *native.processor(), *native.versions())
     code = native.MachineCode(disk.fetch(name, build, enabled=cache))
     return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
 
 
-def _module(function: Any, widths: Sequence[int]) -> str:
+def _module(function: Any, widths: Sequence[int], times: int) -> str:
     """The table holds the number of lanes, where each output lies, and where each input lies and its stride."""
     program, first = trace(function), 1 + len(widths)
     sizes = [function.size1_in(i) for i in range(function.n_in())]
@@ -169,7 +182,10 @@ def _module(function: Any, widths: Sequence[int]) -> str:
         for i, (held, size) in enumerate(zip(inputs, sizes, strict=True)):
             source, stride = w.address(table, first + 2 * i, NUM), w.load(table, first + 1 + 2 * i)
             w.run(f"call void @gather(ptr {source}, i64 {stride}, i64 {size}, i64 {base}, i64 {lanes}, ptr {held})")
-        w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, results))})")
+        with w.loop(0, times):
+            w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, results))})")
+            for entry in range(widths[0] if times > 1 else 0):
+                w.store(w.load(results, entry), inputs[0], entry)
         for i, width in enumerate(widths):
             held, target = w.at(results, sum(widths[:i])), w.address(table, 1 + i, NUM)
             w.run(f"call void @scatter(ptr {target}, i64 {width}, i64 {width}, i64 {base}, i64 {lanes}, ptr {held})")

@@ -1,0 +1,1 @@
+"""Extremals mapped over a region of parameters, kept on disk, and answers read from them."""

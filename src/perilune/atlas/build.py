@@ -1,0 +1,298 @@
+"""Building an atlas: the survey, then every brick, anywhere and in any order; what is there already is not computed again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.brick import Brick
+from perilune.atlas.chart import Chart
+from perilune.atlas.reflight import Reflights
+from perilune.atlas.region import Region, region_of
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.store import Store
+from perilune.atlas.survey import Survey
+from perilune.conditions.held import Held
+from perilune.families.members import Submits
+from perilune.io.export import problem_document, versions
+from perilune.methods.indirect import Indirect
+from perilune.problem.extremal import Nature
+from perilune.problem.problem import Problem
+from perilune.words.asked import demand, demand_callable, demand_path
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch, silent
+
+TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
+_LOOSEST, _TIGHTEST = 1e-4, 1e-12
+
+
+def node_type(d: int, n: int) -> np.dtype[Any]:
+    """Columns of a shard of nodes, of d axes and n unknowns."""
+    return np.dtype(
+        [
+            ("sheet", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)), ("terms", "<f8", (2**d, n + 1)),
+            ("margin", "<f8"), ("length", "<f8"), ("residual", "<f8"), ("path", "<f8"), ("minimum", "<f8"),
+            ("drift", "<f8"),
+        ]
+    )  # fmt: skip
+
+
+def cell_type(d: int) -> np.dtype[Any]:
+    """Columns of a shard of cells."""
+    return np.dtype(
+        [
+            ("sheet", "<i4"), ("low", "<i4", (d,)), ("size", "<i4", (d,)), ("corners", "<i4", (2**d,)), ("axis", "<i4"),
+            ("child", "<i4"), ("status", "<i4"),
+        ]
+    )  # fmt: skip
+
+
+def seed_type(d: int, n: int) -> np.dtype[Any]:
+    """Columns of a shard of the survey: unknowns of a sheet at corners of bricks."""
+    return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("y", "<f8", (n,))])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One brick of one chart, as any process can compute it.
+
+    Parameters
+    ----------
+    problem, names, widths, keep
+        The chart.
+    sheets
+        All sheets of the chart.
+    low, high
+        The box [SI].
+    sheet, corner, y
+        Extremals at its corners.
+    tolerance
+        Of `build`.
+    """
+
+    problem: Problem
+    names: tuple[str, ...]
+    widths: Vector
+    keep: Held
+    sheets: tuple[Sheet, ...]
+    low: Vector
+    high: Vector
+    sheet: NDArray[np.int64]
+    corner: NDArray[np.int64]
+    y: Matrix
+    tolerance: float
+
+
+def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Nodes and cells of a brick, as their shards have them."""
+    chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.keep)
+    low, high = task.low / chart.scale, task.high / chart.scale
+    cut = Brick(chart, borders, task.sheets, low, high, task.tolerance, watch).cut(task.sheet, task.corner, task.y)
+    d, count = len(low), len(cut.nodes["sheet"])
+    n = task.y.shape[1]
+    nodes = np.zeros(count, dtype=node_type(d, n))
+    for name in ("sheet", "place", "terms", "margin", "length"):
+        nodes[name] = cut.nodes[name]
+    values = low + cut.nodes["place"] * ((high - low) / 2**12)
+    nodes["values"] = values * chart.scale
+    held = chart.choice(values, borders.holds(task.sheets, cut.nodes["sheet"], values))[:, : chart.shooting.plan.held] > 0
+    flown = reflights(chart.whole(values, cut.nodes["terms"][:, 0, :n]), chart.p[None], held)
+    for name in ("residual", "path", "minimum", "drift"):
+        nodes[name] = getattr(flown, name)
+    cells = np.zeros(len(cut.cells), dtype=cell_type(d))
+    for name in cells.dtype.names or ():
+        cells[name] = getattr(cut.cells, name)
+    return nodes, cells
+
+
+@lru_cache(maxsize=4)
+def _tools(problem: Problem, names: tuple[str, ...], widths: tuple[float, ...], keep: Held) -> Any:
+    chart = Chart(problem, names, np.array(widths), keep)
+    return chart, Borders(chart), Reflights(chart.free, chart.conditions)
+
+
+def build(
+    problem: Problem,
+    axes: Mapping[str, Any],
+    store: str | Path,
+    executor: Submits | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+    method: Indirect | None = None,
+    watch: Watch | None = None,
+) -> Path:
+    """Map the extremals of a problem over a region of its parameters.
+
+    Parameters
+    ----------
+    problem
+        What is mapped; its own values of the axes are not used.
+    axes
+        ``{name: (low, high)}`` in SI, one to four; a dot in a name may stand for an underscore.
+    store
+        The directory. One that holds part of the same atlas is gone on with.
+    executor
+        Where the bricks are computed: a `concurrent.futures.Executor` (a process pool, say) or a Dask client.
+    tolerance
+        Relative, of the unknowns: a cell is cut until one step of Newton's method leads there from what it gives.
+    method
+        By which the survey solves from nothing, ``Indirect()`` by default.
+    watch
+        Receives lines of text.
+
+    Returns
+    -------
+    Path
+        The directory, for `perilune.atlas.open`.
+
+    Raises
+    ------
+    PeriluneError
+        If the region is none, the directory is of another atlas, or nothing in the region can be mapped.
+    """
+    demand(problem, Problem, "a problem to map")
+    demand_callable(watch, "a watch")
+    region, say = region_of(problem, axes), watch or silent
+    if not (isinstance(tolerance, float) and _TIGHTEST <= tolerance <= _LOOSEST):
+        raise PeriluneError(
+            "the tolerance of an atlas is out of range", got=repr(tolerance)[:40],
+            expected=f"{_TIGHTEST:g} to {_LOOSEST:g}, relative",
+        )  # fmt: skip
+    kept = Store(demand_path(store, "the directory of an atlas"))
+    kept.begin(
+        {
+            "axes": [vars(axis) for axis in region.axes],
+            "tolerance": tolerance,
+            "versions": versions(),
+            **problem_document(problem),
+        }
+    )
+    survey = _surveyed(kept, problem, region, method or Indirect(), say)
+    done = {line["name"] for line in kept.lines() if line.get("kind") == "brick" and line.get("survey") == survey["digest"]}
+    todo = {name: task for name, task in _tasks(kept, problem, region, survey, tolerance) if name not in done}
+    total = len(done) + len(todo)
+    nodes = sum(line["nodes"]["rows"] for line in kept.lines() if line.get("kind") == "brick")
+    say(f"{len(done)} of {total} bricks are there, {nodes} nodes")
+    for name, arrays in _everywhere(kept, todo, executor, say):
+        if arrays is None:  # another builder's
+            continue
+        shards = {kind: kept.put(f"brick-{survey['digest'][:8]}-{name}.{kind}.npy", rows) for kind, rows in arrays.items()}
+        group, *brick = (int(part) for part in name.split("-"))
+        kept.add({"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"], **shards})
+        nodes += len(arrays["nodes"])
+        done.add(name)
+        say(f"{len(done)} of {total} bricks, {nodes} nodes")
+    return kept.directory
+
+
+def _everywhere(
+    kept: Store, todo: Mapping[str, Task], executor: Submits | None, say: Watch
+) -> Iterator[tuple[str, dict[str, NDArray[Any]] | None]]:
+    """Shards of the bricks that can be claimed, as soon as they are there; None for those of another builder."""
+    if executor is None:
+        for name, task in todo.items():
+            with kept.claimed(name) as ours:
+                yield name, _arrays(computed(task, say)) if ours and not _there(kept, name) else None
+        return
+    with ExitStack() as claims:
+        waiting: dict[Any, str] = {}
+        for name, task in todo.items():
+            if claims.enter_context(kept.claimed(name)) and not _there(kept, name):
+                waiting[executor.submit(computed, task)] = name
+        while waiting:
+            for future in _first(waiting):
+                yield waiting.pop(future), _arrays(future.result())
+
+
+def _first(waiting: Mapping[Any, str]) -> Sequence[Any]:
+    try:
+        return list(wait(waiting, return_when=FIRST_COMPLETED).done)
+    except (AttributeError, TypeError):  # a Dask future, which is waited for by asking it
+        return [next(iter(waiting))]
+
+
+def _arrays(found: tuple[NDArray[Any], NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {"nodes": found[0], "cells": found[1]}
+
+
+def _there(kept: Store, name: str) -> bool:
+    """Whether another builder wrote a brick in the meantime."""
+    return any(line.get("kind") == "brick" and line.get("name") == name for line in kept.lines())
+
+
+def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, say: Watch) -> dict[str, Any]:
+    """The survey's line of the manifest, made where there is none."""
+    for line in kept.lines():
+        if line.get("kind") == "survey":
+            return line
+    survey = Survey(problem=problem, region=region, method=method, watch=say)
+    places, _ = region.corners()
+    charts = []
+    for number, found in enumerate(survey.run()):
+        sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
+        rows = np.zeros(len(sheet), dtype=seed_type(len(region.axes), found.y.shape[2]))
+        rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], found.y[sheet, corner]
+        charts.append(
+            {
+                "keep": list(found.chart.keep),
+                "unknowns": found.y.shape[2],
+                "sheets": [
+                    {"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets
+                ],
+                "seeds": kept.put(f"survey-{number}.npy", rows),
+            }
+        )
+    digest = hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
+    line = {"kind": "survey", "digest": digest, "charts": charts, "notes": survey.notes[:100]}
+    kept.add(line)
+    return next(found for found in kept.lines() if found.get("kind") == "survey")
+
+
+def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
+    """The sheets that the survey's line lists for a chart."""
+    return tuple(
+        Sheet(holds=dict(s["holds"]), orientation=float(s["orientation"]), nature=Nature[s["nature"]])
+        for s in chart["sheets"]
+    )
+
+
+def _tasks(
+    kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
+) -> Iterator[tuple[str, Task]]:
+    """Every brick in which a sheet is known, by its name."""
+    d = len(region.axes)
+    for number, chart in enumerate(survey["charts"]):
+        seeds = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+        for brick in region.bricks:
+            side = seeds["corner"] - np.array(brick)
+            here = ((side == 0) | (side == 1)).all(axis=1)
+            if not here.any():
+                continue
+            low, high = region.box(brick)
+            yield (
+                "-".join(map(str, (number, *brick))),
+                Task(
+                    problem=problem,
+                    names=region.names,
+                    widths=region.high - region.low,
+                    keep=tuple(chart["keep"]),
+                    sheets=sheets_of(chart),
+                    low=low,
+                    high=high,
+                    sheet=seeds["sheet"][here].astype(np.int64),
+                    corner=(side[here] << np.arange(d)).sum(axis=1),
+                    y=np.array(seeds["y"][here]),
+                    tolerance=tolerance,
+                ),
+            )

@@ -1,0 +1,197 @@
+"""Extremals as functions of parameters: Newton's method in lanes, each at its own values, and exact derivatives.
+
+A parameter that varies is a free one that is held (`perilune.problem.neighbours.varied`). So its value is a lane's own, its
+column of the inverse Jacobian is dY/dp, and its row of the stationarity conditions dJ/dp along the family of extremals.
+Derivatives by several parameters are differences of these, at points beside the extremal on its tangent plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.hermite import bits
+from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.held import Held
+from perilune.conditions.pontryagin import Conditions, derive
+from perilune.problem.neighbours import varied
+from perilune.problem.problem import Problem
+from perilune.shooting.function import Roots, Shooting
+from perilune.shooting.newton import FINEST
+from perilune.words.types import Matrix, Vector
+
+_BESIDE = 1e-4  # of the range of a parameter: where its mixed derivatives are taken; errors are of its square
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extremals:
+    """Roots at values of the parameters, all canonical.
+
+    Attributes
+    ----------
+    values
+        Of the parameters, (lanes, d).
+    y
+        The other unknowns that Newton moves, (lanes, n).
+    slopes
+        dy/dp, (lanes, d, n).
+    cost, cost_slopes
+        J (lanes,) and dJ/dp (lanes, d).
+    orientation
+        Sign of det(dh/dy), (lanes,): it changes only where two families of extremals meet, at a fold.
+    converged
+        Which of them are roots, (lanes,).
+    length
+        |J^-1 h| over 1 + |y|: the step that Newton's method would make from here, (lanes,).
+    stepped
+        y behind that step, (lanes, n).
+    """
+
+    values: Matrix
+    y: Matrix
+    slopes: NDArray[np.float64]
+    cost: Vector
+    cost_slopes: Matrix
+    orientation: Vector
+    converged: NDArray[np.bool_]
+    length: Vector
+    stepped: Matrix
+    roots: Roots
+
+    def of(self, which: NDArray[np.bool_]) -> Extremals:
+        """Some of the lanes."""
+        named = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name != "roots"}
+        return Extremals(**named, roots=self.roots.of(np.nonzero(which)[0]))
+
+
+class Chart:
+    """Extremals of a problem over some of its parameters.
+
+    Parameters
+    ----------
+    problem
+        What varies, at any values.
+    names
+        Of the parameters that vary.
+    widths
+        Length of the range of each [SI].
+    keep
+        Conditions of the path that the control keeps.
+
+    Attributes
+    ----------
+    scale
+        SI size of the canonical unit of each parameter, (d,).
+    """
+
+    def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, keep: Held = ()) -> None:
+        self.problem, self.names, self.keep = problem, tuple(names), keep
+        self.free = varied(problem, names)
+        self.conditions: Conditions = derive(self.free, keep)
+        self.p = extremal_parameters(self.free)
+        self.shooting = Shooting(self.conditions)
+        self.scale = np.array([problem.scales.of(problem.unit_of(name)) for name in names])
+        self.widths = np.asarray(widths, dtype=float) / self.scale
+
+    @cached_property
+    def _indices(self) -> list[int]:
+        """Of the parameters among the free ones."""
+        return [self.free.free_names.index(name) for name in self.names]
+
+    @cached_property
+    def _held_at(self) -> NDArray[np.int64]:
+        """Their places among the unknowns that Newton moves."""
+        return self.shooting.plan.at_free + np.array(self._indices)
+
+    @cached_property
+    def places(self) -> NDArray[np.int64]:
+        """Of the other unknowns among those that Newton moves."""
+        return np.setdiff1d(np.arange(len(self.shooting.plan.active)), self._held_at)
+
+    @cached_property
+    def _rows(self) -> NDArray[np.int64]:
+        """Of their stationarity among the residuals that are left."""
+        plan = self.shooting.plan
+        return plan.rows.searchsorted(self.conditions.stationarity_at.start + np.array(self._indices))
+
+    def choice(self, values: Matrix, holds: Matrix) -> Matrix:
+        """What is held in each lane: the parameters at their values, and `holds` (masks, values) of all others."""
+        held = self.shooting.plan.held
+        choice = np.array(np.broadcast_to(holds, (len(values), 2 * held)))
+        choice[:, self._indices] = 1.0
+        choice[:, held + np.array(self._indices)] = values
+        return choice
+
+    def whole(self, values: Matrix, y: Matrix) -> Matrix:
+        """All unknowns of lanes."""
+        plan = self.shooting.plan
+        Y = np.zeros((len(values), plan.size))
+        Y[:, plan.active[self.places]] = y
+        Y[:, plan.active[self._held_at]] = values
+        return Y
+
+    def told(self, unknowns: Vector) -> Vector:
+        """Of unknowns of the problem itself those that this chart moves."""
+        own = derive(self.problem, self.keep)
+        named = dict(zip(own.unknowns, unknowns, strict=True))
+        names = [self.conditions.unknowns[i] for i in self.shooting.plan.active[self.places]]
+        return np.array([named.get(name, 0.0) for name in names])
+
+    def solve(self, values: Matrix, y: Matrix, holds: Matrix, **settings: Any) -> Extremals:
+        """Newton's method in each lane; settings as for it."""
+        settings = {"limit": 12, "accuracy": FINEST, **settings}
+        return self._of(values, self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings))
+
+    def at(self, values: Matrix, y: Matrix, holds: Matrix) -> Extremals:
+        """What there is at points that need be no roots."""
+        return self._of(values, self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds)))
+
+    def _of(self, values: Matrix, roots: Roots) -> Extremals:
+        plan, columns, rows = roots.plan, roots.plan.columns, roots.rows
+        inverse = rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
+        with np.errstate(all="ignore"):
+            orientation = np.linalg.slogdet(inverse)[0]
+        extra = rows[:, columns.extras]
+        return Extremals(
+            values=values,
+            y=roots.y[:, plan.active[self.places]],
+            slopes=inverse[:, self.places[:, None], self._rows[None]].transpose(0, 2, 1),
+            cost=extra[:, -1],
+            cost_slopes=extra[:, self._indices],
+            orientation=orientation,
+            converged=roots.converged & np.isfinite(rows).all(axis=1),
+            length=rows[:, 2] / (1.0 + rows[:, 3]),
+            stepped=(roots.y[:, plan.active] + rows[:, columns.step])[:, self.places],
+            roots=roots,
+        )
+
+    def terms(self, found: Extremals, holds: Matrix) -> NDArray[np.float64]:
+        """Values and derivatives of y and J for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`."""
+        lanes, d = found.values.shape
+        n = found.y.shape[1]
+        out = np.zeros((lanes, 2**d, n + 1))
+        out[:, 0, :n], out[:, 0, n] = found.y, found.cost
+        slopes = np.concatenate([found.slopes, found.cost_slopes[:, :, None]], axis=2)
+        for i in range(d):
+            out[:, 1 << i] = slopes[:, i]
+        if d == 1:
+            return out
+        # Slopes at all points a little off along the axes but the first give every mixed derivative.
+        beside, step = np.hstack([np.zeros((2 ** (d - 1), 1)), 2.0 * bits(d - 1) - 1.0]), _BESIDE * self.widths
+        values = found.values[:, None] + step * beside
+        y = found.y[:, None] + np.einsum("ki,lin->lkn", step * beside, found.slopes)
+        each = np.repeat(np.broadcast_to(holds, (lanes, holds.shape[-1])), len(beside), axis=0)
+        near = self.at(values.reshape(-1, d), y.reshape(-1, n), each)
+        slopes = np.concatenate([near.slopes, near.cost_slopes[:, :, None]], axis=2).reshape(lanes, len(beside), d, n + 1)
+        for term in range(3, 2**d):
+            axes = np.nonzero(bits(d)[term])[0]
+            if len(axes) > 1:
+                first, others = axes[0], axes[1:]
+                signs = beside[:, others].prod(axis=1) / len(beside) / step[others].prod()
+                out[:, term] = np.einsum("k,lkn->ln", signs, slopes[:, :, first])
+        return out

@@ -1,0 +1,160 @@
+"""Sheets: families of extremals over the region, each smooth in the parameters, and where they may be answers.
+
+A sheet is told by what its extremals hold (free parameters or ranges at a bound) and by the sign of det(dh/dy), which
+changes only at a fold, where two sheets meet. The conditions that it solves have roots beyond where they are an answer (a
+retro burn below zero): such nodes are kept beside those that are, so that a cell reaches across the border of its sheet, and
+whether a root may be an answer is asked at the point itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.chart import Chart, Extremals
+from perilune.conditions.pontryagin import derive
+from perilune.problem.extremal import Nature
+from perilune.problem.symbolic import canonical_free, free_scales
+from perilune.shooting.active import limits_of
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+
+_SLACK = 1e-9  # canonical, by which a bound may be missed or a multiplier be on the wrong side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheet:
+    """One family of extremals.
+
+    Parameters
+    ----------
+    holds
+        Names of free parameters (or end conditions) that are held, and at which side: ``{"retro_delta_v": "lower"}``.
+    orientation
+        Sign of det(dh/dy).
+    nature
+        What its extremals were where it was found.
+    """
+
+    holds: Mapping[str, str]
+    orientation: float
+    nature: Nature
+
+    @property
+    def minimum(self) -> bool:
+        """Whether its extremals can be answers; those that are locally worst are none."""
+        return self.nature is not Nature.WORST
+
+    @property
+    def label(self) -> str:
+        """What tells it, in words."""
+        held = ", ".join(f"{name} at its {side} bound" for name, side in self.holds.items())
+        return f"{held or 'all free'}, {'+' if self.orientation > 0 else '-'}, {self.nature.outdone.value}"
+
+
+class Borders:
+    """Bounds of what can be held, at values of the parameters.
+
+    Parameters
+    ----------
+    chart
+        Whose extremals.
+    """
+
+    def __init__(self, chart: Chart) -> None:
+        self.chart, problem = chart, chart.problem
+        plan, own = chart.shooting.plan, limits_of(problem, derive(problem, chart.keep))
+        free, ends = len(problem.free), [c for phase in problem.phases for c in phase.end_conditions]
+        lower, upper = np.full(plan.held, -np.inf), np.full(plan.held, np.inf)
+        lower[:free], upper[:free] = own.lower[:free], own.upper[:free]
+        lower[plan.free :], upper[plan.free :] = own.lower[free:], own.upper[free:]
+        for i, name in enumerate(problem.free_names):
+            if name in chart.names:  # what varies is where it is told to be
+                lower[i], upper[i] = -np.inf, np.inf
+        self._lower, self._upper = lower, upper
+        self.names = [*chart.free.free_names, *(ends[row].name for row, _ in chart.conditions.ranges)]
+        self._ranged = [ends[row] for row, _ in chart.conditions.ranges]
+        self._free_sizes = free_scales(problem.free, problem)
+
+    def at(self, values: Matrix) -> tuple[Matrix, Matrix]:
+        """Lower and upper bounds, canonical, (lanes, what can be held) each."""
+        chart, problem = self.chart, self.chart.problem
+        lower, upper = (np.tile(bound, (len(values), 1)) for bound in (self._lower, self._upper))
+        named = any(isinstance(limit, str) for c in self._ranged for limit in (c.lower, c.upper))
+        if problem.ranges is None and not named:
+            return lower, upper
+        given = {name: g.value for name, g in problem.given.items()}
+        places = [(i, f.name) for i, f in enumerate(problem.free) if f.name not in chart.names]
+        for lane, row in enumerate((values * chart.scale).tolist()):
+            p = SimpleNamespace(**{**given, **dict(zip(chart.names, row, strict=True))})
+            if problem.ranges is not None:
+                try:
+                    found = problem.ranges(p, NUMERIC)
+                except PeriluneError:
+                    found = {}
+                for i, name in places:
+                    if name in found:
+                        size = self._free_sizes[i]
+                        low, high = found[name][0] / size, found[name][1] / size
+                        lower[lane, i] = low if np.isfinite(self._lower[i]) else self._lower[i]
+                        upper[lane, i] = high
+            for k, condition in enumerate(self._ranged if named else (), chart.shooting.plan.free):
+                low, high = condition.limits(p)
+                size = problem.size_of(condition)
+                lower[lane, k], upper[lane, k] = low / size, high / size
+        return lower, upper
+
+    def holds(self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix) -> Matrix:
+        """What each lane holds beside the parameters, as `Chart.solve` takes it; `which` is each lane's sheet."""
+        held = self.chart.shooting.plan.held
+        out = np.zeros((len(values), 2 * held))
+        if not any(sheet.holds for sheet in sheets):
+            return out
+        lower, upper = self.at(values)
+        for number, sheet in enumerate(sheets):
+            here = which == number
+            for name, side in sheet.holds.items():
+                i = self.names.index(name)
+                out[here, i] = 1.0
+                out[here, held + i] = (lower if side == "lower" else upper)[here, i]
+        return out
+
+    def margins(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
+        """How far each lane is from where its sheet ends to be an answer; below zero beyond it. Canonical.
+
+        Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior.
+        """
+        at, rises = self.chart.shooting.held_values(found.roots)
+        lower, upper = self.at(found.values)
+        masks = found.roots.choice[:, : self.chart.shooting.plan.held] > 0
+        with np.errstate(invalid="ignore"):
+            inside = np.minimum(at - lower, upper - at)
+        inside = np.where(masks | np.isnan(inside), np.inf, inside)
+        margin = inside.min(axis=1, initial=np.inf)
+        for number, sheet in enumerate(sheets):
+            here = which == number
+            for name, side in sheet.holds.items():
+                i = self.names.index(name)
+                rise = rises[here, i] * (1.0 if side == "lower" else -1.0)
+                margin[here] = np.minimum(margin[here], rise)
+        return margin
+
+
+def held_at(borders: Borders, values: Vector, free: Mapping[str, float]) -> dict[str, str]:
+    """Which free parameters of an extremal [SI] lie on a bound, at values of the parameters."""
+    chart = borders.chart
+    lower, upper = (bound[0] for bound in borders.at(values[None]))
+    y = canonical_free(chart.problem, free)
+    found = {}
+    for i, name in enumerate(chart.problem.free_names):
+        if name in chart.names:
+            continue
+        for side, bound in (("lower", lower[i]), ("upper", upper[i])):
+            if abs(y[i] - bound) <= _SLACK:
+                found[name] = side
+    return found

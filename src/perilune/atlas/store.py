@@ -1,0 +1,207 @@
+"""An atlas on disk: a header, shards that never change, and a manifest to which lines are added.
+
+``atlas.json`` says what is mapped, over which region and how finely. A *shard* is one array in a file of NumPy's own format
+(``.npy``, a structured array that names its columns); it is written to the side and renamed, so that it is there whole or
+not at all. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of its shards and
+their SHA-256. A line is added by one write, after the shards that it names. So a kill at any moment costs the bricks that
+were being computed; several builders may work on one directory, each on bricks that it has locked; and a reader sees what is
+in the manifest when it looks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.io.files import finite, json_text
+from perilune.io.format import LARGEST_FILE
+from perilune.io.reading import tree
+from perilune.words.bounded import bounded_text
+from perilune.words.outcome import PeriluneError
+
+try:
+    import fcntl
+except ImportError:  # Windows: two builders may compute the same brick there
+    fcntl = None
+
+HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
+FORMAT = {"name": "perilune-atlas", "version": 1}
+_OURS = re.compile(r"(brick|survey)-[\w.-]{1,80}\.npy", re.ASCII)
+_AGAIN = "build the atlas anew, or what is missing of it: perilune atlas build ... --resume"
+
+
+class Store:
+    """The directory of one atlas.
+
+    Parameters
+    ----------
+    directory
+        Where it is.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    def begin(self, header: Mapping[str, Any]) -> None:
+        """Make the directory, or see that it is of the very same atlas.
+
+        Raises
+        ------
+        PeriluneError
+            If it is of another, or cannot be written.
+        """
+        said = json.loads(json.dumps(finite(dict(header))))
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            if not (self.directory / HEADER).exists():
+                if any(self.directory.iterdir()):
+                    raise _unusable(self.directory, "files, and no atlas", "a new or empty directory")
+                self._put(HEADER, json_text({"format": FORMAT, **said}).encode())
+        except OSError as error:
+            raise _unusable(self.directory, str(error.strerror), "a directory that you may write") from error
+        found = self.header()
+        differs = [name for name, value in said.items() if name != "versions" and found.get(name) != value]
+        if differs:
+            raise _unusable(self.directory, f"an atlas of other {', '.join(differs)}", "the same atlas")
+
+    def header(self) -> dict[str, Any]:
+        """What ``atlas.json`` says.
+
+        Raises
+        ------
+        PeriluneError
+            If there is none, or it is of another format.
+        """
+        content = bounded_text(
+            self.directory / HEADER, "atlas", LARGEST_FILE, expected=f"a directory with {HEADER}",
+            advice="perilune atlas build SCENARIO --vary KEY=LOW:HIGH --out DIR",
+        )  # fmt: skip
+        found = tree(content, "atlas")
+        if not isinstance(found, dict) or found.get("format") != FORMAT:
+            said = found.get("format") if isinstance(found, dict) else None
+            raise PeriluneError(
+                "this is not an atlas of this version", got=f"format {str(said)[:60]}", expected=str(FORMAT), advice=_AGAIN
+            )
+        return found
+
+    def lines(self) -> Iterator[dict[str, Any]]:
+        """What the manifest says so far, line by line; a last line that is not whole was never written."""
+        try:
+            content = (self.directory / MANIFEST).read_bytes()
+        except FileNotFoundError:
+            return
+        whole = content[: content.rfind(b"\n") + 1]
+        for number, line in enumerate(whole.splitlines(), 1):
+            try:
+                found = tree(line.decode(), f"line {number} of {MANIFEST}")
+            except (UnicodeDecodeError, PeriluneError):
+                continue  # of a writer that was killed in the middle, before another went on
+            if isinstance(found, dict):
+                yield found
+
+    def add(self, line: Mapping[str, Any]) -> None:
+        """Add a line to the manifest, by one write."""
+        content = (json.dumps(finite(dict(line)), allow_nan=False) + "\n").encode()
+        handle = os.open(self.directory / MANIFEST, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        try:
+            size = os.fstat(handle).st_size
+            if size and os.pread(handle, 1, size - 1) != b"\n" if hasattr(os, "pread") else False:
+                content = b"\n" + content
+            os.write(handle, content)
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+    def put(self, name: str, array: NDArray[Any]) -> dict[str, Any]:
+        """Write a shard; what the manifest says of it."""
+        content = io.BytesIO()
+        np.save(content, array, allow_pickle=False)
+        data = content.getvalue()
+        self._put(name, data)
+        return {"file": name, "rows": len(array), "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+
+    def shard(self, said: Mapping[str, Any], dtype: np.dtype[Any], *, check: bool = True) -> NDArray[Any]:
+        """A shard as an array that reads the file where it is looked at.
+
+        Raises
+        ------
+        PeriluneError
+            If it is missing, altered, or not what it should be; it is named.
+        """
+        name = str(said.get("file"))
+        path = self.directory / name
+        if not _OURS.fullmatch(name):
+            raise _damaged(name[:60], "no name of a shard")
+        try:
+            if check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256"):
+                raise _damaged(name, "another content than its checksum says")
+            found = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise _damaged(name, str(error)[:80]) from error
+        if found.dtype != dtype or found.ndim != 1 or len(found) != said.get("rows"):
+            raise _damaged(name, f"{found.dtype} {found.shape}"[:80])
+        return found
+
+    @contextlib.contextmanager
+    def claimed(self, name: str) -> Iterator[bool]:
+        """Whether a brick is this process's to compute, for as long as the block lasts; a process that dies lets go."""
+        if fcntl is None:
+            yield True
+            return
+        handle = os.open(self.directory / f".claim-{name}", os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                yield False
+                return
+            yield True
+        finally:
+            os.close(handle)
+
+    def _put(self, name: str, content: bytes) -> None:
+        temporary = self.directory / f".writing-{os.getpid()}-{name}"
+        try:
+            with temporary.open("wb") as opened:
+                opened.write(content)
+                opened.flush()
+                os.fsync(opened.fileno())
+            os.replace(temporary, self.directory / name)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise PeriluneError(
+                "the atlas cannot be written", got=f"{name}: {error.strerror}", expected="a directory with space left",
+                advice="what is there is kept: make space, and go on with --resume",
+            ) from error  # fmt: skip
+
+
+def clear(directory: Path) -> None:
+    """Remove the files of an atlas, and nothing else."""
+    with contextlib.suppress(FileNotFoundError):
+        for file in list(directory.iterdir()):
+            if _OURS.fullmatch(file.name) or file.name in (HEADER, MANIFEST) or file.name.startswith((".claim-", ".writing-")):
+                file.unlink()
+
+
+def _unusable(place: Path, got: str, expected: str) -> PeriluneError:
+    return PeriluneError(
+        f"this atlas cannot be used: {place}", got=got, expected=expected, advice="choose another directory"
+    )
+
+
+def _damaged(name: str, got: str) -> PeriluneError:
+    return PeriluneError(
+        f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written",
+        advice="the rest still serves; remove its line from the manifest and build again with --resume",
+    )  # fmt: skip

@@ -1,0 +1,205 @@
+"""The survey before the map: which sheets there are, and an extremal of each at every corner of a brick.
+
+The problem is solved from nothing at the middle and at the corners of the region. Each extremal that is found there, good or
+bad, begins a sheet, unless it lies on one already; sheets are carried to all corners of bricks by the tangent plane and
+Newton's method, in lanes, the step halved where that fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.chart import Chart
+from perilune.atlas.region import Region
+from perilune.atlas.sheets import Borders, Sheet, held_at
+from perilune.conditions.held import Held
+from perilune.methods.indirect import Indirect
+from perilune.methods.ladder import STRUCTURE
+from perilune.methods.search import Search
+from perilune.problem.extremal import Extremal
+from perilune.problem.preflight import preflight, refuse_impossible
+from perilune.problem.problem import Problem
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch
+
+_SAME = 1e-7  # relative: an extremal that lies on a sheet already
+_SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
+_MOST = 20  # evaluations of a step
+_APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of the step there, and of 1 + |y|
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """One chart of the region with its sheets, and where they reach.
+
+    Attributes
+    ----------
+    sheets
+        In the order in which they were found.
+    y
+        Unknowns of each at the corners of bricks, NaN where it does not reach, (sheets, corners, n).
+    """
+
+    chart: Chart
+    borders: Borders
+    sheets: tuple[Sheet, ...]
+    y: NDArray[np.float64]
+
+
+@dataclass
+class Survey:
+    """Finds the sheets of a region.
+
+    Parameters
+    ----------
+    problem, region, method
+        What is mapped, and how it is solved from nothing.
+    watch
+        Receives lines of text.
+
+    Attributes
+    ----------
+    notes
+        Where there was no answer, and why, in sentences.
+    """
+
+    problem: Problem
+    region: Region
+    method: Indirect
+    watch: Watch
+    notes: list[str] = field(default_factory=list)
+
+    def run(self) -> list[Found]:
+        """All sheets, by what of the path their controls keep.
+
+        Raises
+        ------
+        PeriluneError
+            If no point that was tried has an extremal which one smooth flight is.
+        """
+        _, corners = self.region.corners()
+        low, high = self.region.low, self.region.high
+        ends = (corners == low) | (corners == high)
+        tried = np.vstack([0.5 * (low + high), corners[ends.all(axis=1)]])
+        found: dict[Held, Found] = {}
+        for number, values in enumerate(tried):
+            self.watch(f"survey: point {number + 1} of {len(tried)}")
+            for keep, extremals in self._solved(values).items():
+                chart = found[keep].chart if keep in found else self.chart(keep)
+                before = found.get(keep) or self._empty(chart, len(corners))
+                found[keep] = self._with(before, corners, values, extremals)
+        if not any(known.sheets for known in found.values()):
+            raise PeriluneError(
+                "there is nothing to map",
+                got="; ".join(self.notes)[:300] or "no extremals",
+                advice="solve the problem at one point of the region first: perilune solve",
+            )
+        return [known for known in found.values() if known.sheets]
+
+    def chart(self, keep: Held) -> Chart:
+        """The chart whose controls keep conditions of the path."""
+        return Chart(self.problem, self.region.names, self.region.high - self.region.low, keep)
+
+    @staticmethod
+    def _empty(chart: Chart, corners: int) -> Found:
+        return Found(chart=chart, borders=Borders(chart), sheets=(), y=np.empty((0, corners, len(chart.places))))
+
+    def _solved(self, values: Vector) -> dict[Held, Sequence[Extremal]]:
+        """Extremals at a point, by what of the path their control keeps; none where there is no answer."""
+        told = dict(zip(self.region.names, values.tolist(), strict=True))
+        try:
+            problem = self.problem.with_given(**told)
+            refuse_impossible(preflight(problem))
+            search = Search(self.method, problem, self.watch)
+            solution = self.method.answer(search)
+        except PeriluneError as error:
+            at = ", ".join(f"{name} {value:.6g}" for name, value in told.items())
+            self.notes.append(f"at {at}: {error.what}" + (f"; got {error.got}" if error.got else ""))
+            return {}
+        if solution.statistics.rung.endswith(STRUCTURE):
+            at = ", ".join(f"{name} {value:.6g}" for name, value in told.items())
+            self.notes.append(f"at {at}: the answer is made of several arcs, which an atlas does not follow yet")
+            return {}
+        return {search.answering.keep: solution.extremals}
+
+    def _with(self, known: Found, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> Found:
+        """The same with the sheets on which extremals at a point lie."""
+        chart, borders = known.chart, known.borders
+        values = at / chart.scale
+        for extremal in extremals:
+            if not extremal.unknowns:
+                continue
+            held = held_at(borders, values, extremal.free)
+            sheet = Sheet(holds=held, orientation=0.0, nature=extremal.nature)
+            start = chart.solve(
+                values[None], chart.told(np.array(extremal.unknowns))[None],
+                borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None]), limit=_MOST,
+            )  # fmt: skip
+            if not start.converged[0]:
+                continue
+            sheet = replace(sheet, orientation=float(start.orientation[0]))
+            if self._known(known, sheet, corners / chart.scale, values, start.y[0]):
+                continue
+            y = carried(chart, borders, sheet, values, start.y[0], corners / chart.scale)
+            self.watch(f"sheet {len(known.sheets) + 1}: {sheet.label}, at {np.isfinite(y[:, 0]).sum()} corners of bricks")
+            known = replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
+        return known
+
+    @staticmethod
+    def _known(known: Found, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> bool:
+        """Whether an extremal lies on a sheet: one that reaches the nearest corner is carried from there to it."""
+        away = np.abs(corners - values).sum(axis=1)
+        for other, there in zip(known.sheets, known.y, strict=True):
+            if other.holds != sheet.holds or other.orientation != sheet.orientation:
+                continue
+            reached = np.isfinite(there[:, 0])
+            if not reached.any():
+                continue
+            nearest = int(np.where(reached, away, np.inf).argmin())
+            here = carried(known.chart, known.borders, other, corners[nearest], there[nearest], values[None])[0]
+            if np.linalg.norm(here - y) <= _SAME * (1.0 + np.linalg.norm(y)):
+                return True
+        return False
+
+
+def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:
+    """Unknowns of a sheet at other values of the parameters, (targets, n); NaN where it does not lead to.
+
+    Parameters
+    ----------
+    chart, borders, sheet
+        Whose.
+    start, y
+        An extremal of it: values, and unknowns there, canonical.
+    targets
+        Values, (targets, d), canonical.
+    """
+    count, which = len(targets), np.zeros(len(targets), dtype=np.int64)
+    first = chart.solve(start[None], y[None], borders.holds([sheet], which[:1], start[None]), limit=_MOST)
+    here = np.tile(first.y, (count, 1))
+    slopes = np.tile(first.slopes, (count, 1, 1))
+    share, stride = np.zeros(count), np.ones(count)
+    way = targets - start
+    for _ in range(_ROUNDS):
+        lanes = np.nonzero((share < 1.0) & (stride >= _SHORTEST))[0]
+        if not len(lanes) or not first.converged[0]:
+            break
+        ahead = np.minimum(1.0, share[lanes] + stride[lanes])
+        values = start + ahead[:, None] * way[lanes]
+        values[ahead == 1.0] = targets[lanes[ahead == 1.0]]
+        step = np.einsum("ld,ldn->ln", values - (start + share[lanes, None] * way[lanes]), slopes[lanes])
+        guess = here[lanes] + step
+        found = chart.solve(values, guess, borders.holds([sheet], which[lanes], values), limit=_MOST)
+        moved, allowed = np.linalg.norm(found.y - guess, axis=1), np.linalg.norm(step, axis=1)
+        good = found.converged & (found.orientation == sheet.orientation)
+        good &= moved <= _APART * allowed + _NEAR * (1.0 + np.linalg.norm(here[lanes], axis=1))
+        reached = lanes[good]
+        here[reached], slopes[reached], share[reached] = found.y[good], found.slopes[good], ahead[good]
+        stride[lanes] *= np.where(good, 2.0, 0.5)
+    here[share < 1.0] = np.nan
+    return here
