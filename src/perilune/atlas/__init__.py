@@ -1,1 +1,36 @@
-"""Extremals mapped over a region of parameters, kept on disk, and answers read from them."""
+"""Extremals mapped over a region of parameters, kept on disk, and answers read from them.
+
+perilune.atlas.build(problem, {"vehicle.thrust": (350.0, 650.0)}, "thrusts")
+atlas = perilune.atlas.open("thrusts")
+solution = atlas.query(vehicle_thrust=440.0)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from perilune.atlas.build import build
+    from perilune.atlas.many import Answered, Answers
+    from perilune.atlas.query import Atlas, Mapped, Query, open_atlas as open
+
+_HOME = {
+    "build": ("build", "build"),
+    "open": ("query", "open_atlas"),
+    "Atlas": ("query", "Atlas"),
+    "Mapped": ("query", "Mapped"),
+    "Query": ("query", "Query"),
+    "Answers": ("many", "Answers"),
+    "Answered": ("many", "Answered"),
+}
+__all__ = ["Answered", "Answers", "Atlas", "Mapped", "Query", "build", "open"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: opening the package costs nothing."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    module, attribute = _HOME[name]
+    return getattr(import_module(f"{__name__}.{module}"), attribute)

@@ -1,9 +1,9 @@
 """A brick: one box of the region, each sheet in it cut into cells until every cell answers from its corners.
 
-A cell is cut in two where Newton's method, from what its corners give at its middle, would need more than one step to the
-tolerance; along the axis along which they are least like a quadratic. New corners begin at what the old ones give there. A
-sheet that does not reach all corners of a cell ends inside it; the cell is cut further, down to a least size, and what is
-left there answers nothing.
+A cell is cut in two where Newton's method, from what its corners give at its middle, would need more than one step to
+the tolerance; along the axis along which they are least like a quadratic. New corners begin at what the old ones give
+there. A sheet that does not reach all corners of a cell ends inside it; the cell is cut further, down to a least size,
+and what is left there answers nothing.
 
 All cells of one wave are computed together, in lanes.
 """
@@ -81,8 +81,9 @@ class Cut:
     Attributes
     ----------
     nodes
-        Of each node its ``sheet``, its ``place`` in the lattice (nodes, d), values and derivatives ``terms`` (nodes, 2^d,
-        n + 1), by how much it is an answer (``margin``), and the step that Newton's method would make there (``length``).
+        Of each node its ``sheet``, its ``place`` in the lattice (nodes, d), values and derivatives ``terms``
+        (nodes, 2^d, n + 1), by how much it is an answer (``margin``), and the step that Newton's method would make
+        there (``length``).
     cells
         Its cells.
     """
@@ -188,7 +189,7 @@ class Brick:
 
     def _judged(self, cells: Cells) -> tuple[Whole, Whole]:
         """What each cell is, and along which axis it would be cut."""
-        complete = (cells.corners >= 0).all(axis=1)
+        complete: NDArray[np.bool_] = np.all(cells.corners >= 0, axis=1)
         status, axis = np.where(complete, Status.CUT, Status.ENDS), cells.size.argmax(axis=1)
         if complete.any():
             passed, beyond, axis[complete] = self._tried(_some(cells, complete))
@@ -209,10 +210,10 @@ class Brick:
         guess = interpolated(terms, np.full(size.shape, 0.5), size)[:, :-1]
         holds = self.borders.holds(self.sheets, cells.sheet, values)
         first = self.chart.at(values, guess, holds)
-        flown = np.isfinite(first.stepped).all(axis=1)
+        flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
         second = self.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
         same = second.orientation == self.orientations[cells.sheet]
-        passed = flown & same & (second.length <= self.tolerance)
+        passed: NDArray[np.bool_] = flown & same & (second.length <= self.tolerance)
         margin = self.borders.margins(self.sheets, cells.sheet, second)
         beyond = np.maximum(margin, self.nodes.margins(cells.corners).max(axis=1)) < 0.0
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
@@ -234,14 +235,16 @@ class Brick:
         )
 
     def _filled(self, cells: Cells, wholes: Cells | None = None) -> Cells:
-        """The same with the corners solved for that are not there, from those of their `wholes` (by default their own)."""
+        """The same with the corners solved for that are not there, from those of their `wholes`, or their own."""
         cell, corner = np.nonzero(cells.corners < 0)
         if not len(cell):
             return cells
         places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
         _, once = np.unique(self._keys(cells.sheet[cell], places), return_index=True)
         cell, places = cell[once], places[once]
-        guess, spread = self._guesses(cells, cell, places) if wholes is None else self._guesses(wholes, cell // 2, places)
+        guess, spread = (
+            self._guesses(cells, cell, places) if wholes is None else self._guesses(wholes, cell // 2, places)
+        )
         self._solved(cells.sheet[cell], places, guess, spread)
         return replace(cells, corners=self._corners(cells.sheet, cells.low, cells.size))
 

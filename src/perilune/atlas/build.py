@@ -1,4 +1,4 @@
-"""Building an atlas: the survey, then every brick, anywhere and in any order; what is there already is not computed again."""
+"""Building an atlas: the survey, then every brick, anywhere and in any order; what is there is not computed again."""
 
 from __future__ import annotations
 
@@ -106,7 +106,8 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
         nodes[name] = cut.nodes[name]
     values = low + cut.nodes["place"] * ((high - low) / 2**12)
     nodes["values"] = values * chart.scale
-    held = chart.choice(values, borders.holds(task.sheets, cut.nodes["sheet"], values))[:, : chart.shooting.plan.held] > 0
+    choice = chart.choice(values, borders.holds(task.sheets, cut.nodes["sheet"], values))
+    held = choice[:, : chart.shooting.plan.held] > 0
     flown = reflights(chart.whole(values, cut.nodes["terms"][:, 0, :n]), chart.p[None], held)
     for name in ("residual", "path", "minimum", "drift"):
         nodes[name] = getattr(flown, name)
@@ -179,15 +180,16 @@ def build(
         }
     )
     survey = _surveyed(kept, problem, region, method or Indirect(), say)
-    done = {line["name"] for line in kept.lines() if line.get("kind") == "brick" and line.get("survey") == survey["digest"]}
-    todo = {name: task for name, task in _tasks(kept, problem, region, survey, tolerance) if name not in done}
-    total = len(done) + len(todo)
-    nodes = sum(line["nodes"]["rows"] for line in kept.lines() if line.get("kind") == "brick")
+    there = {line["name"]: line for line in kept.bricks(survey)}
+    todo = {name: task for name, task in _tasks(kept, problem, region, survey, tolerance) if name not in there}
+    done, total = set(there), len(there) + len(todo)
+    nodes = sum(line["nodes"]["rows"] for line in there.values())
     say(f"{len(done)} of {total} bricks are there, {nodes} nodes")
     for name, arrays in _everywhere(kept, todo, executor, say):
         if arrays is None:  # another builder's
             continue
-        shards = {kind: kept.put(f"brick-{survey['digest'][:8]}-{name}.{kind}.npy", rows) for kind, rows in arrays.items()}
+        prefix = f"brick-{survey['digest'][:8]}-{name}"
+        shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
         group, *brick = (int(part) for part in name.split("-"))
         kept.add({"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"], **shards})
         nodes += len(arrays["nodes"])
@@ -203,12 +205,12 @@ def _everywhere(
     if executor is None:
         for name, task in todo.items():
             with kept.claimed(name) as ours:
-                yield name, _arrays(computed(task, say)) if ours and not _there(kept, name) else None
+                yield name, _arrays(computed(task, say)) if ours and not kept.there(name) else None
         return
     with ExitStack() as claims:
         waiting: dict[Any, str] = {}
         for name, task in todo.items():
-            if claims.enter_context(kept.claimed(name)) and not _there(kept, name):
+            if claims.enter_context(kept.claimed(name)) and not kept.there(name):
                 waiting[executor.submit(computed, task)] = name
         while waiting:
             for future in _first(waiting):
@@ -226,16 +228,10 @@ def _arrays(found: tuple[NDArray[Any], NDArray[Any]]) -> dict[str, NDArray[Any]]
     return {"nodes": found[0], "cells": found[1]}
 
 
-def _there(kept: Store, name: str) -> bool:
-    """Whether another builder wrote a brick in the meantime."""
-    return any(line.get("kind") == "brick" and line.get("name") == name for line in kept.lines())
-
-
 def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, say: Watch) -> dict[str, Any]:
     """The survey's line of the manifest, made where there is none."""
-    for line in kept.lines():
-        if line.get("kind") == "survey":
-            return line
+    if (known := kept.survey()) is not None:
+        return known
     survey = Survey(problem=problem, region=region, method=method, watch=say)
     places, _ = region.corners()
     charts = []
@@ -248,7 +244,8 @@ def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, s
                 "keep": list(found.chart.keep),
                 "unknowns": found.y.shape[2],
                 "sheets": [
-                    {"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets
+                    {"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name}
+                    for s in found.sheets
                 ],
                 "seeds": kept.put(f"survey-{number}.npy", rows),
             }
@@ -256,7 +253,7 @@ def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, s
     digest = hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
     line = {"kind": "survey", "digest": digest, "charts": charts, "notes": survey.notes[:100]}
     kept.add(line)
-    return next(found for found in kept.lines() if found.get("kind") == "survey")
+    return kept.survey() or line
 
 
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:

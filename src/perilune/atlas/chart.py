@@ -1,13 +1,14 @@
 """Extremals as functions of parameters: Newton's method in lanes, each at its own values, and exact derivatives.
 
-A parameter that varies is a free one that is held (`perilune.problem.neighbours.varied`). So its value is a lane's own, its
-column of the inverse Jacobian is dY/dp, and its row of the stationarity conditions dJ/dp along the family of extremals.
-Derivatives by several parameters are differences of these, at points beside the extremal on its tangent plane.
+A parameter that varies is a free one that is held (`perilune.problem.neighbours.varied`). So its value is a lane's own,
+its column of the inverse Jacobian is dY/dp, and its row of the stationarity conditions dJ/dp along the family of
+extremals. Derivatives by several parameters are differences of these, at points beside the extremal on its tangent
+plane.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -114,6 +115,16 @@ class Chart:
         return np.setdiff1d(np.arange(len(self.shooting.plan.active)), self._held_at)
 
     @cached_property
+    def active(self) -> NDArray[np.int64]:
+        """The same among all unknowns."""
+        return self.shooting.plan.active[self.places]
+
+    @cached_property
+    def _held(self) -> NDArray[np.int64]:
+        """Places of the parameters among all unknowns."""
+        return self.shooting.plan.active[self._held_at]
+
+    @cached_property
     def _rows(self) -> NDArray[np.int64]:
         """Of their stationarity among the residuals that are left."""
         plan = self.shooting.plan
@@ -129,23 +140,23 @@ class Chart:
 
     def whole(self, values: Matrix, y: Matrix) -> Matrix:
         """All unknowns of lanes."""
-        plan = self.shooting.plan
-        Y = np.zeros((len(values), plan.size))
-        Y[:, plan.active[self.places]] = y
-        Y[:, plan.active[self._held_at]] = values
+        Y = np.zeros((len(values), self.shooting.plan.size))
+        Y[:, self.active], Y[:, self._held] = y, values
         return Y
 
     def told(self, unknowns: Vector) -> Vector:
         """Of unknowns of the problem itself those that this chart moves."""
         own = derive(self.problem, self.keep)
         named = dict(zip(own.unknowns, unknowns, strict=True))
-        names = [self.conditions.unknowns[i] for i in self.shooting.plan.active[self.places]]
+        names = [self.conditions.unknowns[i] for i in self.active]
         return np.array([named.get(name, 0.0) for name in names])
 
     def solve(self, values: Matrix, y: Matrix, holds: Matrix, **settings: Any) -> Extremals:
         """Newton's method in each lane; settings as for it."""
         settings = {"limit": 12, "accuracy": FINEST, **settings}
-        return self._of(values, self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings))
+        return self._of(
+            values, self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings)
+        )
 
     def at(self, values: Matrix, y: Matrix, holds: Matrix) -> Extremals:
         """What there is at points that need be no roots."""
@@ -159,7 +170,7 @@ class Chart:
         extra = rows[:, columns.extras]
         return Extremals(
             values=values,
-            y=roots.y[:, plan.active[self.places]],
+            y=roots.y[:, self.active],
             slopes=inverse[:, self.places[:, None], self._rows[None]].transpose(0, 2, 1),
             cost=extra[:, -1],
             cost_slopes=extra[:, self._indices],
@@ -169,6 +180,12 @@ class Chart:
             stepped=(roots.y[:, plan.active] + rows[:, columns.step])[:, self.places],
             roots=roots,
         )
+
+    def steps(self, at: Extremals, residuals: Matrix) -> Matrix:
+        """J^-1 h, with J as it was found and residuals h, (lanes, n)."""
+        columns = at.roots.plan.columns
+        inverse = at.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
+        return np.matmul(inverse, residuals[:, self.shooting.plan.rows, None])[:, :, 0]
 
     def terms(self, found: Extremals, holds: Matrix) -> NDArray[np.float64]:
         """Values and derivatives of y and J for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`."""
@@ -187,7 +204,9 @@ class Chart:
         y = found.y[:, None] + np.einsum("ki,lin->lkn", step * beside, found.slopes)
         each = np.repeat(np.broadcast_to(holds, (lanes, holds.shape[-1])), len(beside), axis=0)
         near = self.at(values.reshape(-1, d), y.reshape(-1, n), each)
-        slopes = np.concatenate([near.slopes, near.cost_slopes[:, :, None]], axis=2).reshape(lanes, len(beside), d, n + 1)
+        slopes = np.concatenate([near.slopes, near.cost_slopes[:, :, None]], axis=2).reshape(
+            lanes, len(beside), d, n + 1
+        )
         for term in range(3, 2**d):
             axes = np.nonzero(bits(d)[term])[0]
             if len(axes) > 1:

@@ -1,11 +1,12 @@
 """Cubic Hermite interpolation in a box of any dimension, from values and derivatives at its corners.
 
-At a corner stand 2^d *terms*: the derivative once by each parameter of a set, for every set; number b of them has the bits
-of that set, so that 0 is the value itself and 2^i the slope along axis i. With all of them a tensor product of cubics is
-matched, whose error is of the fourth order in the size of the box; without the mixed ones it would be of the second.
+At a corner stand 2^d *terms*: the derivative once by each parameter of a set, for every set; number b of them has the
+bits of that set, so that 0 is the value itself and 2^i the slope along axis i. With all of them a tensor product of
+cubics is matched, whose error is of the fourth order in the size of the box; without the mixed ones it would be of the
+second.
 
-Source: G. Birkhoff, M. H. Schultz, R. S. Varga, *Piecewise Hermite interpolation in one and two variables with applications
-to partial differential equations*, Numer. Math. 11 (1968) 232-256.
+Source: G. Birkhoff, M. H. Schultz, R. S. Varga, *Piecewise Hermite interpolation in one and two variables with
+applications to partial differential equations*, Numer. Math. 11 (1968) 232-256.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.words.types import Matrix, Vector
+from perilune.words.types import Matrix
 
 
 @lru_cache(maxsize=8)

@@ -1,49 +1,38 @@
 """Reading an atlas: the answer at a point of the region, polished by Newton's method and flown again.
 
-The cells in which a point lies say what the unknowns of each sheet are there, to the fourth order in their size; a step or
-two of Newton's method makes that exact, and what is reached has to be of its sheet and to keep its bounds. Then the extremal
-is flown again by another integrator. Of several sheets the best is the answer, and all that were polished are its
-extremals. Nothing is extrapolated: outside of the region, in a cell in which a sheet ends, or where Newton's method leaves
-the cell, there is no answer, and it is said why.
+The cells in which a point lies say what the unknowns of each sheet are there, to the fourth order in their size; a step
+or two of Newton's method makes that exact. What is reached has to be of its sheet and to keep its bounds, and it is
+flown again by another integrator. Of several sheets the best is the answer. Nothing is extrapolated: outside of the
+region, in a cell in which a sheet ends that might be better, or where Newton's method leaves the cell, there is no
+answer, and it is said why.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from perilune.atlas.brick import WHOLE, Status
-from perilune.atlas.build import cell_type, node_type, sheets_of
-from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.hermite import interpolated
-from perilune.atlas.region import Axis, Region
-from perilune.atlas.reflight import Reflights
-from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.store import Store
-from perilune.conditions.pontryagin import Conditions, derive
-from perilune.io.reload import read_problem
+from perilune.atlas.many import CLEARLY, Answers, answers
+from perilune.atlas.polish import Polished
+from perilune.atlas.read import SERVING, Charted, Reader
+from perilune.atlas.reflight import SLACK
+from perilune.atlas.sheets import Sheet
 from perilune.methods.answer import composed
+from perilune.methods.indirect import Indirect
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.extremals import Found
-from perilune.shooting.function import Root
-from perilune.shooting.newton import FINEST
 from perilune.words.asked import demand_path
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
-
-_MOST = 8  # evaluations of Newton's method
-_SLACK = 1e-9  # canonical: what a bound, a condition of the path or the end of a second flight may be missed by
-_AWAY = 4.0  # how much further from what the cell gives a root may lie than the cell's own error, and 1e-6 of 1 + |y|
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,26 +41,28 @@ class Query:
 
     Parameters
     ----------
-    sheets
-        Labels of the sheets that reach the point, the answer's first.
+    sheet
+        Label of the sheet.
+    met
+        Labels of all sheets that reach the point, by what they give for J, best first.
     cell
         Size of the answer's cell along each axis, as a share of the region.
     guess_error
         By how much what the cell gives is wrong, relative.
     steps
-        Of Newton's method for the answer.
+        Of Newton's method.
     error_bound
-        How far the unknowns can be from those of the exact extremal, relative: by the last two steps of Newton's method,
-        its steps shrinking as squares do (Kantorovich). It is as good as the numbers that it is computed with are.
+        How far the unknowns can be from those of the extremal, relative; see `perilune.atlas.polish`.
     residual, path, minimum, drift
         What the second flight shows (`perilune.atlas.reflight.Reflown`), canonical.
-    cost_slopes
+    slopes
         dJ/dp of each axis [SI].
     latency
         Time that it took [s].
     """
 
-    sheets: tuple[str, ...]
+    sheet: str
+    met: tuple[str, ...]
     cell: tuple[float, ...]
     guess_error: float
     steps: int
@@ -80,7 +71,7 @@ class Query:
     path: float
     minimum: float
     drift: float
-    cost_slopes: Mapping[str, float]
+    slopes: Mapping[str, float]
     latency: float
 
 
@@ -91,98 +82,24 @@ class Mapped(Solution):
     query: Query
 
 
-class _Brick:
-    """What is looked at of a brick: its cells as lists, which Python reads fastest, and its nodes as they lie on disk."""
-
-    def __init__(self, nodes: NDArray[Any], cells: NDArray[Any]) -> None:
-        self.nodes, self.cells = nodes, cells
-        self.axis, self.child, self.status = (cells[name].tolist() for name in ("axis", "child", "status"))
-        first = np.nonzero((cells["size"] == WHOLE).all(axis=1))[0]
-        self.roots = {int(cells["sheet"][i]): int(i) for i in first}
-        second = np.where(cells["child"] >= 0, cells["child"] + 1, 0)
-        at = np.take_along_axis(cells["low"][second], np.maximum(cells["axis"], 0)[:, None], axis=1)[:, 0]
-        self.split = at.tolist()
-        self._terms: dict[int, NDArray[np.float64]] = {}
-
-    def leaf(self, sheet: int, place: Sequence[float]) -> int:
-        """The cell of a sheet in which a place lies, -1 where it has none."""
-        cell = self.roots.get(sheet, -1)
-        axis, child, split = self.axis, self.child, self.split
-        while cell >= 0 and child[cell] >= 0:
-            cell = child[cell] + (place[axis[cell]] >= split[cell])
-        return cell
-
-    def terms(self, cell: int) -> NDArray[np.float64]:
-        """Values and derivatives at its corners."""
-        found = self._terms.get(cell)
-        if found is None:
-            found = self._terms[cell] = self.nodes["terms"][self.cells["corners"][cell]][None]
-            if len(self._terms) > 4096:
-                self._terms.pop(next(iter(self._terms)))
-        return found
-
-
-class _Charted:
-    """One chart of an atlas, as queries need it."""
-
-    def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
-        keep = tuple(said["keep"])
-        self.sheets, self.unknowns = sheets_of(said), int(said["unknowns"])
-        self.chart = Chart(problem, region.names, region.high - region.low, keep)
-        self.borders = Borders(self.chart)
-        self.reflights = Reflights(self.chart.free, self.chart.conditions)
-        self.own: Conditions = derive(problem, keep)
-        names = [name for name, _ in self.chart.conditions.unknowns]
-        self.back = np.array([names.index(name) for name, _ in self.own.unknowns])
-
-
 @dataclass(frozen=True)
-class _Reached:
-    """An extremal of one sheet at the point."""
+class _Offer:
+    """What a cell of one sheet gives at the point: unknowns (None where the sheet ends in it) and J, canonical."""
 
-    charted: _Charted
-    sheet: Sheet
-    found: Extremals
-    flown: Any
-    steps: int
-    bound: float
-    guess_error: float
-    cell: tuple[float, ...]
+    charted: Charted
+    number: int
+    y: Vector | None
+    cost: float
+    cell: Vector
+    polished: Polished | None = None
+
+    @property
+    def sheet(self) -> Sheet:
+        return self.charted.sheets[self.number]
 
 
-class Atlas:
-    """An atlas that is read; it may grow meanwhile. Use `perilune.atlas.open`.
-
-    Attributes
-    ----------
-    problem
-        What is mapped.
-    region
-        The axes, SI.
-    """
-
-    def __init__(self, directory: Path, problem_from_scenario: Callable[[str], Problem]) -> None:
-        self.store = Store(directory)
-        header = self.store.header()
-        self.problem = read_problem(header, problem_from_scenario)
-        self.region = Region(tuple(Axis(**axis) for axis in header["axes"]))
-        self.tolerance = float(header["tolerance"])
-        self._bricks: dict[tuple[int, ...], _Brick] = {}
-        self.damaged: dict[str, str] = {}
-        self.refresh()
-
-    def refresh(self) -> None:
-        """Look again at what the manifest says."""
-        lines = list(self.store.lines())
-        self.survey: dict[str, Any] = next((line for line in lines if line.get("kind") == "survey"), {"charts": []})
-        ours = [line for line in lines if line.get("kind") == "brick" and line.get("survey") == self.survey.get("digest")]
-        self._said = {(line["chart"], *line["brick"]): line for line in ours}
-        self.__dict__.pop("charted", None)
-
-    @cached_property
-    def charted(self) -> list[_Charted]:
-        """Its charts."""
-        return [_Charted(self.problem, self.region, said) for said in self.survey["charts"]]
+class Atlas(Reader):
+    """An atlas that answers. Use `perilune.atlas.open`."""
 
     def query(self, **values: float) -> Mapped:
         """The answer at values of the axes.
@@ -195,25 +112,51 @@ class Atlas:
         Returns
         -------
         Mapped
-            A solution, its trajectories and results made when they are looked at.
+            A solution, its trajectories and results made when they are looked at; unverified but for the second flight.
 
         Raises
         ------
         PeriluneError
-            If a value is missing or outside of the region.
+            If a value is missing or outside of the region, or if the map has no answer there: why, and what is near.
         InfeasibleError
             If physics refuses the point.
-        PeriluneError
-            If the map has no answer there: why, and what is near.
         """
         began = time.perf_counter()
         at = self._point(values)
-        reached = [found for number in range(len(self.charted)) for found in self._reached(number, at)]
-        good = [found for found in reached if found.sheet.minimum]
-        if not good:
-            raise self._nothing(at)
-        good.sort(key=lambda found: float(found.found.cost[0]))
-        return self._answer(at, good, [found for found in reached if not found.sheet.minimum], began)
+        offers = [offer for offer in self._offers(at) if offer.sheet.minimum]
+        tried, doubt, best = list[_Offer](), None, None
+        for offer in offers:
+            # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
+            if best is not None and offer.cost > best.cost + CLEARLY * (1.0 + abs(best.cost)):
+                break
+            if offer.y is None:
+                doubt = doubt or offer
+                continue
+            canonical = (at / offer.charted.chart.scale)[None]
+            polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
+            if not polished.reached[0]:
+                doubt = doubt or offer
+            elif polished.answers[0]:
+                tried.append(replace(offer, cost=float(polished.cost[0]), polished=polished))
+                best = min(tried, key=lambda one: one.cost)
+        if best is None or (doubt is not None and doubt.cost < best.cost):
+            raise self._nothing(at, doubt)
+        return self._answer(at, best, sorted(tried, key=lambda one: one.cost), offers, began)
+
+    def query_many(self, points: Matrix) -> Answers:
+        """Answers at many points at once, in lanes.
+
+        Parameters
+        ----------
+        points
+            Values of the axes [SI], (points, d), in the order of `region.names`.
+
+        Returns
+        -------
+        Answers
+            As arrays; what has no answer says so.
+        """
+        return answers(self, points)
 
     # -- where it is ----------------------------------------------------------------------------------------------
 
@@ -223,9 +166,10 @@ class Atlas:
         for name in told:
             if name not in names:
                 raise unknown_name("axis", name, list(names))
-        missing = [name for name in names if name not in told]
-        if missing:
-            raise PeriluneError("a value of every axis is needed", got=f"none of {', '.join(missing)}", expected=", ".join(names))
+        if missing := [name for name in names if name not in told]:
+            raise PeriluneError(
+                "a value of every axis is needed", got=f"none of {', '.join(missing)}", expected=", ".join(names)
+            )
         try:
             at = np.array([float(told[name]) for name in names])
         except (TypeError, ValueError):
@@ -239,128 +183,74 @@ class Atlas:
             )  # fmt: skip
         return at
 
-    def _brick(self, number: int, brick: tuple[int, ...]) -> _Brick | None:
-        key = (number, *brick)
-        if key not in self._bricks:
-            said = self._said.get(key)
-            if said is None:
-                return None
-            d, n = len(self.region.axes), self.charted[number].unknowns
-            try:
-                nodes = self.store.shard(said["nodes"], node_type(d, n))
-                cells = self.store.shard(said["cells"], cell_type(d))
-            except PeriluneError as error:
-                self.damaged[str(said["name"])] = error.what
-                return None
-            self._bricks[key] = _Brick(nodes, cells)
-        return self._bricks[key]
-
-    def _reached(self, number: int, at: Vector) -> list[_Reached]:
-        """Extremals of all sheets of a chart at a point that may be answers, or are known not to be minima."""
-        charted, place = self.charted[number], self.region.brick_of(at)
-        brick = self._brick(number, place)
-        if brick is None:
-            return []
+    def _offers(self, at: Vector) -> list[_Offer]:
+        """What the cells in which a point lies give, the least J first."""
+        place = self.region.brick_of(at)
         low, high = self.region.box(place)
-        inside = ((at - low) / (high - low) * WHOLE).tolist()
-        found = []
-        for sheet in brick.roots:
-            cell = brick.leaf(sheet, inside)
-            if brick.status[cell] in (Status.ONE_STEP, Status.MORE_STEPS):
-                extremal = self._polished(charted, sheet, brick, cell, np.array(inside), at, (high - low) / WHOLE)
-                if extremal is not None:
-                    found.append(extremal)
-        return found
-
-    def _polished(
-        self, charted: _Charted, number: int, brick: _Brick, cell: int, place: Vector, at: Vector, step: Vector
-    ) -> _Reached | None:
-        """The extremal of a sheet, from what its cell gives; None where Newton's method leaves it, or it is no answer."""
-        chart, sheet, said = charted.chart, charted.sheets[number], brick.cells[cell]
-        size = said["size"]
-        terms = brick.terms(cell)
-        share = (place - said["low"]) / size
-        values = (at / chart.scale)[None]
-        guess = interpolated(terms, share[None], (size * step / chart.scale)[None])[:, :-1]
-        which = np.zeros(1, dtype=np.int64)
-        holds = charted.borders.holds([sheet], which, values)
-        found = chart.solve(values, guess, holds, limit=_MOST)
-        if not found.converged[0] or found.orientation[0] != sheet.orientation:
-            return None
-        spread = float(np.linalg.norm(np.ptp(terms[0, :, 0, :-1], axis=0)))
-        length = float(np.linalg.norm(found.y[0] - guess[0]))
-        size_of = 1.0 + float(np.linalg.norm(found.y[0]))
-        if length > 0.5 * spread + 1e-6 * size_of:
-            return None
-        if charted.borders.margins([sheet], which, found)[0] < -_SLACK:
-            return None
-        held = found.roots.choice[:, : chart.shooting.plan.held] > 0
-        flown = charted.reflights(found.roots.y, chart.p[None], held)
-        if sheet.minimum and not (
-            flown.residual[0] <= _SLACK and flown.path[0] >= -_SLACK and flown.minimum[0] >= -_SLACK and flown.drift[0] <= _SLACK
-        ):
-            return None
-        return _Reached(
-            charted=charted, sheet=sheet, found=found, flown=flown, steps=int(found.roots.evaluations[0]) - 1,
-            bound=2.0 * float(found.length[0]), guess_error=length / size_of,
-            cell=tuple((size / (WHOLE * self.region.parts)).tolist()),
-        )  # fmt: skip
+        inside, parts = (at - low) / (high - low) * WHOLE, self.region.parts
+        where, offers = inside.tolist(), list[_Offer]()
+        for number, charted in enumerate(self.charted):
+            if (brick := self.brick(number, place)) is None:
+                continue
+            for sheet in brick.roots:
+                cell = brick.leaf(sheet, where)
+                if brick.status[cell] in SERVING:
+                    corner, size, terms = brick.cell(cell)
+                    share, length = (inside - corner) / size, size * (high - low) / WHOLE / charted.chart.scale
+                    given = interpolated(terms, share[None], length[None])[0]
+                    offers.append(_Offer(charted, sheet, given[:-1], float(given[-1]), size / (WHOLE * parts)))
+                elif brick.status[cell] == Status.ENDS and (least := brick.least(cell)) < np.inf:
+                    offers.append(_Offer(charted, sheet, None, least, low))
+        return sorted(offers, key=lambda offer: offer.cost)
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
-    def _answer(self, at: Vector, good: list[_Reached], others: list[_Reached], began: float) -> Mapped:
-        names = self.region.names
-        problem = self.problem.with_given(**dict(zip(names, at.tolist(), strict=True)))
-        best = good[0]
-        roots = [Found(root=self._root(r), minimum=r.sheet.minimum) for r in (*good, *others)]
-        statistics = Statistics(rung="atlas", iterations=best.steps, arcs=sum(r.steps + 1 for r in (*good, *others)))
-        answer = composed("indirect", problem, best.charted.own, roots, statistics)
-        unit = self.problem.objective_size
-        slopes = best.found.cost_slopes[0] * unit / best.charted.chart.scale
+    def _answer(self, at: Vector, best: _Offer, tried: list[_Offer], offers: list[_Offer], began: float) -> Mapped:
+        polished = best.polished
+        assert polished is not None
+        values = dict(zip(self.region.names, at.tolist(), strict=True))
+        problem = self.problem.with_given(**values)
+        roots = [Found(root=o.charted.root(o.polished), minimum=True) for o in tried if o.polished is not None]
+        steps = int(polished.steps[0])
+        answer = composed(
+            Indirect.name, problem, best.charted.own, roots, Statistics(rung="atlas", iterations=steps, arcs=steps + 1)
+        )
+        slopes = polished.found.cost_slopes[0] * self.problem.objective_size / best.charted.chart.scale
+        flown = polished.flown
         query = Query(
-            sheets=tuple(r.sheet.label for r in (*good, *others)),
-            cell=best.cell,
-            guess_error=best.guess_error,
-            steps=best.steps,
-            error_bound=best.bound,
-            residual=float(best.flown.residual[0]),
-            path=float(best.flown.path[0]),
-            minimum=float(best.flown.minimum[0]),
-            drift=float(best.flown.drift[0]),
-            cost_slopes=dict(zip(names, slopes.tolist(), strict=True)),
+            sheet=best.sheet.label,
+            met=tuple(offer.sheet.label for offer in offers),
+            cell=tuple(best.cell.tolist()),
+            guess_error=float(polished.away[0]),
+            steps=steps,
+            error_bound=float(polished.bound[0]),
+            residual=float(flown.residual[0]),
+            path=float(flown.path[0]),
+            minimum=float(flown.minimum[0]),
+            drift=float(flown.drift[0]),
+            slopes=dict(zip(values, slopes.tolist(), strict=True)),
             latency=time.perf_counter() - began,
         )
         return Mapped(**{**answer.__dict__, "query": query})
 
-    @staticmethod
-    def _root(reached: _Reached) -> Root:
-        """As a root of the problem itself, where the axes are given."""
-        root, charted = reached.found.roots[0], reached.charted
-        plan = charted.chart.shooting.plan
-        free = [i for i, name in enumerate(charted.chart.free.free_names) if name not in charted.chart.names]
-        kept = [*free, *range(plan.free, plan.held)]
-        return replace(
-            root,
-            y=root.y[charted.back],
-            inverse=np.full((0, 0), np.nan),
-            slopes=root.slopes[free],
-            choice=np.concatenate([root.choice[kept], root.choice[[plan.held + i for i in kept]]]),
-        )
-
-    def _nothing(self, at: Vector) -> PeriluneError:
+    def _nothing(self, at: Vector, doubt: _Offer | None) -> PeriluneError:
         """Why there is no answer at a point of the region."""
         values = dict(zip(self.region.names, at.tolist(), strict=True))
         refuse_impossible(preflight(self.problem.with_given(**values)))
-        place = self.region.brick_of(at)
-        if not any((number, *place) in self._said for number in range(len(self.charted))):
-            return PeriluneError("this part of the atlas is not built", got=str(values)[:120], advice="perilune atlas build ... --resume")
-        if self.damaged:
-            return PeriluneError("this part of the atlas is damaged", got=", ".join(self.damaged), advice="perilune atlas verify DIR")
-        nearest = self._nearest(at)
+        place, got = self.region.brick_of(at), ", ".join(f"{name} {value:.6g}" for name, value in values.items())
+        keys = [(number, *place) for number in range(len(self.charted))]
+        if broken := [self.damaged[name] for key in keys if (name := "-".join(map(str, key))) in self.damaged]:
+            return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")
+        if not any(key in self.said for key in keys):
+            return PeriluneError(
+                "this part of the atlas is not built yet", got=got, advice="build it again with --resume"
+            )
+        near = self._nearest(at)
+        why = f"the sheet '{doubt.sheet.label}' ends in this cell" if doubt else "no sheet has an answer in this cell"
         return PeriluneError(
-            "the atlas has no answer here: its sheets end in this cell, or change",
-            got=str(values)[:160],
-            expected=f"for instance {nearest}" if nearest else "another point",
+            f"the atlas has no answer here: {why}",
+            got=got,
+            expected=f"for instance {near}" if near else "another point",
             advice="perilune solve answers at single points",
         )
 
@@ -368,19 +258,17 @@ class Atlas:
         """The nearest node that is an answer, in words."""
         place, found, least = self.region.brick_of(at), "", np.inf
         for number, charted in enumerate(self.charted):
-            brick = self._brick(number, place)
-            if brick is None:
+            if (brick := self.brick(number, place)) is None:
                 continue
-            minimum = np.array([sheet.minimum for sheet in charted.sheets])
-            nodes = brick.nodes
-            good = (nodes["margin"] >= 0) & minimum[nodes["sheet"]] & (nodes["residual"] <= _SLACK) & (nodes["path"] >= -_SLACK)
+            minimum, nodes = np.array([sheet.minimum for sheet in charted.sheets]), brick.nodes
+            good = (nodes["margin"] >= 0) & minimum[nodes["sheet"]]
+            good &= (nodes["residual"] <= SLACK) & (nodes["path"] >= -SLACK)
             if not good.any():
                 continue
             values = nodes["values"][good]
             away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
             if away.min() < least:
-                least = float(away.min())
-                row = values[away.argmin()].tolist()
+                least, row = float(away.min()), values[away.argmin()].tolist()
                 found = ", ".join(f"{a.name} {v:.6g} {a.unit}" for a, v in zip(self.region.axes, row, strict=True))
         return found
 

@@ -1,13 +1,13 @@
 """A second flight of an extremal, by another integrator: where it ends, and what it keeps on the way.
 
-The machine code of shooting goes by Dormand and Prince's pair of order 8 with steps of its own choice. Here the canonical
-equations are marched in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns alone, and the
-conditions at the ends are evaluated anew. At each step the conditions of the path and the bounds of the states are looked
-at, and whether H is less for any of some admissible controls than for the one that is flown. All of it is one call of machine
-code for each piece between switches, for one extremal or for many in lanes.
+The machine code of shooting goes by Dormand and Prince's pair of order 8 with steps of its own choice. Here the
+canonical equations are marched in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns
+alone, and the conditions at the ends are evaluated anew. At each step the conditions of the path and the bounds of the
+states are looked at, and whether H is less for any of some admissible controls than for the one that is flown. All of
+it is one call of machine code for each piece between switches, for one extremal or for many in lanes.
 
-Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., Springer 1993, section
-II.9 (9.10), (9.13).
+Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., Springer 1993,
+section II.9 (9.10), (9.13).
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from perilune.shooting.propagate import engine, equations
 from perilune.words.types import Matrix, Vector
 
 STEPS = 48  # of a piece
+SLACK = 1e-9  # canonical: what an end, a condition, H or its minimum may be missed by
 _SUBSTEPS = (2, 4, 6, 8)
 _FAR = 1e30  # stands for infinity: nothing was looked at yet
 _NEAR = 0.1  # how far from the control that is flown an unbounded one is tried, canonical
@@ -45,23 +46,37 @@ class Reflown:
 
     Attributes
     ----------
-    residual
-        The largest of all conditions at the ends.
+    residuals
+        Of all conditions, (lanes, conditions); 0 for those of what is held.
     path
         The least of all conditions of the path and distances of states from their bounds; `_FAR` where there is none.
     minimum
         The least of H of another control minus H of the one that is flown.
     drift
         By how much H changes along a phase.
+    cost
+        J.
     arcs
         Of each lane, for each phase, the modes that it goes through.
     """
 
-    residual: Vector
+    residuals: Matrix
     path: Vector
     minimum: Vector
     drift: Vector
+    cost: Vector
     arcs: tuple[tuple[tuple[int, ...], ...], ...]
+
+    @property
+    def residual(self) -> Vector:
+        """The largest of them."""
+        return np.abs(self.residuals).max(axis=1)
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """Whether nothing speaks against the extremal."""
+        kept = (self.residual <= SLACK) & (self.path >= -SLACK)
+        return kept & (self.minimum >= -SLACK) & (self.drift <= SLACK)
 
 
 @dataclass(frozen=True)
@@ -131,7 +146,7 @@ class Reflights:
             before, looked = np.ascontiguousarray(state[:, :-4]), state[:, -4:]
             drift = np.fmax(drift, looked[:, 3] - looked[:, 2])
             ends.append(before)
-        residual, _ = self._residual(y, np.hstack(ends), p)
+        residual, cost = self._residual(y, np.hstack(ends), p)
         free_count = conditions.free_at.stop - conditions.free_at.start
         residual[:, conditions.stationarity_at] *= ~held[:, :free_count]
         for i, (row, nu) in enumerate(conditions.ranges, free_count):
@@ -141,10 +156,11 @@ class Reflights:
             for lane in lanes.tolist():
                 arcs[lane][k] = modes
         return Reflown(
-            residual=np.abs(residual).max(axis=1),
+            residuals=residual,
             path=looked[:, 0],
             minimum=looked[:, 1],
             drift=drift,
+            cost=cost[:, 0],
             arcs=tuple(map(tuple, arcs)),
         )
 
@@ -233,7 +249,9 @@ def _seen(
     control, _, _ = extremal.reports[mode](z, numbers)
     where, costate = z[:n], z[extremal.half : extremal.half + n]
     best, kept = value(where, control, costate, given, free, plain)
-    of_limits = ca.Function("limits", known, [ca.vertcat(ca.SX(0, 1), *(e for pair in limits[k].values() for e in pair))])
+    of_limits = ca.Function(
+        "limits", known, [ca.vertcat(ca.SX(0, 1), *(e for pair in limits[k].values() for e in pair))]
+    )
     others = []
     for other in _samples(phase, control, of_limits(given, free, plain)):
         there, allowed = value(where, other, costate, given, free, plain)
@@ -258,7 +276,7 @@ def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
             else:
                 choices.append([flown, *(ca.fmin(ca.fmax(flown + way * _NEAR, low), high) for way in (-1, 1))])
         else:
-            choices.append([flown, *(ca.DM(v) for v in _directions(len(kind.names)))])
+            choices.append([flown, *(ca.SX(ca.DM(v)) for v in _directions(len(kind.names)))])
     for number, parts in enumerate(product(*choices)):
         if number:  # the first is the control itself
             yield ca.vertcat(*parts)

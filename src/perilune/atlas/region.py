@@ -139,5 +139,6 @@ def region_of(problem: Problem, axes: Mapping[str, Any]) -> Region:
         found.append(Axis(name=name, low=low, high=high, unit=problem.unit_of(name)))
     region = Region(tuple(found))
     for corner in product(*((axis.low, axis.high) for axis in found)):
-        problem.with_given(**dict(zip(region.names, corner, strict=True)))  # so that records refuse what they do not take
+        # So that records refuse what they do not take.
+        problem.with_given(**dict(zip(region.names, corner, strict=True)))
     return region

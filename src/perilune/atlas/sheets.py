@@ -1,9 +1,9 @@
 """Sheets: families of extremals over the region, each smooth in the parameters, and where they may be answers.
 
 A sheet is told by what its extremals hold (free parameters or ranges at a bound) and by the sign of det(dh/dy), which
-changes only at a fold, where two sheets meet. The conditions that it solves have roots beyond where they are an answer (a
-retro burn below zero): such nodes are kept beside those that are, so that a cell reaches across the border of its sheet, and
-whether a root may be an answer is asked at the point itself.
+changes only at a fold, where two sheets meet. The conditions that it solves have roots beyond where they are an answer
+(a retro burn below zero): such nodes are kept beside those that are, so that a cell reaches across the border of its
+sheet, and whether a root may be an answer is asked at the point itself.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
+Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
 _SLACK = 1e-9  # canonical, by which a bound may be missed or a multiplier be on the wrong side
 
 
@@ -81,7 +82,7 @@ class Borders:
         self._ranged = [ends[row] for row, _ in chart.conditions.ranges]
         self._free_sizes = free_scales(problem.free, problem)
 
-    def at(self, values: Matrix) -> tuple[Matrix, Matrix]:
+    def at(self, values: Matrix) -> Limits:
         """Lower and upper bounds, canonical, (lanes, what can be held) each."""
         chart, problem = self.chart, self.chart.problem
         lower, upper = (np.tile(bound, (len(values), 1)) for bound in (self._lower, self._upper))
@@ -109,13 +110,15 @@ class Borders:
                 lower[lane, k], upper[lane, k] = low / size, high / size
         return lower, upper
 
-    def holds(self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix) -> Matrix:
+    def holds(
+        self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix, limits: Limits | None = None
+    ) -> Matrix:
         """What each lane holds beside the parameters, as `Chart.solve` takes it; `which` is each lane's sheet."""
         held = self.chart.shooting.plan.held
         out = np.zeros((len(values), 2 * held))
         if not any(sheet.holds for sheet in sheets):
             return out
-        lower, upper = self.at(values)
+        lower, upper = limits or self.at(values)
         for number, sheet in enumerate(sheets):
             here = which == number
             for name, side in sheet.holds.items():
@@ -124,13 +127,15 @@ class Borders:
                 out[here, held + i] = (lower if side == "lower" else upper)[here, i]
         return out
 
-    def margins(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
+    def margins(
+        self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
+    ) -> Vector:
         """How far each lane is from where its sheet ends to be an answer; below zero beyond it. Canonical.
 
         Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior.
         """
         at, rises = self.chart.shooting.held_values(found.roots)
-        lower, upper = self.at(found.values)
+        lower, upper = limits or self.at(found.values)
         masks = found.roots.choice[:, : self.chart.shooting.plan.held] > 0
         with np.errstate(invalid="ignore"):
             inside = np.minimum(at - lower, upper - at)

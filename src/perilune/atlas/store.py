@@ -1,11 +1,11 @@
 """An atlas on disk: a header, shards that never change, and a manifest to which lines are added.
 
-``atlas.json`` says what is mapped, over which region and how finely. A *shard* is one array in a file of NumPy's own format
-(``.npy``, a structured array that names its columns); it is written to the side and renamed, so that it is there whole or
-not at all. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of its shards and
-their SHA-256. A line is added by one write, after the shards that it names. So a kill at any moment costs the bricks that
-were being computed; several builders may work on one directory, each on bricks that it has locked; and a reader sees what is
-in the manifest when it looks.
+``atlas.json`` says what is mapped, over which region and how finely. A *shard* is one array in a file of NumPy's own
+format (``.npy``, a structured array that names its columns); it is written to the side and renamed, so that it is there
+whole or not at all. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of
+its shards and their SHA-256. A line is added by one write, after the shards that it names. So a kill at any moment
+costs the bricks that were being computed; several builders may work on one directory, each on bricks that it has
+locked; and a reader sees what is in the manifest when it looks.
 """
 
 from __future__ import annotations
@@ -90,7 +90,10 @@ class Store:
         if not isinstance(found, dict) or found.get("format") != FORMAT:
             said = found.get("format") if isinstance(found, dict) else None
             raise PeriluneError(
-                "this is not an atlas of this version", got=f"format {str(said)[:60]}", expected=str(FORMAT), advice=_AGAIN
+                "this is not an atlas of this version",
+                got=f"format {str(said)[:60]}",
+                expected=str(FORMAT),
+                advice=_AGAIN,
             )
         return found
 
@@ -109,14 +112,29 @@ class Store:
             if isinstance(found, dict):
                 yield found
 
+    def survey(self) -> dict[str, Any] | None:
+        """The first survey's line; where two builders made one at once, theirs is the same."""
+        return next((line for line in self.lines() if line.get("kind") == "survey"), None)
+
+    def bricks(self, survey: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """The lines of the bricks of a survey."""
+        mine = survey.get("digest")
+        return [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") == mine]
+
+    def there(self, name: str) -> bool:
+        """Whether a brick was written, perhaps by another builder meanwhile."""
+        return any(line.get("name") == name for line in self.lines() if line.get("kind") == "brick")
+
     def add(self, line: Mapping[str, Any]) -> None:
         """Add a line to the manifest, by one write."""
         content = (json.dumps(finite(dict(line)), allow_nan=False) + "\n").encode()
         handle = os.open(self.directory / MANIFEST, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         try:
             size = os.fstat(handle).st_size
-            if size and os.pread(handle, 1, size - 1) != b"\n" if hasattr(os, "pread") else False:
-                content = b"\n" + content
+            if size:
+                os.lseek(handle, size - 1, os.SEEK_SET)
+                if os.read(handle, 1) != b"\n":  # a writer was killed in the middle of its line
+                    content = b"\n" + content
             os.write(handle, content)
             os.fsync(handle)
         finally:
@@ -190,7 +208,11 @@ def clear(directory: Path) -> None:
     """Remove the files of an atlas, and nothing else."""
     with contextlib.suppress(FileNotFoundError):
         for file in list(directory.iterdir()):
-            if _OURS.fullmatch(file.name) or file.name in (HEADER, MANIFEST) or file.name.startswith((".claim-", ".writing-")):
+            if (
+                _OURS.fullmatch(file.name)
+                or file.name in (HEADER, MANIFEST)
+                or file.name.startswith((".claim-", ".writing-"))
+            ):
                 file.unlink()
 
 

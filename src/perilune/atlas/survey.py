@@ -1,8 +1,8 @@
 """The survey before the map: which sheets there are, and an extremal of each at every corner of a brick.
 
-The problem is solved from nothing at the middle and at the corners of the region. Each extremal that is found there, good or
-bad, begins a sheet, unless it lies on one already; sheets are carried to all corners of bricks by the tangent plane and
-Newton's method, in lanes, the step halved where that fails.
+The problem is solved from nothing at the middle and at the corners of the region. Each extremal that is found there,
+good or bad, begins a sheet, unless it lies on one already; sheets are carried to all corners of bricks by the tangent
+plane and Newton's method, in lanes, the step halved where that fails.
 """
 
 from __future__ import annotations
@@ -146,7 +146,9 @@ class Survey:
             if self._known(known, sheet, corners / chart.scale, values, start.y[0]):
                 continue
             y = carried(chart, borders, sheet, values, start.y[0], corners / chart.scale)
-            self.watch(f"sheet {len(known.sheets) + 1}: {sheet.label}, at {np.isfinite(y[:, 0]).sum()} corners of bricks")
+            self.watch(
+                f"sheet {len(known.sheets) + 1}: {sheet.label}, at {np.isfinite(y[:, 0]).sum()} corners of bricks"
+            )
             known = replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
         return known
 

@@ -1,7 +1,7 @@
 """Neighbours of a problem: with its start moved, or free parameters held. They need no derivation of their own.
 
-A problem whose given parameters are to vary has one of its own, with these free and held (`varied`): extremals of it come
-with their derivatives by what varies.
+A problem whose given parameters are to vary has one of its own, with these free and held (`varied`): extremals of it
+come with their derivatives by what varies.
 
 A moved start is one more given parameter ``offset_<state>`` for each state, so a neighbour is a problem like any other.
 What is derived from a problem counts with such offsets from the beginning (`unmoved`, `offsets`), and with any set of

@@ -1,0 +1,201 @@
+"""Answers at many points of an atlas at once, in lanes: what `Atlas.query` does, for arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.brick import WHOLE, Status
+from perilune.atlas.hermite import interpolated
+from perilune.atlas.read import SERVING, Charted, Reader
+from perilune.problem.preflight import possible, preflight
+from perilune.problem.symbolic import free_scales
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+
+CLEARLY = 1e-3  # relative: cells give J to 1e-6 where one step is enough, and are never so wrong
+_TOGETHER = 4096  # points, so that what lies at the corners of their cells fits into a cache
+
+
+class Answered(IntEnum):
+    """What became of a point."""
+
+    YES = 0
+    OUTSIDE = 1  # of the region, or no number
+    IMPOSSIBLE = 2  # physics refuses it
+    NOT_BUILT = 3  # its brick is not there, or damaged
+    NONE = 4  # no sheet has an answer there
+    ENDS = 5  # a sheet ends in its cell that might be better
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answers:
+    """Answers at many points, (points,) each; NaN where there is none.
+
+    Attributes
+    ----------
+    answered
+        `Answered` of each.
+    objective
+        J [SI].
+    free
+        Free parameters by name [SI].
+    sheet
+        Number of the sheet, counted through all charts.
+    steps
+        Of Newton's method.
+    error_bound
+        As of `perilune.atlas.query.Query`.
+    slopes
+        dJ/dp [SI], (points, d).
+    """
+
+    answered: NDArray[np.int64]
+    objective: Vector
+    free: Mapping[str, Vector]
+    sheet: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    error_bound: Vector
+    slopes: Matrix
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """Which points have an answer."""
+        return self.answered == Answered.YES
+
+
+def answers(atlas: Reader, points: Matrix) -> Answers:
+    """Answers of an atlas at points [SI], (points, d)."""
+    points = np.asarray(points, dtype=float)
+    d = len(atlas.region.axes)
+    if points.ndim != 2 or points.shape[1] != d:
+        raise PeriluneError(
+            "points are rows of the values of all axes", got=f"shape {points.shape}", expected=f"(points, {d})"
+        )
+    work = _Work(atlas, points)
+    work.place()
+    for start in range(0, len(points), _TOGETHER):
+        work.answer(np.arange(start, min(start + _TOGETHER, len(points))))
+    return work.answers()
+
+
+class _Work:
+    """The arrays that are filled."""
+
+    def __init__(self, atlas: Reader, points: Matrix) -> None:
+        count = len(points)
+        self.atlas, self.points = atlas, points
+        self.answered = np.full(count, Answered.NONE, dtype=np.int64)
+        self.cost, self.bound = np.full(count, np.inf), np.full(count, np.nan)
+        self.free = np.full((count, len(atlas.problem.free)), np.nan)
+        self.sheet, self.steps = np.full(count, -1), np.zeros(count, dtype=np.int64)
+        self.slopes = np.full(points.shape, np.nan)
+
+    def place(self) -> None:
+        """Which points lie in the region, and which of them physics allows."""
+        atlas, region = self.atlas, self.atlas.region
+        inside = ((self.points >= region.low) & (self.points <= region.high)).all(axis=1)
+        self.answered[~inside] = Answered.OUTSIDE
+        over = dict(zip(region.names, self.points[inside].T, strict=True))
+        self.allowed = np.ones(len(self.points), dtype=bool)
+        if atlas.problem.preflight is not None and inside.any():
+            self.allowed[inside] = possible(preflight(atlas.problem, over))
+        share = (self.points - region.low) / (region.high - region.low) * region.parts
+        with np.errstate(invalid="ignore"):
+            self.bricks = np.clip(np.nan_to_num(share).astype(np.int64), 0, region.parts - 1)
+
+    def answer(self, some: NDArray[np.int64]) -> None:
+        """Polish what the cells of some points give, best first, until the others are clearly worse."""
+        some = some[self.answered[some] != Answered.OUTSIDE]
+        offers = self._offers(some)
+        cost = np.array([offer[3] for offer in offers]).reshape(len(offers), len(some))
+        order = np.argsort(cost, axis=0)
+        doubt, going = np.full(len(some), np.inf), np.ones(len(some), dtype=bool)
+        for rank in range(len(offers)):
+            chosen = order[rank]
+            here = cost[chosen, np.arange(len(some))]
+            best = self.cost[some]
+            with np.errstate(invalid="ignore"):
+                going &= np.isfinite(here) & ~(here > best + CLEARLY * (1.0 + np.abs(best)))
+            for number, (charted, sheet, y, _, first) in enumerate(offers):
+                lanes = np.nonzero(going & (chosen == number))[0]
+                ends = np.isnan(y[lanes, 0])
+                doubt[lanes[ends]] = np.minimum(doubt[lanes[ends]], here[lanes[ends]])
+                if len(lanes := lanes[~ends]):
+                    reached = self._polished(some[lanes], charted, sheet, y[lanes], first)
+                    lost = lanes[~reached]
+                    doubt[lost] = np.minimum(doubt[lost], here[lost])
+        found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
+        self.answered[some[found]] = Answered.YES
+        self.answered[some[doubtful]] = Answered.ENDS
+        none = some[~found & ~doubtful]
+        self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
+
+    def _polished(
+        self, points: NDArray[np.int64], charted: Charted, sheet: int, y: Matrix, first: int
+    ) -> NDArray[np.bool_]:
+        """Polish, and keep what is better than what is known; which were reached."""
+        atlas, chart = self.atlas, charted.chart
+        polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), sheet), y)
+        better = polished.answers & (polished.cost < self.cost[points])
+        kept, problem = points[better], atlas.problem
+        self.cost[kept] = polished.cost[better]
+        self.bound[kept], self.steps[kept] = polished.bound[better], polished.steps[better]
+        self.sheet[kept] = first + sheet
+        own = charted.own_unknowns(polished.y[better])
+        self.free[kept] = own[:, charted.own.free_at] * free_scales(problem.free, problem)
+        self.slopes[kept] = polished.found.cost_slopes[better] * problem.objective_size / chart.scale
+        return polished.reached
+
+    def _offers(self, some: NDArray[np.int64]) -> list[tuple[Charted, int, Matrix, Vector, int]]:
+        """Of each sheet its chart, number, y, J and its chart's first sheet; NaN and inf where it offers nothing."""
+        atlas, found, first = self.atlas, list[tuple[Charted, int, Matrix, Vector, int]](), 0
+        bricks = np.unique(self.bricks[some], axis=0)
+        built = np.zeros(len(some), dtype=bool)
+        for number, charted in enumerate(atlas.charted):
+            offers = {s: (np.full((len(some), charted.unknowns), np.nan), np.full(len(some), np.inf))
+                      for s, sheet in enumerate(charted.sheets) if sheet.minimum}  # fmt: skip
+            for row in bricks:
+                lanes = np.nonzero((self.bricks[some] == row).all(axis=1))[0]
+                place = tuple(row.tolist())
+                brick = atlas.brick(number, place)
+                if brick is None:
+                    continue
+                built[lanes] = True
+                low, high = atlas.region.box(place)
+                inside = (self.points[some[lanes]] - low) / (high - low) * WHOLE
+                for sheet, (y, cost) in offers.items():
+                    cells = brick.leaves(sheet, inside)
+                    status = np.where(cells >= 0, brick.arrays[3][cells], -1)
+                    serving = np.isin(status, SERVING)
+                    if serving.any():
+                        said = brick.cells[cells[serving]]
+                        share = (inside[serving] - said["low"]) / said["size"]
+                        length = said["size"] * ((high - low) / WHOLE / charted.chart.scale)
+                        given = interpolated(brick.nodes["terms"][said["corners"]], share, length)
+                        y[lanes[serving]], cost[lanes[serving]] = given[:, :-1], given[:, -1]
+                    for i in np.nonzero(status == Status.ENDS)[0].tolist():
+                        cost[lanes[i]] = brick.least(int(cells[i]))
+            found += [(charted, s, y, cost, first) for s, (y, cost) in offers.items()]
+            first += len(charted.sheets)
+        self.answered[some[~built]] = Answered.NOT_BUILT
+        return found
+
+    def answers(self) -> Answers:
+        """What was found."""
+        good, problem = self.answered == Answered.YES, self.atlas.problem
+        for rows in (self.free, self.slopes):
+            rows[~good] = np.nan
+        return Answers(
+            answered=self.answered,
+            objective=np.where(good, self.cost * problem.objective_size, np.nan),
+            free=dict(zip(problem.free_names, self.free.T, strict=True)),
+            sheet=np.where(good, self.sheet, -1),
+            steps=self.steps,
+            error_bound=np.where(good, self.bound, np.nan),
+            slopes=self.slopes,
+        )

@@ -1,0 +1,124 @@
+"""From what cells give to extremals: one step of Newton's method or a few, and whether what is reached is an answer.
+
+Each lane is a point with a sheet of its own. After the last evaluation one more step is made that is not evaluated: it
+is what is left, and by the law of squares it leaves nothing. The second flight (`perilune.atlas.reflight`) begins
+there.
+
+How far the root can be follows from there: with h the residual of the second flight, Newton's method would step by
+J^-1 h, and by Kantorovich's theorem a root lies within twice that where the steps shrink as squares do, as those before
+did. It is as good as the numbers that it is computed with are. Source: Deuflhard, *Newton Methods for Nonlinear
+Problems*, Springer 2011, section 2.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.chart import Chart, Extremals
+from perilune.atlas.reflight import SLACK, Reflights, Reflown
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.words.types import Matrix, Vector
+
+_DONE = 1e-7  # relative: a step that leaves its own square
+_MOST = 6  # steps
+_SHRINKS = 0.25  # by so much at least from step to step
+_LOST = 0.5  # of 1 + |y|: a longer step is of no use
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polished:
+    """Extremals at points, in lanes.
+
+    Attributes
+    ----------
+    found
+        The last evaluation, at the iterate before `y`.
+    y
+        All unknowns of the chart behind the last step, (lanes, size).
+    cost
+        J there, canonical.
+    reached
+        Whether Newton's method converged to an extremal of the sheet.
+    answers
+        Whether that keeps its bounds and the path, and its second flight ends where it should.
+    steps
+        Of Newton's method.
+    bound
+        How far y can be from the extremal, relative.
+    away
+        How far what the cell gave was from it, relative.
+    margin
+        By how much it is an answer of its sheet, canonical.
+    flown
+        Its second flight.
+    """
+
+    found: Extremals
+    y: Matrix
+    cost: Vector
+    reached: NDArray[np.bool_]
+    answers: NDArray[np.bool_]
+    steps: NDArray[np.int64]
+    bound: Vector
+    away: Vector
+    margin: Vector
+    flown: Reflown
+
+
+class Polisher:
+    """Newton's method from guesses, for one chart."""
+
+    def __init__(self, chart: Chart, borders: Borders, reflights: Reflights, sheets: Sequence[Sheet]) -> None:
+        self.chart, self.borders, self.reflights, self.sheets = chart, borders, reflights, sheets
+        self.orientations = np.array([sheet.orientation for sheet in sheets])
+        self._p = chart.p[None]
+
+    def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
+        """Polish.
+
+        Parameters
+        ----------
+        values
+            Of the axes, (lanes, d), canonical.
+        which
+            Number of each lane's sheet.
+        guess
+            Unknowns, (lanes, n).
+        """
+        chart, count = self.chart, len(values)
+        limits = self.borders.at(values)
+        holds = self.borders.holds(self.sheets, which, values, limits)
+        y, length, steps = guess, np.full(count, _LOST), np.zeros(count, dtype=np.int64)
+        going = shrinking = np.ones(count, dtype=bool)
+        for number in range(1, _MOST + 1):  # a lane that is done stands still
+            found = chart.at(values, y, holds)
+            steps[going] = number
+            shrinking = shrinking & (~going | (found.length <= _SHRINKS * length))
+            length = found.length
+            going = going & shrinking & (length > _DONE)
+            if not going.any():
+                break
+            y = np.where(going[:, None], found.stepped, y)
+        reached = shrinking & (length <= _DONE) & (found.orientation == self.orientations[which])
+        whole = chart.whole(values, np.where(reached[:, None], found.stepped, y))
+        held = found.roots.choice[:, : chart.shooting.plan.held] > 0
+        flown = self.reflights(whole, self._p, held)
+        margin = self.borders.margins(self.sheets, which, found, limits)
+        answers = reached & (margin >= -SLACK) & flown.good
+        scale = 1.0 + np.linalg.norm(found.y, axis=1)
+        return Polished(
+            found=found,
+            y=whole,
+            cost=flown.cost,
+            reached=reached,
+            answers=answers,
+            steps=steps,
+            bound=2.0 * np.linalg.norm(chart.steps(found, flown.residuals), axis=1) / scale,
+            away=np.linalg.norm(whole[:, chart.active] - guess, axis=1) / scale,
+            margin=margin,
+            flown=flown,
+        )

@@ -1,0 +1,179 @@
+"""An atlas as it is read: its header, its charts, and the bricks that a reader has looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.brick import WHOLE, Status
+from perilune.atlas.build import cell_type, node_type, sheets_of
+from perilune.atlas.chart import Chart
+from perilune.atlas.polish import Polished, Polisher
+from perilune.atlas.reflight import Reflights
+from perilune.atlas.region import Axis, Region
+from perilune.atlas.sheets import Borders
+from perilune.atlas.store import Store
+from perilune.conditions.pontryagin import Conditions, derive
+from perilune.io.reload import read_problem
+from perilune.problem.problem import Problem
+from perilune.shooting.function import Root
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+
+SERVING = (Status.ONE_STEP, Status.MORE_STEPS)
+_MOST_SEEN = 4096  # cells of a brick that are kept at hand
+
+Whole = NDArray[np.int64]
+
+
+class Brick:
+    """What is looked at of a brick: cells as lists, which Python reads fastest, and nodes as they lie on disk."""
+
+    def __init__(self, nodes: NDArray[Any], cells: NDArray[Any]) -> None:
+        self.nodes, self.cells = nodes, cells
+        self.axis, self.child, self.status = (cells[name].tolist() for name in ("axis", "child", "status"))
+        first = np.nonzero((cells["size"] == WHOLE).all(axis=1))[0]
+        self.roots = {int(cells["sheet"][i]): int(i) for i in first}
+        second = np.where(cells["child"] >= 0, cells["child"] + 1, 0)
+        at = np.take_along_axis(cells["low"][second], np.maximum(cells["axis"], 0)[:, None], axis=1)[:, 0]
+        self.split = at.tolist()
+        self._seen: dict[int, tuple[Vector, Vector, NDArray[np.float64]]] = {}
+
+    @cached_property
+    def arrays(self) -> tuple[Whole, Whole, Whole, Whole]:
+        """Axis, first child, where it is split and status of each cell."""
+        return tuple(np.array(rows) for rows in (self.axis, self.child, self.split, self.status))  # pyright: ignore
+
+    def leaves(self, sheet: int, places: Matrix) -> Whole:
+        """The cells of a sheet in which places lie, (points,)."""
+        axis, child, split, _ = self.arrays
+        cell = np.full(len(places), self.roots.get(sheet, -1))
+        while (going := np.nonzero((cell >= 0) & (child[cell] >= 0))[0]).size:
+            here = cell[going]
+            cell[going] = child[here] + (places[going, axis[here]] >= split[here])
+        return cell
+
+    def leaf(self, sheet: int, place: Sequence[float]) -> int:
+        """The cell of a sheet in which a place lies, -1 where it has none."""
+        cell = self.roots.get(sheet, -1)
+        axis, child, split = self.axis, self.child, self.split
+        while cell >= 0 and child[cell] >= 0:
+            cell = child[cell] + (place[axis[cell]] >= split[cell])
+        return cell
+
+    def least(self, number: int) -> float:
+        """The least J at those corners of a cell that there are, inf where there is none."""
+        corners = self.cells["corners"][number]
+        there = corners[corners >= 0]
+        return float(self.nodes["terms"][there, 0, -1].min()) if len(there) else np.inf
+
+    def cell(self, number: int) -> tuple[Vector, Vector, NDArray[np.float64]]:
+        """Its low corner, its size, and values and derivatives at its corners."""
+        found = self._seen.get(number)
+        if found is None:
+            if len(self._seen) >= _MOST_SEEN:
+                self._seen.clear()
+            said = self.cells[number]
+            terms = np.asarray(self.nodes["terms"][said["corners"]])[None]
+            found = self._seen[number] = (said["low"].astype(float), said["size"].astype(float), terms)
+        return found
+
+
+class Charted:
+    """One chart of an atlas, as queries need it."""
+
+    def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
+        keep = tuple(said["keep"])
+        self.sheets, self.unknowns = sheets_of(said), int(said["unknowns"])
+        self.chart = Chart(problem, region.names, region.high - region.low, keep)
+        self.borders = Borders(self.chart)
+        reflights = Reflights(self.chart.free, self.chart.conditions)
+        self.polish = Polisher(self.chart, self.borders, reflights, self.sheets)
+        self.own: Conditions = derive(problem, keep)
+        names = [name for name, _ in self.chart.conditions.unknowns]
+        self._own_places = np.array([names.index(name) for name, _ in self.own.unknowns])
+        plan = self.chart.shooting.plan
+        self._free = [i for i, name in enumerate(self.chart.free.free_names) if name not in region.names]
+        kept = [*self._free, *range(plan.free, plan.held)]
+        self._own_choice = [*kept, *(plan.held + i for i in kept)]
+
+    def own_unknowns(self, y: Matrix) -> Matrix:
+        """Of all unknowns of the chart those of the problem itself, (lanes, n)."""
+        return y[:, self._own_places]
+
+    def root(self, polished: Polished) -> Root:
+        """A polished extremal as a root of the problem itself, where the axes are given."""
+        roots = polished.found.roots
+        return Root(
+            y=self.own_unknowns(polished.y)[0],
+            residual=polished.flown.residual[:1],
+            inverse=np.full((0, 0), np.nan),
+            slopes=np.zeros(len(self._free)),
+            ranges=np.zeros(0),
+            cost=float(polished.cost[0]),
+            choice=roots.choice[0, self._own_choice],
+            converged=True,
+        )
+
+
+class Reader:
+    """An atlas on disk; it may grow meanwhile.
+
+    Parameters
+    ----------
+    directory
+        Where it is.
+    problem_from_scenario
+        Makes the problem of a scenario's text.
+
+    Attributes
+    ----------
+    problem, region, tolerance
+        What is mapped, over which axes, and how finely.
+    damaged
+        Bricks whose shards cannot be used, and why.
+    """
+
+    def __init__(self, directory: Path, problem_from_scenario: Callable[[str], Problem]) -> None:
+        self.store = Store(directory)
+        header = self.store.header()
+        self.problem = read_problem(header, problem_from_scenario)
+        self.region = Region(tuple(Axis(**axis) for axis in header["axes"]))
+        self.tolerance = float(header["tolerance"])
+        self.damaged: dict[str, str] = {}
+        self._bricks: dict[tuple[int, ...], Brick] = {}
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Look again at what the manifest says."""
+        self.survey = self.store.survey() or {"charts": []}
+        ours = self.store.bricks(self.survey)
+        self.said = {(int(line["chart"]), *map(int, line["brick"])): line for line in ours}
+        self.__dict__.pop("charted", None)
+
+    @cached_property
+    def charted(self) -> list[Charted]:
+        """Its charts."""
+        return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
+
+    def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:
+        """A brick of a chart; None where there is none, or it is damaged."""
+        key = (number, *brick)
+        if key not in self._bricks:
+            said = self.said.get(key)
+            if said is None:
+                return None
+            d, n = len(self.region.axes), self.charted[number].unknowns
+            try:
+                nodes = self.store.shard(said["nodes"], node_type(d, n))
+                cells = self.store.shard(said["cells"], cell_type(d))
+            except PeriluneError as error:
+                self.damaged[str(said["name"])] = error.what
+                return None
+            self._bricks[key] = Brick(nodes, cells)
+        return self._bricks[key]
