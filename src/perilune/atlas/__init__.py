@@ -10,12 +10,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from perilune.atlas.build import build
+    from perilune.atlas.building import build
     from perilune.atlas.many import Answered, Answers
     from perilune.atlas.query import Atlas, Mapped, Query, open_atlas as open
 
 _HOME = {
-    "build": ("build", "build"),
+    "build": ("building", "build"),
     "open": ("query", "open_atlas"),
     "Atlas": ("query", "Atlas"),
     "Mapped": ("query", "Mapped"),

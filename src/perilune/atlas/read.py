@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.brick import WHOLE, Status
-from perilune.atlas.build import cell_type, node_type, sheets_of
+from perilune.atlas.building import cell_type, node_type, sheets_of
 from perilune.atlas.chart import Chart
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import Reflights

@@ -8,14 +8,12 @@ compute them in any order.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from queue import Empty, SimpleQueue
-from typing import Any, Protocol, TypeVar
 
 from perilune.families.continued import Continuation
+from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.families.family import FamilyPoint, failed_point
 from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
@@ -28,18 +26,7 @@ from perilune.solve import judged, prove, solve, verify
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.watch import Watch
 
-Kind = TypeVar("Kind")
 Found = Iterator[tuple[int, FamilyPoint]]
-Call = tuple[Any, ...]  # a function and its arguments
-_AHEAD = 1000  # members handed to an executor before the first of them is back
-_PATIENCE = 0.2  # seconds between looks whether the user pressed Ctrl-C
-
-
-class Submits(Protocol):
-    """What a `concurrent.futures.Executor` and a Dask client have in common."""
-
-    def submit(self, function: Any, /, *arguments: Any) -> Any:
-        """Begin a call; what is returned has ``result``, ``cancel`` and ``add_done_callback``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +55,7 @@ class Members:
         """Each of the members `todo` with its number, as soon as it is there."""
         if executor is None and len(self.names) == 1 and isinstance(self.method, Indirect):
             return self._continued(todo, self.method)
-        return self._one_by_one(todo) if executor is None else _told_of_loss(self._elsewhere(todo, executor))
+        return self._one_by_one(todo) if executor is None else told_of_loss(self._elsewhere(todo, executor))
 
     def taken_over(
         self, stored: Mapping[int, FamilyPoint], executor: Submits | None, note: Callable[[str], None]
@@ -104,7 +91,7 @@ class Members:
                 except PeriluneError as error:
                     note(f"stored member {i:06d} cannot be used ({error.what}) and is solved again")
 
-        proofs = _here(calls()) if executor is None else _told_of_loss(_answers(executor, calls()))
+        proofs = here(calls()) if executor is None else told_of_loss(answers(executor, calls()))
         for number, (i, verification) in enumerate(proofs, 1):
             self.watch(f"members of the store proved again: {number} of {len(claims)}")
             proved = verification and judged(claims[i], verification, self.level)
@@ -166,7 +153,7 @@ class Members:
                 except PeriluneError as error:
                     refused.append((i, failed_point(self.values[i], error)))
 
-        for found in chain(_answers(executor, calls()), (None,)):
+        for found in chain(answers(executor, calls()), (None,)):
             # What came back has a copy of the problem; the caller has the problem itself.
             back = [] if found is None else [(found[0], self._own(*found))]
             for i, point in (*refused, *back):
@@ -180,46 +167,6 @@ class Members:
         if point.solution is None:
             return point
         return replace(point, solution=replace(point.solution, problem=self.problem_of(i)))
-
-
-def _answers(executor: Submits, calls: Iterator[tuple[int, Call]]) -> Iterator[tuple[int, Any]]:
-    """What each call returns, with its number, in the order in which they come back."""
-    begun: dict[int, Any] = {}
-    back: SimpleQueue[int] = SimpleQueue()
-    try:
-        while True:
-            while len(begun) < _AHEAD and (call := next(calls, None)) is not None:
-                i, (function, *arguments) = call
-                begun[i] = executor.submit(function, *arguments)
-                begun[i].add_done_callback(lambda _, i=i: back.put(i))
-            if not begun:
-                return
-            try:
-                i = back.get(timeout=_PATIENCE)
-            except Empty:
-                continue
-            yield i, begun.pop(i).result()
-    finally:
-        for future in begun.values():
-            future.cancel()
-
-
-def _here(calls: Iterator[tuple[int, Call]]) -> Iterator[tuple[int, Any]]:
-    """What each call returns, one after the other."""
-    for i, (function, *arguments) in calls:
-        yield i, function(*arguments)
-
-
-def _told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
-    """The same, with a lost worker named in the user's words."""
-    try:
-        yield from answers
-    except BrokenExecutor as error:
-        raise PeriluneError(
-            "a worker of the sweep was lost",
-            got=f"{type(error).__name__}: {error}",
-            advice="with store=DIR (--out DIR) what was done is kept: run it again there (--resume)",
-        ) from error
 
 
 def solved_member(

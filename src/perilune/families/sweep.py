@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from perilune.families.elsewhere import Submits
 from perilune.families.family import Family, FamilyPoint, Over, asked
-from perilune.families.members import Members, Submits
+from perilune.families.members import Members
 from perilune.families.store import Store
 from perilune.methods.method import Method
 from perilune.problem.problem import Problem

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,7 +22,7 @@ from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import Store
 from perilune.atlas.survey import Survey
 from perilune.conditions.held import Held
-from perilune.families.members import Submits
+from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.io.export import problem_document, versions
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Nature
@@ -186,8 +185,6 @@ def build(
     nodes = sum(line["nodes"]["rows"] for line in there.values())
     say(f"{len(done)} of {total} bricks are there, {nodes} nodes")
     for name, arrays in _everywhere(kept, todo, executor, say):
-        if arrays is None:  # another builder's
-            continue
         prefix = f"brick-{survey['digest'][:8]}-{name}"
         shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
         group, *brick = (int(part) for part in name.split("-"))
@@ -200,32 +197,17 @@ def build(
 
 def _everywhere(
     kept: Store, todo: Mapping[str, Task], executor: Submits | None, say: Watch
-) -> Iterator[tuple[str, dict[str, NDArray[Any]] | None]]:
-    """Shards of the bricks that can be claimed, as soon as they are there; None for those of another builder."""
-    if executor is None:
-        for name, task in todo.items():
-            with kept.claimed(name) as ours:
-                yield name, _arrays(computed(task, say)) if ours and not kept.there(name) else None
-        return
+) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+    """Shards of the bricks that can be claimed, as soon as they are there."""
     with ExitStack() as claims:
-        waiting: dict[Any, str] = {}
-        for name, task in todo.items():
-            if claims.enter_context(kept.claimed(name)) and not kept.there(name):
-                waiting[executor.submit(computed, task)] = name
-        while waiting:
-            for future in _first(waiting):
-                yield waiting.pop(future), _arrays(future.result())
 
+        def calls() -> Iterator[tuple[str, Call]]:
+            for name, task in todo.items():
+                if claims.enter_context(kept.claimed(name)) and not kept.there(name):
+                    yield name, (computed, task) if executor is not None else (computed, task, say)
 
-def _first(waiting: Mapping[Any, str]) -> Sequence[Any]:
-    try:
-        return list(wait(waiting, return_when=FIRST_COMPLETED).done)
-    except (AttributeError, TypeError):  # a Dask future, which is waited for by asking it
-        return [next(iter(waiting))]
-
-
-def _arrays(found: tuple[NDArray[Any], NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    return {"nodes": found[0], "cells": found[1]}
+        for name, found in here(calls()) if executor is None else told_of_loss(answers(executor, calls())):
+            yield name, dict(zip(("nodes", "cells"), found, strict=True))
 
 
 def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, say: Watch) -> dict[str, Any]:

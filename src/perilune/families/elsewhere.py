@@ -1,0 +1,63 @@
+"""Calls that any executor makes, in any order: a process pool's, or a Dask client's."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator
+from concurrent.futures import BrokenExecutor
+from queue import Empty, SimpleQueue
+from typing import Any, Protocol, TypeVar
+
+from perilune.words.outcome import PeriluneError
+
+Kind = TypeVar("Kind")
+Name = TypeVar("Name", bound=Hashable)
+Call = tuple[Any, ...]  # a function and its arguments
+_AHEAD = 1000  # calls handed to an executor before the first of them is back
+_PATIENCE = 0.2  # seconds between looks whether the user pressed Ctrl-C
+
+
+class Submits(Protocol):
+    """What a `concurrent.futures.Executor` and a Dask client have in common."""
+
+    def submit(self, function: Any, /, *arguments: Any) -> Any:
+        """Begin a call; what is returned has ``result``, ``cancel`` and ``add_done_callback``."""
+
+
+def answers(executor: Submits, calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
+    """What each call returns, with its name, in the order in which they come back."""
+    begun: dict[Name, Any] = {}
+    back: SimpleQueue[Name] = SimpleQueue()
+    try:
+        while True:
+            while len(begun) < _AHEAD and (call := next(calls, None)) is not None:
+                name, (function, *arguments) = call
+                begun[name] = executor.submit(function, *arguments)
+                begun[name].add_done_callback(lambda _, name=name: back.put(name))
+            if not begun:
+                return
+            try:
+                name = back.get(timeout=_PATIENCE)
+            except Empty:
+                continue
+            yield name, begun.pop(name).result()
+    finally:
+        for future in begun.values():
+            future.cancel()
+
+
+def here(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
+    """What each call returns, one after the other."""
+    for name, (function, *arguments) in calls:
+        yield name, function(*arguments)
+
+
+def told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
+    """The same, with a lost worker named in the user's words."""
+    try:
+        yield from answers
+    except BrokenExecutor as error:
+        raise PeriluneError(
+            "a worker was lost",
+            got=f"{type(error).__name__}: {error}",
+            advice="what was done is kept where it was to be stored (--out DIR): run it again there (--resume)",
+        ) from error
