@@ -33,11 +33,16 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     if words[:1] == ["new"]:  # of which argparse would not see the FILE in `new KIND --force FILE`
         words.sort(key=lambda word: word.startswith("-"))
     parser, known = _parsers()
-    if words and not words[0].startswith("-") and words[0] not in known:
-        raise unknown_name("command", words[0], list(known))
+    commands = list(dict.fromkeys(name.split()[0] for name in known))
+    if words and not words[0].startswith("-") and words[0] not in commands:
+        raise unknown_name("command", words[0], commands)
+    actions = [name.split()[1] for name in known if name.startswith(f"{words[0]} ")] if words else []
+    if actions and words[1:] and not words[1].startswith("-") and words[1] not in actions:
+        raise unknown_name(f"action of {words[0]}", words[1], actions)
     typed, left = parser.parse_known_args(words)
     if left:
-        raise _unknown_argument(left[0], known.get(typed.command, parser))
+        name = " ".join(filter(None, (typed.command, getattr(typed, "action", None))))
+        raise _unknown_argument(left[0], known.get(name, parser))
     return typed
 
 
@@ -175,13 +180,14 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
     known: dict[str, _Parser] = {}
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="Commands")
 
-    def command(name: str, about: str, *options: _Option) -> None:
-        made = known[name] = commands.add_parser(
-            name, help=about, description=about, add_help=False, allow_abbrev=False
+    def command(name: str, about: str, *options: _Option, among: Any = commands) -> _Parser:
+        made = known[name] = among.add_parser(
+            name.split()[-1], help=about, description=about, add_help=False, allow_abbrev=False
         )
-        for flags, settings in (*options, _JSON):
+        for flags, settings in (*options, _JSON) if options else ():
             made.add_argument(*flags, **settings)
         made.add_argument("-h", "--help", nargs=0, action=_Help, help="Show this message and leave.")
+        return made
 
     find = (_SET, _OUT, _VERBOSE, _FORCE)
     command(
@@ -224,6 +230,7 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         _switch("--all", "Show passes that are out of reach too.", dest="every"),
         _SET,
     )
+    _atlas(command)
     command(
         "verify",
         "Prove a saved solution again, from its file alone.",
@@ -256,3 +263,65 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         _switch("--clear-cache", "Remove the machine code kept on disk."),
     )
     return parser, known
+
+
+def _atlas(command: Callable[..., _Parser]) -> None:
+    """The command ``atlas`` and its actions."""
+    made = command("atlas", "Map extremals over a region of parameters once, and answer from the map at once.")
+    actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
+    directory = _option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")
+    command(
+        "atlas build",
+        "Map the extremals of a scenario over ranges of one to four of its values.",
+        _FILE,
+        _option(
+            "--vary",
+            metavar="KEY=LOW:HIGH",
+            action="append",
+            required=True,
+            help='E.g. "vehicle.thrust=350:650 N"; given more than once, the region is the box of all.',
+        ),
+        _SET,
+        _option("--out", metavar="DIR", type=Path, required=True, help="Where the atlas goes."),
+        _option(
+            "--tolerance",
+            metavar="PART",
+            type=_real,
+            help="Relative error at which one step of Newton's method has to end. Usually 1e-9.",
+        ),
+        _option("--workers", metavar="N", type=_number(1), default=1, help="Processes side by side. Usually 1."),
+        _switch("--resume", "Go on with the atlas that is in --out DIR already."),
+        _VERBOSE,
+        _FORCE,
+        _NO_CACHE,
+        among=actions,
+    )
+    command(
+        "atlas query",
+        "Answer at one point of an atlas.",
+        directory,
+        _option(
+            "--at",
+            metavar="KEY=VALUE",
+            action="append",
+            default=[],
+            help='Of every axis, e.g. "vehicle.thrust=440 N".',
+        ),
+        _OUT,
+        _option("--prove", metavar="LEVEL", type=_number(0, 3), default=0, help="Prove the answer, to level 1 to 3."),
+        _VERBOSE,
+        _FORCE,
+        _NO_CACHE,
+        among=actions,
+    )  # fmt: skip
+    command("atlas info", "Say what an atlas maps, and how much of it is there.", directory, among=actions)
+    command(
+        "atlas verify",
+        "Look at every file of an atlas, and prove nodes that are drawn at random.",
+        directory,
+        _option("--sample", metavar="N", type=_number(0), default=50, help="How many. Usually 50; 459 says most."),
+        _option("--seed", metavar="N", type=_number(0), help="Of the draw; another each time if left out."),
+        _VERBOSE,
+        _NO_CACHE,
+        among=actions,
+    )

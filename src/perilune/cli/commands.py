@@ -139,6 +139,12 @@ def _opportunities(typed: Namespace) -> Answer:
     return Answer(text=text, document=document)
 
 
+def _atlas(typed: Namespace) -> Answer:
+    from perilune.cli.mapping import ACTIONS
+
+    return ACTIONS[typed.action](typed)
+
+
 def _verify(typed: Namespace) -> Answer:
     from perilune.report.beside import proved_directory
 
@@ -192,6 +198,7 @@ COMMANDS: dict[str, Callable[[Namespace], Answer]] = {
     "sweep": _sweep,
     "check": _check,
     "opportunities": _opportunities,
+    "atlas": _atlas,
     "verify": _verify,
     "reproduce": _reproduce,
     "new": _new,

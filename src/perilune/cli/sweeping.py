@@ -5,10 +5,10 @@ from __future__ import annotations
 import signal
 from argparse import Namespace
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from perilune.cli.answer import INTERRUPTED, Answer
 from perilune.cli.arguments import settings
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from perilune.scenario import Scenario
 
+Kind = TypeVar("Kind")
 MEMBERS = "members"  # in the output directory: what a sweep goes on from
 
 
@@ -29,8 +30,10 @@ def sweep_answer(order: Namespace) -> Answer:
     if order.resume and order.out is None:
         raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
     method = method_of(order.method, settings(order))
-    over = _ranges(order)
-    scenario = _varied(order.file, order.changes, over)
+    from perilune.scenario import values_of
+
+    over = ranges(order, values_of)
+    scenario = varied(order.file, order.changes, over)
     options: dict[str, Any] = {"method": method}
     if order.out is not None:
         _refuse_used(order)
@@ -42,7 +45,7 @@ def sweep_answer(order: Namespace) -> Answer:
     from perilune.families.sweep import sweep
     from perilune.report.family import family_csv, family_document, write_family
 
-    with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, _workers(order.workers) as executor:
+    with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(order.workers) as executor:
         family = sweep(
             scenario.problem,
             over,
@@ -72,7 +75,7 @@ def sweep_answer(order: Namespace) -> Answer:
 
 
 @contextmanager
-def _workers(count: int) -> Iterator[Executor | None]:
+def workers(count: int) -> Iterator[Executor | None]:
     """Processes to compute in, where more than one is asked for."""
     if count < 2:
         yield None
@@ -90,11 +93,11 @@ def _leave_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _ranges(order: Namespace) -> dict[str, list[float]]:
-    """The values of each key that is varied, in SI."""
-    from perilune.scenario import quantities_of, values_of
+def ranges(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]) -> dict[str, Kind]:
+    """What is `read` of the range of each key that is varied."""
+    from perilune.scenario import quantities_of
 
-    known, over = quantities_of(order.file, order.changes), dict[str, list[float]]()
+    known, over = quantities_of(order.file, order.changes), dict[str, Kind]()
     changed = {change.partition("=")[0].strip() for change in order.changes}
     for range_ in order.vary:
         key, _, text = (part.strip() for part in range_.partition("="))
@@ -106,7 +109,7 @@ def _ranges(order: Namespace) -> dict[str, list[float]]:
             raise PeriluneError(
                 f"{key} is varied and set at once", got=f"--vary and --set {key}", expected="one of the two"
             )
-        over[key] = values_of(key, text, known)
+        over[key] = read(key, text, known)
     return over
 
 
@@ -133,7 +136,7 @@ def _refuse_used(order: Namespace) -> None:
     refuse_used(order.out, order.force or order.resume)
 
 
-def _varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
+def varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
     """The scenario with the keys in it; both ends of the ranges are checked as the file itself is."""
     from perilune.scenario import load_file, quantities_of
 

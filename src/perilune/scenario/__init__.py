@@ -19,14 +19,14 @@ from typing import Any
 from perilune.models.kinds import KINDS
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
-from perilune.scenario.ranges import values_of
+from perilune.scenario.ranges import bounds_of, values_of
 from perilune.scenario.reader import names_files, problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
 from perilune.words.asked import demand_path
 from perilune.words.declared import Quantity
 
-__all__ = ["KINDS", "Scenario", "load_file", "load_text", "quantities_of", "template", "values_of"]
+__all__ = ["KINDS", "Scenario", "bounds_of", "load_file", "load_text", "quantities_of", "template", "values_of"]
 
 
 @dataclass(frozen=True, kw_only=True)

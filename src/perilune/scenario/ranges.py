@@ -1,4 +1,4 @@
-"""The values of a sweep, ``START:STOP:STEP`` of one key."""
+"""Ranges of one key: the values of a sweep, ``START:STOP:STEP``, and the ends of an axis, ``LOW:HIGH``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity
 
 MOST_STEPS = 10_000
+_ENDS = 'for example --vary "vehicle.thrust=350:650 N", or with a unit in each part'
 _ADVICE = 'for example --vary "retro.delta_v=0:1600:50 m/s", or with a unit in each part'
 
 
@@ -25,18 +26,7 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
         If there is no such key, it is no such range, has more than `MOST_STEPS` values, or the step leads away from
         STOP.
     """
-    if key not in known:
-        raise unknown_name("key with a quantity", key, list(known))
-    quantity, parts = known[key], [part.strip() for part in text[:LONGEST_VALUE].split(":")]
-    if len(parts) != 3 or not all(parts):
-        raise PeriluneError(
-            f"the range of {key} must have three parts",
-            got=repr(text[:60]),
-            expected="START:STOP:STEP",
-            advice=_ADVICE,
-        )
-    last_unit = re.sub(r"^[-+\d.]+([eE][-+]?\d+)?\s*", "", parts[2])
-    parts = [f"{part} {last_unit}" if re.fullmatch(r"[-+\d.]+([eE][-+]?\d+)?", part) else part for part in parts]
+    quantity, parts = _parts(key, text, known, "START:STOP:STEP", _ADVICE)
     try:
         start, stop = (float(quantity.read(part)) for part in parts[:2])
         step = parse_quantity(parts[2], quantity.unit)
@@ -53,3 +43,37 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
             advice="give the step the sign of STOP - START" if endless else "take a larger step",
         )
     return [start + k * step for k in range(int(steps + 1e-9) + 1)]
+
+
+def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float, float]:
+    """Ends in SI of ``"LOW:HIGH"`` for a key; the unit may stand in each part or in the last only.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no such key, or it is no such range.
+    """
+    quantity, parts = _parts(key, text, known, "LOW:HIGH", _ENDS)
+    try:
+        low, high = (float(quantity.read(part)) for part in parts)
+    except PeriluneError as error:
+        said = named(key, error)
+        raise PeriluneError(said.what, got=said.got, expected=said.expected, advice=_ENDS) from None
+    if not low < high:
+        raise PeriluneError(f"the range of {key} is empty", got=repr(text[:60]), expected="LOW < HIGH", advice=_ENDS)
+    return low, high
+
+
+def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice: str) -> tuple[Quantity, list[str]]:
+    """What is declared of a key, and the parts of a range, each with its unit."""
+    if key not in known:
+        raise unknown_name("key with a quantity", key, list(known))
+    wanted, parts = form.count(":") + 1, [part.strip() for part in text[:LONGEST_VALUE].split(":")]
+    if len(parts) != wanted or not all(parts):
+        many = {2: "two", 3: "three"}[wanted]
+        raise PeriluneError(
+            f"the range of {key} must have {many} parts", got=repr(text[:60]), expected=form, advice=advice
+        )
+    last_unit = re.sub(r"^[-+\d.]+([eE][-+]?\d+)?\s*", "", parts[-1])
+    bare = r"[-+\d.]+([eE][-+]?\d+)?"
+    return known[key], [f"{part} {last_unit}" if re.fullmatch(bare, part) else part for part in parts]

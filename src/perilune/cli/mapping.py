@@ -1,0 +1,160 @@
+"""The command ``atlas``: build, query, info, verify."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from perilune.cli.answer import Answer
+from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
+from perilune.cli.sweeping import ranges, varied, workers
+from perilune.words.declared import parameter_name
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.units import parse_quantity, told
+
+if TYPE_CHECKING:
+    from perilune.atlas.query import Atlas, Query
+    from perilune.problem.problem import Problem
+
+
+def _build(typed: Namespace) -> Answer:
+    from perilune.atlas.building import TOLERANCE, build
+    from perilune.atlas.store import HEADER, clear
+    from perilune.io.files import in_use
+    from perilune.scenario import bounds_of
+
+    axes = ranges(typed, bounds_of)
+    problem = _problem(typed, axes)
+    there = (typed.out / HEADER).is_file()
+    if there and not (typed.resume or typed.force):
+        raise PeriluneError(
+            "the output directory holds an atlas already", got=str(typed.out), expected="a new or empty directory",
+            advice="--resume to go on with it, --force to begin anew, or another directory",
+        )  # fmt: skip
+    if not there and in_use(typed.out):
+        refuse_used(typed.out, force=False)
+    if there and typed.force and not typed.resume:
+        clear(typed.out)
+    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(typed.workers) as executor:
+        build(
+            problem,
+            axes,
+            typed.out,
+            executor,
+            tolerance=TOLERANCE if typed.tolerance is None else typed.tolerance,
+            watch=watch,
+        )
+    return _described(_opened(typed), built=str(typed.out))
+
+
+def _problem(typed: Namespace, axes: Mapping[str, tuple[float, float]]) -> Problem:
+    """The problem of the file as it stands, or where it leaves an axis open, with its first value."""
+    from perilune.scenario import load_file
+
+    at_ends = varied(typed.file, typed.changes, axes)
+    try:
+        return load_file(typed.file, typed.changes).problem
+    except PeriluneError:
+        return at_ends.problem
+
+
+def _info(typed: Namespace) -> Answer:
+    return _described(_opened(typed))
+
+
+def _verify(typed: Namespace) -> Answer:
+    from perilune.atlas.verify import verify_atlas
+
+    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
+        found = verify_atlas(_opened(typed), typed.sample, seed=typed.seed, watch=watch)
+    document = {**asdict(found), "share": found.share, "outcome": "PROVED" if found.passed else "NOT_PROVED"}
+    return Answer(text=str(found), document=document, exit_code=0 if found.passed else 5)
+
+
+def _query(typed: Namespace) -> Answer:
+    from perilune.io.export import solution_document
+    from perilune.report.summary import solution_summary
+    from perilune.solve import prove
+
+    atlas = _opened(typed)
+    values = _values(atlas, typed.at)
+    refuse_used(typed.out, typed.force)
+    answer = atlas.query(**values)
+    solution = prove(answer, typed.prove) if typed.prove else answer
+    if typed.out is not None:
+        from perilune.report import write_all
+
+        write_all(solution, typed.out, scenario_text=None, force=typed.force)
+    lines = [solution_summary(solution, every_check=typed.verbose), "", *_query_lines(answer.query)]
+    code = solution.outcome.exit_code if typed.prove else 0
+    return Answer(
+        text="\n".join(lines), document={**solution_document(solution), "query": asdict(answer.query)}, exit_code=code
+    )
+
+
+def _opened(typed: Namespace) -> Atlas:
+    from perilune.atlas.query import open_atlas
+
+    return open_atlas(typed.out if typed.action == "build" else typed.directory)
+
+
+def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
+    """Values of the axes [SI] as they were typed."""
+    axes, found = {axis.name: axis for axis in atlas.region.axes}, dict[str, float]()
+    for stated in at:
+        key, sign, text = (part.strip() for part in stated.partition("="))
+        name = parameter_name(key)
+        if not sign:
+            raise PeriluneError("--at needs a key and a value", got=stated[:60], expected='--at "vehicle.thrust=440 N"')
+        if name not in axes:
+            raise unknown_name("axis", key, list(axes))
+        if name in found:
+            raise PeriluneError(f"--at names {key} twice", got=stated[:60], expected="each axis once")
+        found[name] = parse_quantity(text, axes[name].unit)
+    return found
+
+
+def _described(atlas: Atlas, **more: str) -> Answer:
+    """What an atlas is, and how much of it is there."""
+    axes = [
+        {"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in atlas.region.axes
+    ]  # fmt: skip
+    nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
+    size = sum(int(line[kind]["bytes"]) for line in atlas.said.values() for kind in ("nodes", "cells"))
+    sheets = [sheet.label for charted in atlas.charted for sheet in charted.sheets]
+    total = len(atlas.region.bricks) * max(1, len(atlas.charted))
+    lines = [
+        f"atlas of {atlas.problem.heading}",
+        *(f"  {a.name}: {told(a.low, a.unit)} to {told(a.high, a.unit)}" for a in atlas.region.axes),
+        f"{len(atlas.said)} of at most {total} bricks, {nodes} nodes, {size / 2**20:.1f} MiB",
+        "sheets",
+        *(f"  {label}" for label in sheets),
+    ]
+    notes = list(atlas.survey.get("notes", []))
+    for text in notes:
+        note(text)
+    document = {
+        "problem": atlas.problem.name, "axes": axes, "tolerance": atlas.tolerance, "bricks": len(atlas.said),
+        "nodes": nodes, "bytes": size, "sheets": sheets, "notes": notes, **more,
+    }  # fmt: skip
+    return Answer(text="\n".join(lines), document=document)
+
+
+def _query_lines(query: Query) -> list[str]:
+    return [
+        f"read from the atlas in {1e3 * query.latency:.2f} ms: sheet {query.sheet}",
+        f"  what its cell gives is wrong by {query.guess_error:.1e}, polished in {query.steps} steps to "
+        f"{query.error_bound:.1e} (relative)",
+        f"  flown again: ends {query.residual:.1e}, drift of H {query.drift:.1e} (limits 1e-9, canonical)",
+    ]
+
+
+ACTIONS: Mapping[str, Callable[[Namespace], Answer]] = {
+    "build": _build,
+    "query": _query,
+    "info": _info,
+    "verify": _verify,
+}
