@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
+_PATIENCE = 0.2  # seconds between looks at what another builder does
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
 
@@ -179,19 +181,22 @@ def build(
         }
     )
     survey = _surveyed(kept, problem, region, method or Indirect(), say)
-    there = {line["name"]: line for line in kept.bricks(survey)}
-    todo = {name: task for name, task in _tasks(kept, problem, region, survey, tolerance) if name not in there}
-    done, total = set(there), len(there) + len(todo)
-    nodes = sum(line["nodes"]["rows"] for line in there.values())
-    say(f"{len(done)} of {total} bricks are there, {nodes} nodes")
-    for name, arrays in _everywhere(kept, todo, executor, say):
-        prefix = f"brick-{survey['digest'][:8]}-{name}"
-        shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
-        group, *brick = (int(part) for part in name.split("-"))
-        kept.add({"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"], **shards})
-        nodes += len(arrays["nodes"])
-        done.add(name)
-        say(f"{len(done)} of {total} bricks, {nodes} nodes")
+    tasks = dict(_tasks(kept, problem, region, survey, tolerance))
+    there = {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey)}
+    say(f"{len(there)} of {len(tasks)} bricks, {sum(there.values())} nodes")
+    while todo := {name: task for name, task in tasks.items() if name not in there}:
+        for name, arrays in _everywhere(kept, todo, executor, say):
+            prefix = f"brick-{survey['digest'][:8]}-{name}"
+            shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
+            group, *brick = (int(part) for part in name.split("-"))
+            line = {"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"], **shards}
+            kept.add(line)
+            there[name] = len(arrays["nodes"])
+            say(f"{len(there)} of {len(tasks)} bricks, {sum(there.values())} nodes")
+        before = len(there)
+        there = {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey)}
+        if len(there) == before < len(tasks):  # what is missing is at work elsewhere; who dies there lets go of it
+            time.sleep(_PATIENCE)
     return kept.directory
 
 
@@ -212,8 +217,17 @@ def _everywhere(
 
 def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, say: Watch) -> dict[str, Any]:
     """The survey's line of the manifest, made where there is none."""
-    if (known := kept.survey()) is not None:
-        return known
+    while (known := kept.survey()) is None:
+        with kept.claimed("survey") as ours:
+            if not ours:
+                time.sleep(_PATIENCE)
+            elif kept.survey() is None:
+                kept.add(_survey(kept, problem, region, method, say))
+    return known
+
+
+def _survey(kept: Store, problem: Problem, region: Region, method: Indirect, say: Watch) -> dict[str, Any]:
+    """Make it."""
     survey = Survey(problem=problem, region=region, method=method, watch=say)
     places, _ = region.corners()
     charts = []
@@ -233,9 +247,7 @@ def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, s
             }
         )
     digest = hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
-    line = {"kind": "survey", "digest": digest, "charts": charts, "notes": survey.notes[:100]}
-    kept.add(line)
-    return kept.survey() or line
+    return {"kind": "survey", "digest": digest, "charts": charts, "notes": survey.notes[:100]}
 
 
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:

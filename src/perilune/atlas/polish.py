@@ -104,8 +104,11 @@ class Polisher:
                 break
             y = np.where(going[:, None], found.stepped, y)
         reached = shrinking & (length <= _DONE) & (found.orientation == self.orientations[which])
+        plan, choice = chart.shooting.plan, found.roots.choice
+        held = choice[:, : plan.held] > 0
         whole = chart.whole(values, np.where(reached[:, None], found.stepped, y))
-        held = found.roots.choice[:, : chart.shooting.plan.held] > 0
+        free = whole[:, chart.conditions.free_at]  # Newton's step leaves the last bit of what is held
+        np.copyto(free, choice[:, plan.held : plan.held + plan.free], where=held[:, : plan.free])
         flown = self.reflights(whole, self._p, held)
         margin = self.borders.margins(self.sheets, which, found, limits)
         answers = reached & (margin >= -SLACK) & flown.good

@@ -64,7 +64,7 @@ class Store:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
             if not (self.directory / HEADER).exists():
-                if any(self.directory.iterdir()):
+                if any(not _ours(path.name) for path in self.directory.iterdir()):
                     raise _unusable(self.directory, "files, and no atlas", "a new or empty directory")
                 self._put(HEADER, json_text({"format": FORMAT, **said}).encode())
         except OSError as error:
@@ -208,12 +208,13 @@ def clear(directory: Path) -> None:
     """Remove the files of an atlas, and nothing else."""
     with contextlib.suppress(FileNotFoundError):
         for file in list(directory.iterdir()):
-            if (
-                _OURS.fullmatch(file.name)
-                or file.name in (HEADER, MANIFEST)
-                or file.name.startswith((".claim-", ".writing-"))
-            ):
+            if _ours(file.name):
                 file.unlink()
+
+
+def _ours(name: str) -> bool:
+    """Whether a file of this name is an atlas's."""
+    return name in (HEADER, MANIFEST) or name.startswith((".claim-", ".writing-")) or bool(_OURS.fullmatch(name))
 
 
 def _unusable(place: Path, got: str, expected: str) -> PeriluneError:

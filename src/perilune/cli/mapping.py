@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 def _build(typed: Namespace) -> Answer:
     from perilune.atlas.building import TOLERANCE, build
     from perilune.atlas.store import HEADER, clear
-    from perilune.io.files import in_use
     from perilune.scenario import bounds_of
 
     axes = ranges(typed, bounds_of)
@@ -34,8 +33,6 @@ def _build(typed: Namespace) -> Answer:
             "the output directory holds an atlas already", got=str(typed.out), expected="a new or empty directory",
             advice="--resume to go on with it, --force to begin anew, or another directory",
         )  # fmt: skip
-    if not there and in_use(typed.out):
-        refuse_used(typed.out, force=False)
     if there and typed.force and not typed.resume:
         clear(typed.out)
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(typed.workers) as executor:

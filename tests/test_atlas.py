@@ -1,0 +1,456 @@
+"""Atlases: interpolation, exact sensitivities, second flights, building, answers, refusals, what a kill leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+import perilune as pl
+from cho import cho_landing
+from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
+from perilune.atlas.building import build, node_type
+from perilune.atlas.chart import Chart
+from perilune.atlas.hermite import bits, interpolated
+from perilune.atlas.many import Answered
+from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas.reflight import Reflights
+from perilune.atlas.region import region_of
+from perilune.atlas.store import HEADER, MANIFEST
+from perilune.atlas.verify import verify_atlas
+from perilune.cli import run
+from perilune.kernels import compile_map
+from perilune.problem.problem import Problem
+from perilune.scenario import load_file
+from perilune.solve import solve
+from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
+
+#: Across the Isp of 277.867 s at which the retro burn stops paying, Cho et al. 2015, Figs 9 and 10.
+AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (270.0, 310.0)}
+JUMP = 277.867
+RNG = np.random.default_rng
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Directory of an atlas of two axes."""
+    return build(cho_landing(), AXES, tmp_path_factory.mktemp("atlas") / "hybrid")
+
+
+@pytest.fixture
+def atlas(built: Path) -> Atlas:
+    return open_atlas(built)
+
+
+@pytest.fixture
+def copy(built: Path, tmp_path: Path) -> Path:
+    """The same, to be damaged."""
+    return Path(shutil.copytree(built, tmp_path / "copy"))
+
+
+# -- interpolation ----------------------------------------------------------------------------------------------------
+
+
+@given(d=st.integers(1, 4), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_products_of_cubics_are_met_exactly(d: int, seed: int) -> None:
+    rng = RNG(seed)
+    coefficients, size = rng.normal(size=(d, 4)), rng.uniform(0.1, 3.0, d)
+    low = rng.normal(size=d)
+
+    def value(x: np.ndarray, term: int = 0) -> float:
+        parts = [np.polynomial.Polynomial(c) for c in coefficients]
+        return float(np.prod([p.deriv()(v) if term >> i & 1 else p(v) for i, (p, v) in enumerate(zip(parts, x))]))  # noqa: B905
+
+    terms = np.array([[value(low + corner * size, b) for b in range(2**d)] for corner in bits(d)])
+    at = rng.uniform(size=d)
+    found = interpolated(terms[None, :, :, None], at[None], size[None])[0, 0]
+    assert found == pytest.approx(value(low + at * size), rel=1e-9, abs=1e-9 * np.abs(terms).max())
+
+
+def test_a_march_is_its_step_many_times_in_machine_code_and_without() -> None:
+    z, a = ca.SX.sym("z", 2), ca.SX.sym("a")
+    step = ca.Function("step", [z, a], [ca.vertcat(z[0] + a * z[1], z[1] - a * ca.sin(z[0]))])
+    start, lengths = np.array([[0.3, 0.1], [1.0, 0.0], [-2.0, 0.5]]), np.array([[0.1], [0.05], [0.2]])
+    wanted = start.copy()
+    for _ in range(7):
+        wanted = np.array([np.array(step(row, h)).ravel() for row, h in zip(wanted, lengths, strict=True)])
+    for backend in ("native", "scipy"):
+        np.testing.assert_allclose(compile_map(step, times=7, backend=backend)(start, lengths)[0], wanted, rtol=1e-13)
+
+
+# -- extremals as functions of parameters -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def chart() -> Chart:
+    return Chart(
+        cho_landing(),
+        ("vehicle_thrust", "retro_specific_impulse", "orbit_perilune_altitude"),
+        np.array([300.0, 40.0, 15e3]),
+    )
+
+
+def test_sensitivities_are_exact(chart: Chart) -> None:
+    """dy/dp and dJ/dp by columns of the inverse against differences of extremals, and mixed ones of fourth order."""
+    problem = cho_landing()
+    best = solve(problem, level=0)
+    values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
+    y = chart.told(np.array(best.extremals[0].unknowns))[None]
+    nothing = np.zeros(2 * chart.shooting.plan.held)
+    here = chart.solve(values, y, nothing)
+    assert here.converged[0] and here.cost[0] * problem.objective_size == pytest.approx(best.objective, rel=1e-12)
+    terms = chart.terms(here, nothing)[0]
+    for i in range(3):
+        step = 1e-4 * chart.widths[i] * np.eye(3)[i]
+        ahead, behind = (chart.solve(values + way * step, here.y, nothing) for way in (1, -1))
+        slope = (ahead.y - behind.y)[0] / (2 * step[i])
+        np.testing.assert_allclose(terms[1 << i, :-1], slope, atol=1e-6 * np.abs(slope).max())
+        assert terms[1 << i, -1] == pytest.approx((ahead.cost - behind.cost)[0] / (2 * step[i]), rel=1e-6)
+        for k in range(3):
+            if k != i:
+                mixed = (ahead.slopes - behind.slopes)[0, k] / (2 * step[i])
+                np.testing.assert_allclose(terms[1 << i | 1 << k, :-1], mixed, atol=1e-3 * np.abs(mixed).max() + 1e-6)
+
+
+def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart: Chart) -> None:
+    problem = cho_landing()
+    best = solve(problem, level=0)
+    values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
+    nothing = np.zeros(2 * chart.shooting.plan.held)
+    here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
+    held = here.roots.choice[:, : chart.shooting.plan.held] > 0
+    again = Reflights(chart.free, chart.conditions)
+    good = again(here.roots.y, chart.p[None], held)
+    assert good.good[0] and good.residual[0] < 1e-11 and good.drift[0] < 1e-12
+    assert good.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
+    for place in chart.active:  # every unknown matters
+        wrong = here.roots.y.copy()
+        wrong[0, place] += 1e-6 * (1 + abs(wrong[0, place]))
+        assert not again(wrong, chart.p[None], held).good[0]
+
+
+def precision(**more: float) -> Problem:
+    """The landing of examples/precision_landing.toml."""
+    return load_file(ROOT / "examples" / "precision_landing.toml").problem.with_given(**more)
+
+
+def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
+    problem = precision()
+    best = solve(problem, level=0)
+    names = ("approach_east", "corridor_slope")
+    chart = Chart(problem, names, np.array([100.0, 0.1]))
+    values = np.array([[problem.given[name].value for name in names]]) / chart.scale
+    nothing = np.zeros(2 * chart.shooting.plan.held)
+    again = Reflights(chart.free, chart.conditions)
+    for slope, kept in ((problem.given["corridor_slope"].value, True), (np.radians(30.0), False)):
+        values[0, 1] = slope
+        here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
+        flown = again(here.roots.y, chart.p[None], here.roots.choice[:, : chart.shooting.plan.held] > 0)
+        assert flown.residual[0] < 1e-10 and flown.minimum[0] > -1e-9
+        assert flown.arcs[0] == ((1, 0, 1),)  # full, least, full thrust
+        assert bool(flown.path[0] >= -1e-9) is kept
+
+
+# -- answers ----------------------------------------------------------------------------------------------------------
+
+
+def test_answers_are_those_of_a_solve_from_nothing(atlas: Atlas) -> None:
+    for thrust, isp in RNG(1).uniform([430.0, 270.0], [450.0, 310.0], (25, 2)):
+        found = atlas.query(vehicle_thrust=thrust, retro_specific_impulse=isp)
+        alone = solve(cho_landing().with_given(vehicle_thrust=thrust, retro_specific_impulse=isp), level=0)
+        assert found.objective == pytest.approx(alone.objective, rel=1e-10)
+        for name, value in alone.free.items():
+            assert found.free[name] == pytest.approx(value, rel=1e-9, abs=1e-9)
+        assert found.query.error_bound < 1e-9 and found.query.residual < 1e-9
+        assert found.results["landed_mass"].value == pytest.approx(-alone.objective, rel=1e-10)
+
+
+def test_the_answer_jumps_where_the_retro_burn_stops_paying(atlas: Atlas) -> None:
+    below, above = (atlas.query(vehicle_thrust=440.0, retro_specific_impulse=JUMP + by) for by in (-0.01, 0.01))
+    assert below.free["retro_delta_v"] == 0.0 and above.free["retro_delta_v"] == pytest.approx(1086.0, abs=2.0)
+    assert len(below.extremals) == len(above.extremals) == 2  # both were polished, as they cost nearly the same
+    assert below.objective == pytest.approx(above.objective, abs=0.01)
+
+
+def test_a_query_is_a_solution_that_proves(atlas: Atlas) -> None:
+    found = pl.prove(atlas.query(vehicle_thrust=440.0, retro_specific_impulse=300.0))
+    assert found.outcome is Outcome.PROVED and found.verification.level == 3
+
+
+def test_slopes_of_the_cost_are_those_of_solves(atlas: Atlas) -> None:
+    at = {"vehicle_thrust": 437.0, "retro_specific_impulse": 301.0}
+    slopes = atlas.query(**at).query.slopes
+    for name, value in at.items():
+        step = 1e-4 * value
+        ahead, behind = (
+            solve(cho_landing().with_given(**{**at, name: value + way * step}), level=0).objective for way in (1, -1)
+        )
+        assert slopes[name] == pytest.approx((ahead - behind) / (2 * step), rel=1e-6)
+
+
+def test_many_points_at_once_are_the_same_points(atlas: Atlas) -> None:
+    points = RNG(2).uniform([430.0, 270.0], [450.0, 310.0], (300, 2))
+    found = atlas.query_many(points)
+    assert found.good.all() and found.error_bound.max() < 1e-9
+    for i in range(0, 300, 30):
+        alone = atlas.query(vehicle_thrust=points[i, 0], retro_specific_impulse=points[i, 1])
+        assert found.objective[i] == pytest.approx(alone.objective, rel=1e-12)
+        assert found.free["flight_time"][i] == pytest.approx(alone.free["flight_time"], rel=1e-11)
+        assert found.slopes[i, 0] == pytest.approx(alone.query.slopes["vehicle_thrust"], rel=1e-9)
+    outside = atlas.query_many(np.array([[429.0, 300.0], [440.0, np.nan], [440.0, 300.0]]))
+    assert outside.answered.tolist() == [Answered.OUTSIDE, Answered.OUTSIDE, Answered.YES]
+    assert np.isnan(outside.objective[:2]).all()
+    with pytest.raises(PeriluneError, match="rows of the values"):
+        atlas.query_many(np.zeros((3, 5)))
+
+
+def test_switches_are_mapped_too(tmp_path: Path) -> None:
+    problem = precision()
+    atlas = open_atlas(
+        build(problem, {"approach.east": (-1900.0, -1700.0), "approach.up": (950.0, 1050.0)}, tmp_path / "p")
+    )
+    for east, up in RNG(3).uniform([-1900.0, 950.0], [-1700.0, 1050.0], (4, 2)):
+        alone = solve(problem.with_given(approach_east=east, approach_up=up), level=0)
+        found = atlas.query(approach_east=east, approach_up=up)
+        assert found.objective == pytest.approx(alone.objective, rel=1e-10)
+
+
+def test_what_physics_refuses_is_said(tmp_path: Path) -> None:
+    """20 N hold up no mass that can be left at the end: there the map has no answer, and says why."""
+    problem = cho_landing().with_given(retro_delta_v=0.0)
+    atlas = open_atlas(build(problem, {"vehicle.thrust": (15.0, 500.0)}, tmp_path / "weak"))
+    with pytest.raises(InfeasibleError) as alone:
+        solve(problem.with_given(vehicle_thrust=20.0))
+    with pytest.raises(InfeasibleError) as mapped:
+        atlas.query(vehicle_thrust=20.0)
+    assert mapped.value.what == alone.value.what
+    found = atlas.query_many(np.array([[20.0], [440.0]]))
+    assert found.answered.tolist() == [Answered.IMPOSSIBLE, Answered.YES]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"vehicle_thrust": 440.0}, "every axis"),
+        ({"vehicle_thrust": 440.0, "retro_specific_impulse": 311.0}, "outside"),
+        ({"vehicle_thrust": 440.0, "retro_specific_impulse": float("nan")}, "finite"),
+        ({"vehicle_thrust": "much", "retro_specific_impulse": 300.0}, "numbers"),
+        ({"vehicle_thurst": 440.0, "retro_specific_impulse": 300.0}, "no axis"),
+    ],
+)
+def test_points_that_are_none_are_refused(atlas: Atlas, values: dict[str, float], words: str) -> None:
+    with pytest.raises(PeriluneError, match=words):
+        atlas.query(**values)
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        ({}, "over"),
+        ({"vehicle.thrst": (1.0, 2.0)}, "no parameter"),
+        ({"vehicle.thrust": (500.0, 400.0)}, "empty"),
+        ({"vehicle.thrust": (400.0, float("inf"))}, "empty"),
+        ({"vehicle.thrust": 400.0}, "range of"),
+        ({"vehicle.thrust": (400.0, 500.0), "vehicle_thrust": (400.0, 500.0)}, "twice"),
+        ({"vehicle.thrust": (-400.0, 500.0)}, "thrust"),
+        (
+            dict.fromkeys(
+                ("vehicle.thrust", "vehicle.mass", "body.radius", "landing.altitude", "body.rotation_rate"), (1.0, 2.0)
+            ),
+            "many",
+        ),
+    ],
+)
+def test_regions_that_are_none_are_refused(axes: dict[str, tuple[float, float]], words: str) -> None:
+    with pytest.raises(PeriluneError, match=words):
+        region_of(cho_landing(), axes)
+
+
+def test_bricks_share_their_corners() -> None:
+    region = region_of(cho_landing(), AXES)
+    for brick in region.bricks:
+        low, high = region.box(brick)
+        assert region.brick_of(0.5 * (low + high)) == brick
+        if brick[0]:
+            assert region.box((brick[0] - 1, *brick[1:]))[1][0] == low[0]
+    assert region.brick_of(region.high) == (3, 3)
+
+
+# -- the store --------------------------------------------------------------------------------------------------------
+
+
+def test_shards_are_read_with_numpy_alone(built: Path) -> None:
+    lines = [json.loads(line) for line in (built / MANIFEST).read_text().splitlines()]
+    bricks = [line for line in lines if line["kind"] == "brick"]
+    nodes = np.load(built / bricks[0]["nodes"]["file"], allow_pickle=False)
+    assert {"sheet", "values", "terms", "margin", "residual"} <= set(nodes.dtype.names or ())
+    assert nodes["residual"].max() < 1e-9
+
+
+def test_what_is_there_is_not_computed_again_and_what_is_missing_comes_back_the_same(built: Path, copy: Path) -> None:
+    whole, said = snapshot(copy), list[str]()
+    build(cho_landing(), AXES, copy, watch=lambda line: said.append(str(line)))
+    assert snapshot(copy) == whole and said[0].startswith("16 of 16 bricks")
+    lines = (copy / MANIFEST).read_text().splitlines(keepends=True)
+    (copy / MANIFEST).write_text("".join(lines[:-2]) + lines[-2][:40])  # killed in the middle of a line
+    assert len(open_atlas(copy).said) == len(open_atlas(built).said) - 2
+    build(cho_landing(), AXES, copy)
+    again = snapshot(copy)
+    assert {k: v for k, v in again.items() if k.endswith(".npy")} == {
+        k: v for k, v in whole.items() if k.endswith(".npy")
+    }
+    assert len(open_atlas(copy).said) == len(open_atlas(built).said)
+
+
+def test_processes_make_the_same_nodes(built: Path, tmp_path: Path) -> None:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        build(cho_landing(), AXES, tmp_path / "other", pool)
+    one, other = snapshot(built), snapshot(tmp_path / "other")
+    assert {k: v for k, v in one.items() if k.endswith(".npy")} == {
+        k: v for k, v in other.items() if k.endswith(".npy")
+    }
+
+
+def test_a_damaged_shard_is_named_and_the_rest_serves(copy: Path) -> None:
+    atlas = open_atlas(copy)
+    key = next(k for k in atlas.said if k[1:] == atlas.region.brick_of(np.array([431.0, 309.0])))
+    file = copy / atlas.said[key]["nodes"]["file"]
+    content = bytearray(file.read_bytes())
+    content[-9] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(PeriluneError, match=file.name):
+        atlas.query(vehicle_thrust=431.0, retro_specific_impulse=309.0)
+    assert atlas.query(vehicle_thrust=449.0, retro_specific_impulse=300.0).objective < 0
+    found = verify_atlas(atlas, sample=0)
+    assert not found.passed and len(found.damaged) == 1 and file.name in found.damaged[0]
+    file.unlink()
+    with pytest.raises(PeriluneError, match=file.name):
+        open_atlas(copy).query(vehicle_thrust=431.0, retro_specific_impulse=309.0)
+
+
+def test_what_is_not_built_is_said(copy: Path) -> None:
+    lines = (copy / MANIFEST).read_text().splitlines(keepends=True)
+    (copy / MANIFEST).write_text("".join(lines[:-1]))
+    with pytest.raises(PeriluneError, match="not built"):
+        open_atlas(copy).query(vehicle_thrust=450.0, retro_specific_impulse=310.0)
+
+
+def test_no_shard_is_read_from_elsewhere(copy: Path) -> None:
+    lines = (copy / MANIFEST).read_text().replace('"file": "brick-', '"file": "../brick-')
+    (copy / MANIFEST).write_text(lines)
+    with pytest.raises(PeriluneError, match="damaged"):
+        open_atlas(copy).query(vehicle_thrust=450.0, retro_specific_impulse=310.0)
+
+
+def test_other_directories_are_refused(copy: Path, tmp_path: Path) -> None:
+    with pytest.raises(PeriluneError, match="other axes"):
+        build(cho_landing(), {"vehicle.thrust": (430.0, 450.0)}, copy)
+    with pytest.raises(PeriluneError, match="given"):
+        build(cho_landing().with_given(vehicle_mass=310.0), AXES, copy)
+    with pytest.raises(PeriluneError, match="tolerance"):
+        build(cho_landing(), AXES, tmp_path / "new", tolerance=0.5)
+    (tmp_path / "some").mkdir()
+    (tmp_path / "some" / "letter.txt").write_text("dear")
+    with pytest.raises(PeriluneError, match="cannot be used"):
+        build(cho_landing(), AXES, tmp_path / "some")
+    with pytest.raises(PeriluneError):
+        open_atlas(tmp_path / "nowhere")
+    header = json.loads((copy / HEADER).read_text())
+    header["format"]["version"] = 99
+    (copy / HEADER).write_text(json.dumps(header))
+    with pytest.raises(PeriluneError, match="version"):
+        open_atlas(copy)
+
+
+def test_nodes_drawn_at_random_are_proved(atlas: Atlas) -> None:
+    found = verify_atlas(atlas, sample=3, seed=1)
+    assert found.passed and found.proved == found.drawn == 3 and found.share == pytest.approx(0.01 ** (1 / 3))
+    assert replace(found, drawn=459, proved=459).share == pytest.approx(0.99, abs=1e-4)
+    assert replace(found, proved=2).share == 0.0 and not replace(found, proved=2).passed
+
+
+# -- the command line -------------------------------------------------------------------------------------------------
+
+VARY = ["--vary", "vehicle.thrust=430:450 N", "--vary", "retro.specific_impulse=270:310 s"]
+
+
+def test_the_command_line_builds_asks_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "atlas")
+    assert run(["atlas", "build", HYBRID, *VARY, "--out", out, "--json"]) == 0
+    told = read_json(capsys.readouterr().out)
+    assert told["nodes"] > 16 and len(told["sheets"]) == 3
+    assert run(["atlas", "build", HYBRID, *VARY, "--out", out]) == 2
+    assert "--resume" in capsys.readouterr().err
+    assert run(["atlas", "build", HYBRID, *VARY, "--out", out, "--resume"]) == 0
+    capsys.readouterr()
+    at = ["--at", "vehicle.thrust=440 N", "--at", "retro.specific_impulse=300 s"]
+    assert run(["atlas", "query", out, *at, "--json"]) == 0
+    answer = read_json(capsys.readouterr().out)
+    assert answer["results"]["landed_mass"]["value"] == pytest.approx(-atlas_objective(out), rel=1e-12)
+    assert {"cell", "steps", "error_bound", "latency", "sheet"} <= set(answer["query"])
+    assert run(["atlas", "query", out, *at, "--prove", "3"]) == 0
+    assert "level 3" in capsys.readouterr().out
+    assert run(["atlas", "query", out, "--at", "vehicle.thrust=440 N", "--at", "retro.specific_impulse=1 km"]) == 2
+    assert run(["atlas", "query", out, "--at", "vehicle.thrust"]) == 2
+    assert run(["atlas", "query", str(tmp_path), *at]) == 2
+    assert run(["atlas", "info", out]) == 0
+    assert run(["atlas", "verify", out, "--sample", "1", "--json"]) == 0
+    assert run(["atlas", "bild", HYBRID]) == 2
+
+
+def atlas_objective(directory: str) -> float:
+    return open_atlas(directory).query(vehicle_thrust=440.0, retro_specific_impulse=300.0).objective
+
+
+@pytest.mark.parametrize("text", ["vehicle.thrust=450:430 N", "vehicle.thrust=430:450:10 N", "vehicle.thrust=430 N"])
+def test_ranges_that_are_none_are_refused(text: str, tmp_path: Path) -> None:
+    assert run(["atlas", "build", HYBRID, "--vary", text, "--out", str(tmp_path / "a")]) == 2
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="a POSIX signal")
+def test_a_killed_builder_leaves_what_another_goes_on_from(built: Path, tmp_path: Path) -> None:
+    out = tmp_path / "killed"
+    order = [sys.executable, "-m", "perilune", "atlas", "build", HYBRID, *VARY, "--out", str(out)]
+    killed = subprocess.Popen(order, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    until = time.monotonic() + 60
+    while time.monotonic() < until and not (out / MANIFEST).exists():
+        time.sleep(0.01)
+    time.sleep(0.1)
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.wait()
+    subprocess.run([*order, "--resume"], env=ENVIRONMENT, check=True, capture_output=True)
+    one, other = open_atlas(built), open_atlas(out)
+    assert one.said.keys() == other.said.keys()
+    for key, line in other.said.items():
+        dtype = node_type(2, other.charted[0].unknowns)
+        nodes = [a.store.shard(said["nodes"], dtype) for a, said in ((one, one.said[key]), (other, line))]
+        np.testing.assert_allclose(nodes[0]["terms"], nodes[1]["terms"], rtol=1e-9)
+
+
+def test_two_builders_share_the_work(built: Path, tmp_path: Path) -> None:
+    out = tmp_path / "two"
+    order = [sys.executable, "-m", "perilune", "atlas", "build", HYBRID, *VARY, "--out", str(out), "--resume"]
+    both = [
+        subprocess.Popen(order, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) for _ in range(2)
+    ]
+    for process in both:
+        assert process.wait(120) == 0
+    atlas = open_atlas(out)
+    assert atlas.said.keys() == open_atlas(built).said.keys()
+    names = [line["name"] for line in atlas.store.lines() if line["kind"] == "brick"]
+    assert len(names) == len(set(names))  # no brick twice
