@@ -154,15 +154,15 @@ class Chart:
     def solve(self, values: Matrix, y: Matrix, holds: Matrix, **settings: Any) -> Extremals:
         """Newton's method in each lane; settings as for it."""
         settings = {"limit": 12, "accuracy": FINEST, **settings}
-        return self._of(
-            values, self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings)
-        )
+        roots = self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings)
+        return self.told_of(values, roots)
 
     def at(self, values: Matrix, y: Matrix, holds: Matrix) -> Extremals:
         """What there is at points that need be no roots."""
-        return self._of(values, self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds)))
+        return self.told_of(values, self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds)))
 
-    def _of(self, values: Matrix, roots: Roots) -> Extremals:
+    def told_of(self, values: Matrix, roots: Roots) -> Extremals:
+        """What roots at values of the parameters, or points that need be none, say."""
         plan, columns, rows = roots.plan, roots.plan.columns, roots.rows
         inverse = rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
         with np.errstate(all="ignore"):

@@ -41,17 +41,21 @@ def weights(at: Matrix, size: Matrix) -> NDArray[np.float64]:
     -------
     ndarray, shape (points, corners, terms)
     """
-    t, h = at, np.broadcast_to(size, at.shape)
-    s = 1.0 - t
-    # Along one axis: (points, d, side, value or slope).
-    along = np.empty((*t.shape, 2, 2))
-    along[:, :, 0, 0], along[:, :, 1, 0] = s * s * (1.0 + 2.0 * t), t * t * (1.0 + 2.0 * s)
-    along[:, :, 0, 1], along[:, :, 1, 1] = h * t * s * s, -h * s * t * t
-    digits = bits(at.shape[1])
-    out = np.ones((len(at), len(digits), len(digits)))
-    for axis in range(at.shape[1]):
-        out *= along[:, axis][:, digits[:, axis][:, None], digits[:, axis][None]]
-    return out
+    t, s = at, 1.0 - at
+    left, right = s * s, t * t
+    # Along one axis: value and slope at the low side, then at the high one.
+    along = np.stack([left * (1.0 + 2.0 * t), size * t * left, right * (1.0 + 2.0 * s), -size * s * right])
+    out = along[:, :, 0]
+    for axis in range(1, at.shape[1]):
+        out = (along[:, None, :, axis] * out).reshape(-1, len(at))
+    return out[_order(at.shape[1])].transpose(2, 0, 1)
+
+
+@lru_cache(maxsize=8)
+def _order(d: int) -> NDArray[np.int64]:
+    """Where the weight of a corner and a term stands in a product, axis by axis, of four along each."""
+    digits = bits(d)
+    return ((2 * digits[:, None] + digits[None]) << 2 * np.arange(d)).sum(axis=2)
 
 
 def interpolated(terms: NDArray[np.float64], at: Matrix, size: Matrix) -> Matrix:

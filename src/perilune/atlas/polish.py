@@ -89,39 +89,39 @@ class Polisher:
         guess
             Unknowns, (lanes, n).
         """
-        chart, count = self.chart, len(values)
+        chart, plan, count = self.chart, self.chart.shooting.plan, len(values)
         limits = self.borders.at(values)
-        holds = self.borders.holds(self.sheets, which, values, limits)
-        y, length, steps = guess, np.full(count, _LOST), np.zeros(count, dtype=np.int64)
+        choice = chart.choice(values, self.borders.holds(self.sheets, which, values, limits))
+        y, length, steps = chart.whole(values, guess), np.full(count, _LOST), np.zeros(count, dtype=np.int64)
         going = shrinking = np.ones(count, dtype=bool)
         for number in range(1, _MOST + 1):  # a lane that is done stands still
-            found = chart.at(values, y, holds)
+            roots = chart.shooting.at(y, chart.p, choice)
             steps[going] = number
-            shrinking = shrinking & (~going | (found.length <= _SHRINKS * length))
-            length = found.length
-            going = going & shrinking & (length > _DONE)
+            now = roots.rows[:, 2] / (1.0 + roots.rows[:, 3])
+            shrinking = shrinking & (~going | (now <= _SHRINKS * length))
+            length, going = now, going & shrinking & (now > _DONE)
             if not going.any():
                 break
-            y = np.where(going[:, None], found.stepped, y)
+            y[going[:, None] & plan.moved] += roots.rows[going, plan.columns.step].ravel()
+        found = chart.told_of(values, roots)
         reached = shrinking & (length <= _DONE) & (found.orientation == self.orientations[which])
-        plan, choice = chart.shooting.plan, found.roots.choice
+        y[reached[:, None] & plan.moved] += roots.rows[reached, plan.columns.step].ravel()
         held = choice[:, : plan.held] > 0
-        whole = chart.whole(values, np.where(reached[:, None], found.stepped, y))
-        free = whole[:, chart.conditions.free_at]  # Newton's step leaves the last bit of what is held
+        free = y[:, chart.conditions.free_at]  # Newton's step leaves the last bit of what is held
         np.copyto(free, choice[:, plan.held : plan.held + plan.free], where=held[:, : plan.free])
-        flown = self.reflights(whole, self._p, held)
+        flown = self.reflights(y, self._p, held)
         margin = self.borders.margins(self.sheets, which, found, limits)
         answers = reached & (margin >= -SLACK) & flown.good
         scale = 1.0 + np.linalg.norm(found.y, axis=1)
         return Polished(
             found=found,
-            y=whole,
+            y=y,
             cost=flown.cost,
             reached=reached,
             answers=answers,
             steps=steps,
             bound=2.0 * np.linalg.norm(chart.steps(found, flown.residuals), axis=1) / scale,
-            away=np.linalg.norm(whole[:, chart.active] - guess, axis=1) / scale,
+            away=np.linalg.norm(y[:, chart.active] - guess, axis=1) / scale,
             margin=margin,
             flown=flown,
         )

@@ -25,6 +25,7 @@ from perilune.atlas.reflight import SLACK
 from perilune.atlas.sheets import Sheet
 from perilune.methods.answer import composed
 from perilune.methods.indirect import Indirect
+from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
@@ -209,7 +210,7 @@ class Atlas(Reader):
         polished = best.polished
         assert polished is not None
         values = dict(zip(self.region.names, at.tolist(), strict=True))
-        problem = self.problem.with_given(**values)
+        problem = placed(self.problem, values)
         roots = [Found(root=o.charted.root(o.polished), minimum=True) for o in tried if o.polished is not None]
         steps = int(polished.steps[0])
         answer = composed(

@@ -57,7 +57,7 @@ class Reflown:
     cost
         J.
     arcs
-        Of each lane, for each phase, the modes that it goes through.
+        (phase, lanes, modes that they go through in it) of all phases and lanes.
     """
 
     residuals: Matrix
@@ -65,7 +65,7 @@ class Reflown:
     minimum: Vector
     drift: Vector
     cost: Vector
-    arcs: tuple[tuple[tuple[int, ...], ...], ...]
+    arcs: tuple[tuple[int, Lanes, tuple[int, ...]], ...]
 
     @property
     def residual(self) -> Vector:
@@ -88,6 +88,27 @@ class _Piece:
     jump: Any
 
 
+class _Kept:
+    """A compiled function whose arrays of one lane are kept, as a single query asks for it again and again."""
+
+    def __init__(self, function: ca.Function, times: int = 1) -> None:
+        self._map, self._idle = compile_map(function, times=times), list[Any]()  # a list's pop and append are atomic
+
+    def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
+        if max(map(len, arguments)) != 1:
+            return self._map(*arguments)
+        try:
+            bound = self._idle.pop()
+        except IndexError:
+            bound = self._map.bind(*(np.array(a, dtype=float) for a in arguments))
+        for own, given in zip(bound.inputs, arguments, strict=True):
+            own[:] = given
+        bound()
+        found = tuple(out.copy() for out in bound.outputs)
+        self._idle.append(bound)
+        return found
+
+
 class Reflights:
     """Flies extremals of a problem a second time.
 
@@ -99,19 +120,19 @@ class Reflights:
 
     def __init__(self, problem: Problem, conditions: Conditions) -> None:
         self.problem, self.conditions = problem, conditions
-        self._marches: dict[tuple[int, int], Any] = {}
+        self._marches: dict[tuple[int, int], _Kept] = {}
 
     @cached_property
     def _stated(self) -> Problem:
         return Unnumbered(self.problem).problem
 
     @cached_property
-    def _starts(self) -> list[Any]:
-        return [compile_map(start) for start in self.conditions.starts]
+    def _starts(self) -> list[_Kept]:
+        return [_Kept(start) for start in self.conditions.starts]
 
     @cached_property
-    def _residual(self) -> Any:
-        return compile_map(self.conditions.residual)
+    def _residual(self) -> _Kept:
+        return _Kept(self.conditions.residual)
 
     def __call__(self, y: Matrix, p: Matrix, held: NDArray[np.bool_]) -> Reflown:
         """Fly again.
@@ -151,17 +172,13 @@ class Reflights:
         residual[:, conditions.stationarity_at] *= ~held[:, :free_count]
         for i, (row, nu) in enumerate(conditions.ranges, free_count):
             residual[:, row] = np.where(held[:, i], 0.0, y[:, nu])  # whether it is in its range is for others to say
-        arcs = [[()] * len(conditions.phases) for _ in range(count)]
-        for k, lanes, modes in sequence:
-            for lane in lanes.tolist():
-                arcs[lane][k] = modes
         return Reflown(
             residuals=residual,
             path=looked[:, 0],
             minimum=looked[:, 1],
             drift=drift,
             cost=cost[:, 0],
-            arcs=tuple(map(tuple, arcs)),
+            arcs=tuple(sequence),
         )
 
     def _sequences(
@@ -186,10 +203,10 @@ class Reflights:
                 mode, at = event.switches.get(mode, mode), time
             yield lanes, [*pieces, _Piece(mode, duration[lanes] - at, None)]
 
-    def _march(self, k: int, mode: int) -> Any:
+    def _march(self, k: int, mode: int) -> _Kept:
         if (k, mode) not in self._marches:
             step = _step(self._stated, k, self._stated.phases[k], self.conditions.phases[k], mode)
-            self._marches[k, mode] = compile_map(step, times=STEPS)
+            self._marches[k, mode] = _Kept(step, times=STEPS)
         return self._marches[k, mode]
 
 

@@ -11,7 +11,7 @@ free parameters held: all neighbours share what was derived and compiled for the
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -92,6 +92,19 @@ def _with_free(problem: Problem, free: tuple[Free, ...]) -> Problem:
     """The same with other ranges, which do not enter its structure."""
     same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
     return problem.changed(free=free, **same)
+
+
+def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """The problem at other values [SI] of given parameters, which nobody judges again: those of a table were.
+
+    One that is free here is fixed, as by `Problem.with_given`.
+    """
+    if any(name in problem.free_names for name in values):
+        return problem.with_given(**values)
+    given = {name: Given(value=value, unit=problem.given[name].unit) for name, value in values.items()}
+    new = problem.changed(given=MappingProxyType({**problem.given, **given}), structure=problem.structure)
+    new.take_ranges()
+    return new
 
 
 def varied(problem: Problem, names: Sequence[str]) -> Problem:

@@ -154,12 +154,13 @@ class Problem:
         object.__setattr__(self, "given", _given(self.given))
         object.__setattr__(self, "objective_scale", positive_scale("the objective", self.objective_scale))
         check_given(self)
-        self._take_ranges()
+        self.take_ranges()
         check_structure(self)
         check_homogeneous(self)
         _ = self.form  # so that what is no formula is refused where it is stated
 
-    def _take_ranges(self) -> None:
+    def take_ranges(self) -> None:
+        """Let the free parameters have the ranges that follow from the given ones; of one that is being made."""
         if self.ranges is not None:
             found = self.ranges(self.parameters({}), NUMERIC)
             free = (
@@ -377,7 +378,7 @@ class Problem:
         same = {"structure": self.structure} if len(free) == len(self.free) and "form" in self.__dict__ else {}
         new = self.changed(given=_given(given), free=free, **same)
         check_given(new)
-        new._take_ranges()
+        new.take_ranges()
         check_free(new)
         return new
 

@@ -22,6 +22,7 @@ start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -100,6 +101,11 @@ class Plan:
     compiled: bool
     free: int
     held: int
+
+    @cached_property
+    def moved(self) -> NDArray[np.bool_]:
+        """Of the whole vector of unknowns those that Newton moves, (1, size)."""
+        return np.isin(np.arange(self.size), self.active)[None]
 
     @property
     def settles(self) -> bool:
