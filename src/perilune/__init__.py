@@ -45,6 +45,7 @@ _EXPORTS = {
     "sweep": "perilune.families.sweep",
     "prove": "perilune.solve",
     "verify": "perilune.solve",
+    "atlas": "perilune.atlas",
     "models": "perilune.models",
 }
 
@@ -74,6 +75,7 @@ __all__ = [
     "Trajectory",
     "Variable",
     "Verification",
+    "atlas",
     "guess",
     "load",
     "models",
@@ -87,7 +89,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from perilune import models
+    from perilune import atlas, models
     from perilune.families.sweep import sweep
     from perilune.io.export import save
     from perilune.io.reload import load
