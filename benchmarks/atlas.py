@@ -2,10 +2,10 @@
 
     python benchmarks/atlas.py [--workers 1] [--queries 10000] [--solved 50]
 
-Thrust 350 to 650 N, impulsive Isp 270 to 310 s, perilune 10 to 25 km, the jump at which the retro burn stops paying among
-them. Times are of this run on this machine; the ratio to solving each point from nothing is of the same run. The paper's
-cubic (Liu, Liu, Wu 2019, (16)) is fitted to the ten nearest nodes of the sheet in which an answer lies, and compared with
-what the cells give before they are polished.
+Thrust 350 to 650 N, impulsive Isp 270 to 310 s, perilune 10 to 25 km, the jump at which the retro burn stops paying
+among them. Times are of this run on this machine; the ratio to solving each point from nothing is of the same run. A
+polynomial of ten coefficients on the ten nearest nodes, as Liu, Liu, Wu 2019, (16), have it (in three variables it is of
+the second degree), is compared with what the cells give before it is polished.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ AXES = {
     "retro.specific_impulse": (270.0, 310.0),
     "orbit.perilune_altitude": (10e3, 25e3),
 }
-TEN = 10  # nodes, and coefficients of the paper's cubic in two variables; of three variables as many as fit
+TEN = 10  # nodes, and coefficients
 
 
 def percentiles(seconds: list[float]) -> str:
@@ -56,7 +56,7 @@ def asked(atlas: Atlas, points: Matrix) -> tuple[list[float], dict[int, float]]:
     return times, found
 
 
-def nearest_cubic(values: Matrix, y: Matrix, at: Vector) -> Vector:
+def nearest_nodes(values: Matrix, y: Matrix, at: Vector) -> Vector:
     """The paper's prediction: a polynomial of the ten nearest nodes, here of second degree in three variables."""
     near = np.argsort(np.abs(values - at).sum(axis=1))[:TEN]
     x = values[near] - at
@@ -82,7 +82,7 @@ def first_guesses(atlas: Atlas, points: Matrix) -> tuple[Vector, Vector]:
         ]
         exact = charted.polish((point / scale)[None], np.zeros(1, dtype=np.int64), guess[None])
         here = brick.nodes["sheet"] == 0
-        rough = nearest_cubic(
+        rough = nearest_nodes(
             (brick.nodes["values"][here] - low) / (high - low),
             brick.nodes["terms"][here, 0, :-1],
             (point - low) / (high - low),
@@ -112,9 +112,7 @@ def main() -> None:
     atlas = open_atlas(directory)
     opened = time.perf_counter() - begun
     nodes = sum(line["nodes"]["rows"] for line in atlas.said.values())
-    print(
-        f"build: {nodes} nodes with their second flight in {took:.2f} s ({used:.2f} s of this process): {nodes / took:.0f}/s"
-    )
+    print(f"build: {nodes} nodes, each flown twice, in {took:.2f} s: {nodes / took:.0f}/s (this process: {used:.2f} s)")
     print(f"open: {1e3 * opened:.1f} ms")
     points = np.random.default_rng(1).uniform(atlas.region.low, atlas.region.high, (options.queries, 3))
     asked(atlas, points[:200])
