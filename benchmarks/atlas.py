@@ -4,8 +4,8 @@
 
 Thrust 350 to 650 N, impulsive Isp 270 to 310 s, perilune 10 to 25 km, the jump at which the retro burn stops paying
 among them. Times are of this run on this machine; the ratio to solving each point from nothing is of the same run. A
-polynomial of ten coefficients on the ten nearest nodes, as Liu, Liu, Wu 2019, (16), have it (in three variables it is of
-the second degree), is compared with what the cells give before it is polished.
+polynomial of ten coefficients on the ten nearest nodes, as Liu, Liu, Wu 2019, (16), have it (in three variables it is
+of the second degree), is compared with what the cells give before it is polished.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
+from perilune.atlas.reflight import Reflights
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
@@ -28,8 +29,11 @@ WHOLE = 2**12  # lattice steps along an edge of a brick
 _BITS = 13  # of a place along one axis, so that 4 of them and a sheet make one number
 _FINEST = 2**6  # the shortest edge of a cell
 _ENDING = 2**8  # the same where a sheet ends, and of sheets that are no minima
+_KINKED = 2**9  # the same where the switches on the way change
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
 _MOST = 16  # evaluations for a new corner
+
+FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
 
 Whole = NDArray[np.int64]
 
@@ -82,8 +86,8 @@ class Cut:
     ----------
     nodes
         Of each node its ``sheet``, its ``place`` in the lattice (nodes, d), values and derivatives ``terms``
-        (nodes, 2^d, n + 1), by how much it is an answer (``margin``), and the step that Newton's method would make
-        there (``length``).
+        (nodes, 2^d, n + 1), by how much it is an answer (``margin``), the step that Newton's method would make
+        there (``length``), and of its second flight ``sequence``, ``residual``, ``path``, ``minimum`` and ``drift``.
     cells
         Its cells.
     """
@@ -98,8 +102,7 @@ class _Nodes:
     def __init__(self) -> None:
         self.known: dict[int, int] = {}
         self.parts: dict[str, list[NDArray]] = {}
-        self._terms = np.empty(0)
-        self._margin = np.empty(0)
+        self._rows: dict[str, NDArray[Any]] = {name: np.empty(0) for name in ("terms", "margin", "sequence")}
         self.count = 0
 
     def add(self, keys: Whole, **columns: NDArray) -> None:
@@ -107,14 +110,12 @@ class _Nodes:
         self.known |= dict(zip(keys.tolist(), range(self.count, self.count + new), strict=True))
         for name, rows in columns.items():
             self.parts.setdefault(name, []).append(rows)
-        if len(self._margin) < self.count + new:
-            room = 2 * (self.count + new)
-            terms, margin = np.empty((room, *columns["terms"].shape[1:])), np.empty(room)
-            if self.count:
-                terms[: self.count], margin[: self.count] = self._terms[: self.count], self._margin[: self.count]
-            self._terms, self._margin = terms, margin
-        self._terms[self.count : self.count + new] = columns["terms"]
-        self._margin[self.count : self.count + new] = columns["margin"]
+        for name, before in self._rows.items():
+            if len(before) < self.count + new:  # room is doubled, so that it is seldom made
+                more = np.empty((2 * (self.count + new), *columns[name].shape[1:]), dtype=columns[name].dtype)
+                more[: self.count] = before[: self.count] if self.count else 0
+                self._rows[name] = before = more
+            before[self.count : self.count + new] = columns[name]
         self.count += new
 
     def numbers(self, keys: Whole) -> Whole:
@@ -122,11 +123,9 @@ class _Nodes:
         known = self.known
         return np.array([known.get(key, -1) for key in keys.ravel().tolist()], dtype=np.int64).reshape(keys.shape)
 
-    def terms(self, numbers: Whole) -> NDArray[np.float64]:
-        return self._terms[numbers]
-
-    def margins(self, numbers: Whole) -> Matrix:
-        return self._margin[numbers]
+    def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
+        """A column of nodes."""
+        return self._rows[name][numbers]
 
 
 class Brick:
@@ -134,8 +133,8 @@ class Brick:
 
     Parameters
     ----------
-    chart, borders, sheets
-        What is mapped.
+    chart, borders, reflights, sheets
+        What is mapped, and what flies it a second time.
     low, high
         Corners of the box, canonical.
     tolerance
@@ -148,13 +147,14 @@ class Brick:
         self,
         chart: Chart,
         borders: Borders,
+        reflights: Reflights,
         sheets: Sequence[Sheet],
         low: Vector,
         high: Vector,
         tolerance: float,
         watch: Watch = silent,
     ) -> None:
-        self.chart, self.borders, self.sheets, self.watch = chart, borders, sheets, watch
+        self.chart, self.borders, self.reflights, self.sheets, self.watch = chart, borders, reflights, sheets, watch
         self.origin, self.step, self.tolerance = low, (high - low) / WHOLE, tolerance
         self.d = len(low)
         self.orientations = np.array([sheet.orientation for sheet in sheets])
@@ -197,7 +197,10 @@ class Brick:
             status[here[passed]] = Status.ONE_STEP
             status[here[passed & beyond]] = Status.NO_ANSWER
         along = np.take_along_axis(cells.size, axis[:, None], axis=1)[:, 0]
-        finest = np.where(self._minimum[cells.sheet], _FINEST, _ENDING)
+        # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
+        sequence = self.nodes.rows("sequence", cells.corners)
+        kinked = (sequence != sequence[:, :1]).any(axis=1)
+        finest = np.where(self._minimum[cells.sheet], np.where(kinked, _KINKED, _FINEST), _ENDING)
         status[(status == Status.CUT) & (along <= finest)] = Status.MORE_STEPS
         none = (cells.corners < 0).all(axis=1)
         status[(status == Status.ENDS) & ~none & (along > _ENDING)] = Status.CUT
@@ -205,7 +208,7 @@ class Brick:
 
     def _tried(self, cells: Cells) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
         """At the middle of cells: whether one step is enough, whether nothing there is an answer, where to cut."""
-        terms, size = self.nodes.terms(cells.corners), cells.size * self.step
+        terms, size = self.nodes.rows("terms", cells.corners), cells.size * self.step
         values = self.origin + (cells.low + 0.5 * cells.size) * self.step
         guess = interpolated(terms, np.full(size.shape, 0.5), size)[:, :-1]
         holds = self.borders.holds(self.sheets, cells.sheet, values)
@@ -215,7 +218,7 @@ class Brick:
         same = second.orientation == self.orientations[cells.sheet]
         passed: NDArray[np.bool_] = flown & same & (second.length <= self.tolerance)
         margin = self.borders.margins(self.sheets, cells.sheet, second)
-        beyond = np.maximum(margin, self.nodes.margins(cells.corners).max(axis=1)) < 0.0
+        beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
 
@@ -254,13 +257,13 @@ class Brick:
         at = (places - cells.low[cell]) / cells.size[cell]
         away = np.abs(at[:, None] - bits(self.d)[None]).sum(axis=2)
         nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
-        terms = self.nodes.terms(corners[np.arange(len(cell)), nearest])
+        terms = self.nodes.rows("terms", corners[np.arange(len(cell)), nearest])
         move = (at - bits(self.d)[nearest]) * size
         guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(self.d))
         spread = np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
         full = (corners >= 0).all(axis=1)
         if full.any():
-            terms = self.nodes.terms(corners[full])
+            terms = self.nodes.rows("terms", corners[full])
             guess[full] = interpolated(terms, at[full], size[full])[:, :-1]
             spread[full] = np.linalg.norm(np.ptp(terms[:, :, 0, :-1], axis=1), axis=1)
         return guess, spread
@@ -276,6 +279,8 @@ class Brick:
         if not good.any():
             return
         some, holds, sheet, places = found.of(good), holds[good], sheet[good], places[good]
+        held = some.roots.choice[:, : self.chart.shooting.plan.held] > 0
+        flown = self.reflights(some.roots.y, self.chart.p[None], held)
         self.nodes.add(
             self._keys(sheet, places),
             sheet=sheet,
@@ -283,6 +288,7 @@ class Brick:
             terms=self.chart.terms(some, holds),
             margin=self.borders.margins(self.sheets, sheet, some),
             length=some.length,
+            **{name: getattr(flown, name) for name in FLOWN},
         )
 
     def _corners(self, sheet: Whole, low: Whole, size: Whole) -> Whole:

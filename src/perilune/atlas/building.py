@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.brick import Brick
+from perilune.atlas.brick import WHOLE, Brick
 from perilune.atlas.chart import Chart
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region, region_of
@@ -43,8 +43,8 @@ def node_type(d: int, n: int) -> np.dtype[Any]:
     return np.dtype(
         [
             ("sheet", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)), ("terms", "<f8", (2**d, n + 1)),
-            ("margin", "<f8"), ("length", "<f8"), ("residual", "<f8"), ("path", "<f8"), ("minimum", "<f8"),
-            ("drift", "<f8"),
+            ("margin", "<f8"), ("length", "<f8"), ("sequence", "<i8"), ("residual", "<f8"), ("path", "<f8"),
+            ("minimum", "<f8"), ("drift", "<f8"),
         ]
     )  # fmt: skip
 
@@ -99,19 +99,14 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     """Nodes and cells of a brick, as their shards have them."""
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.keep)
     low, high = task.low / chart.scale, task.high / chart.scale
-    cut = Brick(chart, borders, task.sheets, low, high, task.tolerance, watch).cut(task.sheet, task.corner, task.y)
-    d, count = len(low), len(cut.nodes["sheet"])
-    n = task.y.shape[1]
-    nodes = np.zeros(count, dtype=node_type(d, n))
-    for name in ("sheet", "place", "terms", "margin", "length"):
-        nodes[name] = cut.nodes[name]
-    values = low + cut.nodes["place"] * ((high - low) / 2**12)
-    nodes["values"] = values * chart.scale
-    choice = chart.choice(values, borders.holds(task.sheets, cut.nodes["sheet"], values))
-    held = choice[:, : chart.shooting.plan.held] > 0
-    flown = reflights(chart.whole(values, cut.nodes["terms"][:, 0, :n]), chart.p[None], held)
-    for name in ("residual", "path", "minimum", "drift"):
-        nodes[name] = getattr(flown, name)
+    cut = Brick(chart, borders, reflights, task.sheets, low, high, task.tolerance, watch).cut(
+        task.sheet, task.corner, task.y
+    )
+    d, n = len(low), task.y.shape[1]
+    nodes = np.zeros(len(cut.nodes["sheet"]), dtype=node_type(d, n))
+    for name, rows in cut.nodes.items():
+        nodes[name] = rows
+    nodes["values"] = (low + cut.nodes["place"] * ((high - low) / WHOLE)) * chart.scale
     cells = np.zeros(len(cut.cells), dtype=cell_type(d))
     for name in cells.dtype.names or ():
         cells[name] = getattr(cut.cells, name)

@@ -12,6 +12,7 @@ section II.9 (9.10), (9.13).
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -66,6 +67,16 @@ class Reflown:
     drift: Vector
     cost: Vector
     arcs: tuple[tuple[int, Lanes, tuple[int, ...]], ...]
+
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """A number for the modes that each lane goes through, the same in every process."""
+        told = [""] * len(self.cost)
+        for phase, lanes, modes in self.arcs:
+            for lane in lanes.tolist():
+                told[lane] += f"{phase}:{modes};"
+        known = {text: zlib.crc32(text.encode()) for text in set(told)}
+        return np.array([known[text] for text in told], dtype=np.int64)
 
     @property
     def residual(self) -> Vector:

@@ -75,7 +75,7 @@ class Survey:
     notes: list[str] = field(default_factory=list)
 
     def run(self) -> list[Found]:
-        """All sheets, by what of the path their controls keep.
+        """All sheets, by charts; so far there is one.
 
         Raises
         ------
@@ -86,31 +86,29 @@ class Survey:
         low, high = self.region.low, self.region.high
         ends = (corners == low) | (corners == high)
         tried = np.vstack([0.5 * (low + high), corners[ends.all(axis=1)]])
-        found: dict[Held, Found] = {}
+        solved = list[tuple[Vector, Sequence[Extremal]]]()
+        keep: Held = ()
         for number, values in enumerate(tried):
             self.watch(f"survey: point {number + 1} of {len(tried)}")
-            for keep, extremals in self._solved(values).items():
-                chart = found[keep].chart if keep in found else self.chart(keep)
-                before = found.get(keep) or self._empty(chart, len(corners))
-                found[keep] = self._with(before, corners, values, extremals)
-        if not any(known.sheets for known in found.values()):
+            if (answer := self._solved(values)) is not None:
+                keep = tuple(dict.fromkeys((*keep, *answer[0])))
+                solved.append((values, answer[1]))
+        # A control that keeps a condition flies as one that does not wherever that is not in its way.
+        chart = Chart(self.problem, self.region.names, self.region.high - self.region.low, keep)
+        empty = np.empty((0, len(corners), len(chart.places)))
+        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty)
+        for values, extremals in solved:
+            found = self._with(found, corners, values, extremals)
+        if not found.sheets:
             raise PeriluneError(
                 "there is nothing to map",
                 got="; ".join(self.notes)[:300] or "no extremals",
                 advice="solve the problem at one point of the region first: perilune solve",
             )
-        return [known for known in found.values() if known.sheets]
+        return [found]
 
-    def chart(self, keep: Held) -> Chart:
-        """The chart whose controls keep conditions of the path."""
-        return Chart(self.problem, self.region.names, self.region.high - self.region.low, keep)
-
-    @staticmethod
-    def _empty(chart: Chart, corners: int) -> Found:
-        return Found(chart=chart, borders=Borders(chart), sheets=(), y=np.empty((0, corners, len(chart.places))))
-
-    def _solved(self, values: Vector) -> dict[Held, Sequence[Extremal]]:
-        """Extremals at a point, by what of the path their control keeps; none where there is no answer."""
+    def _solved(self, values: Vector) -> tuple[Held, Sequence[Extremal]] | None:
+        """What of the path the control keeps at a point, and the extremals there; None where there is no answer."""
         told = dict(zip(self.region.names, values.tolist(), strict=True))
         try:
             problem = self.problem.with_given(**told)
@@ -120,12 +118,12 @@ class Survey:
         except PeriluneError as error:
             at = ", ".join(f"{name} {value:.6g}" for name, value in told.items())
             self.notes.append(f"at {at}: {error.what}" + (f"; got {error.got}" if error.got else ""))
-            return {}
+            return None
         if solution.statistics.rung.endswith(STRUCTURE):
             at = ", ".join(f"{name} {value:.6g}" for name, value in told.items())
             self.notes.append(f"at {at}: the answer is made of several arcs, which an atlas does not follow yet")
-            return {}
-        return {search.answering.keep: solution.extremals}
+            return None
+        return search.answering.keep, solution.extremals
 
     def _with(self, known: Found, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> Found:
         """The same with the sheets on which extremals at a point lie."""
