@@ -55,7 +55,7 @@ class Sheet:
     def label(self) -> str:
         """What tells it, in words."""
         held = ", ".join(f"{name} at its {side} bound" for name, side in self.holds.items())
-        return f"{held or 'all free'}, {'+' if self.orientation > 0 else '-'}, {self.nature.outdone.value}"
+        return f"{held or 'nothing at a bound'}: {self.nature.outdone.value}"
 
 
 class Borders:
