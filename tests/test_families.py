@@ -123,7 +123,7 @@ def test_a_lost_worker_is_said(fixed: Problem) -> None:
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         pool.submit(os.getpid).result()
         os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)
-        with pytest.raises(PeriluneError, match="worker of the sweep was lost"):
+        with pytest.raises(PeriluneError, match="a worker was lost"):
             sweep(fixed, GRID, executor=pool)
 
 
