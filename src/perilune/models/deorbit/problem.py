@@ -165,9 +165,7 @@ def _entry(
         mark_variables=told.AT_OPENING if opens else (),
         path=partial(flight.in_the_air, air=air) if limited else flight.below_interface,
         path_conditions=(
-            Variable(
-                name="depth_below_interface", unit="m", description="negative where the entry leaves the air again"
-            ),
+            _IN_THE_AIR,
             *(_left(name, limits) for name in limited),
         ),
         outputs=partial(told.felt, air=air),
