@@ -34,6 +34,7 @@ _FLATTEST, _STEEPEST = math.radians(-0.2), math.radians(-89.0)
 _LONGEST = 16_000.0  # s, some three turns
 _ANGLES = np.radians(np.linspace(-2.0, -90.0, 23))
 _SHARES = (1.05, 0.8, 0.5)  # of a speed; the first with some to spare for what a plane leaves out
+_FLOATING = 30.0  # m/s, of a steady fall
 _STILL, _SLOWEST, _FASTEST = 5.0, 100.0, 2e4  # m/s
 _SURELY_DOWN = math.radians(-1.0)  # a path angle from which no vehicle leaves the air again
 _ANGLES_TRIED, _SPEEDS_TRIED = 6, 4
@@ -130,9 +131,17 @@ def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: in
 
     landed.terminal = True  # type: ignore[attr-defined]
     start = [p.interface_altitude, 0.0, speed, angle, 0.0]
+    floats = terminal_speed(p, air) < _FLOATING  # and its equations are stiff
     flown = solve_ivp(
-        _rates(p, air), (0.0, _LONGEST), start, method="LSODA", rtol=1e-6, atol=1e-6, events=landed, dense_output=True
-    )  # what floats down has stiff equations
+        _rates(p, air),
+        (0.0, _LONGEST),
+        start,
+        method="LSODA" if floats else "RK45",
+        rtol=1e-6,
+        atol=1e-6,
+        events=landed,
+        dense_output=True,
+    )
     time = float(flown.t[-1])
     rows = flown.sol(np.linspace(0.0, time, points)).T
     rows.flags.writeable = False
