@@ -210,7 +210,7 @@ def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, ac
     """
     best, least = root, np.inf
     for _ in range(_STEPS):
-        left = _left(problem, conditions, root, in_one_piece(problem, conditions, root.y))
+        left = _left(problem, conditions, root, in_one_piece(problem, conditions, root.y), stationary=True)
         if not np.abs(left).max(initial=0.0) < least:
             break
         best, least = root, float(np.abs(left).max(initial=0.0))
@@ -225,11 +225,14 @@ def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequenc
     return float(np.abs(_left(problem, conditions, root, flown)).max(initial=0.0))
 
 
-def _left(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> Vector:
-    """The residual at the ends of a flight; 0 for ranges and free parameters."""
+def _left(
+    problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown], *, stationary: bool = False
+) -> Vector:
+    """The residual at the ends of a flight; 0 for ranges, and for free parameters that are held, or all of them."""
     ends = np.concatenate([arc.z[-1] for arc in flown])
     residual = np.array(conditions.residual(root.y, ends, extremal_parameters(problem))[0]).ravel()
-    residual[conditions.stationarity_at] = 0.0
+    free = conditions.free_at.stop - conditions.free_at.start
+    residual[conditions.stationarity_at] *= stationary & (root.choice[:free] == 0)
     residual[[row for row, _ in (*conditions.ranges, *conditions.silent_rows)]] = 0.0
     return residual
 
