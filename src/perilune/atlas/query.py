@@ -124,7 +124,7 @@ class Atlas(Reader):
         """
         began = time.perf_counter()
         at = self._point(values)
-        offers = [offer for offer in self._offers(at) if offer.sheet.minimum]
+        offers = self._offers(at)
         tried, doubt, best = list[_Offer](), None, None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
@@ -185,7 +185,7 @@ class Atlas(Reader):
         return at
 
     def _offers(self, at: Vector) -> list[_Offer]:
-        """What the cells in which a point lies give, the least J first."""
+        """What the cells in which a point lies give of sheets that can be answers, the least J first."""
         place = self.region.brick_of(at)
         low, high = self.region.box(place)
         inside, parts = (at - low) / (high - low) * WHOLE, self.region.parts
@@ -193,7 +193,7 @@ class Atlas(Reader):
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
                 continue
-            for sheet in brick.roots:
+            for sheet in brick.minima:
                 cell = brick.leaf(sheet, where)
                 if brick.status[cell] in SERVING:
                     corner, size, terms = brick.cell(cell)

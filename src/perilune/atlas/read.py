@@ -16,7 +16,7 @@ from perilune.atlas.chart import Chart
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Axis, Region
-from perilune.atlas.sheets import Borders
+from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import Store
 from perilune.conditions.pontryagin import Conditions, derive
 from perilune.io.reload import read_problem
@@ -34,11 +34,12 @@ Whole = NDArray[np.int64]
 class Brick:
     """What is looked at of a brick: cells as lists, which Python reads fastest, and nodes as they lie on disk."""
 
-    def __init__(self, nodes: NDArray[Any], cells: NDArray[Any]) -> None:
+    def __init__(self, nodes: NDArray[Any], cells: NDArray[Any], sheets: Sequence[Sheet]) -> None:
         self.nodes, self.cells = nodes, cells
         self.axis, self.child, self.status = (cells[name].tolist() for name in ("axis", "child", "status"))
         first = np.nonzero((cells["size"] == WHOLE).all(axis=1))[0]
         self.roots = {int(cells["sheet"][i]): int(i) for i in first}
+        self.minima = [number for number in self.roots if sheets[number].minimum]
         second = np.where(cells["child"] >= 0, cells["child"] + 1, 0)
         at = np.take_along_axis(cells["low"][second], np.maximum(cells["axis"], 0)[:, None], axis=1)[:, 0]
         self.split = at.tolist()
@@ -175,5 +176,5 @@ class Reader:
             except PeriluneError as error:
                 self.damaged[str(said["name"])] = error.what
                 return None
-            self._bricks[key] = Brick(nodes, cells)
+            self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
         return self._bricks[key]
