@@ -22,11 +22,13 @@ from hypothesis import given, settings, strategies as st
 import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
+from perilune.atlas.brick import Status
 from perilune.atlas.building import build, node_type
 from perilune.atlas.chart import Chart
 from perilune.atlas.hermite import bits, interpolated
 from perilune.atlas.many import Answered
 from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas.read import Brick
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import region_of
 from perilune.atlas.store import HEADER, MANIFEST
@@ -454,3 +456,36 @@ def test_two_builders_share_the_work(built: Path, tmp_path: Path) -> None:
     assert atlas.said.keys() == open_atlas(built).said.keys()
     names = [line["name"] for line in atlas.store.lines() if line["kind"] == "brick"]
     assert len(names) == len(set(names))  # no brick twice
+
+
+# -- what a sheet hides ------------------------------------------------------------------------------------------------
+
+
+def test_a_sheet_without_a_corner_of_a_cell_is_not_passed_over(atlas: Atlas) -> None:
+    """Where the better sheet was not found the worse one is no answer."""
+    at = {"vehicle_thrust": 441.0, "retro_specific_impulse": 292.0}
+    best, point = atlas.query(**at), np.array([441.0, 292.0])
+    assert len(best.query.met) > 1 and best.free["retro_delta_v"] > 0.0
+    place = atlas.region.brick_of(point)
+    whole, sheets = atlas.brick(0, place), atlas.charted[0].sheets
+    assert whole is not None
+    sheet = next(n for n, s in enumerate(sheets) if s.label == best.query.sheet)
+    kept = np.nonzero(whole.cells["sheet"] != sheet)[0]
+    others = np.array(whole.cells[kept])
+    others["child"] = np.where(others["child"] >= 0, 3 + np.searchsorted(kept, others["child"]), -1)
+    ours = np.repeat(np.array(whole.cells[whole.roots[sheet]])[None], 3)
+    ours["axis"], ours["child"], ours["status"] = (0, -1, -1), (1, -1, -1), (Status.CUT, Status.ENDS, Status.ENDS)
+    ours["size"][1:, 0] //= 2
+    ours["low"][2, 0] = ours["size"][2, 0]
+    ours["corners"][1:] = -1
+    atlas._bricks[0, *place] = Brick(whole.nodes, np.concatenate([ours, others]))
+    with pytest.raises(PeriluneError, match="ends in this cell"):
+        atlas.query(**at)
+    assert atlas.query_many(point[None]).answered[0] == Answered.ENDS
+
+
+def test_an_axis_may_be_a_parameter_that_the_problem_chooses(tmp_path: Path) -> None:
+    atlas = open_atlas(build(cho_landing(), {"retro.delta_v": (1050.0, 1150.0)}, tmp_path / "held"))
+    found = atlas.query(retro_delta_v=1101.0)
+    wanted = solve(cho_landing().with_given(retro_delta_v=1101.0), level=0)
+    assert found.objective == pytest.approx(wanted.objective, rel=1e-9)

@@ -166,6 +166,8 @@ def build(
             "the tolerance of an atlas is out of range", got=repr(tolerance)[:40],
             expected=f"{_TIGHTEST:g} to {_LOOSEST:g}, relative",
         )  # fmt: skip
+    if chosen := {axis.name: axis.low for axis in region.axes if axis.name in problem.free_names}:
+        problem = problem.with_given(**chosen)  # an axis is told, not chosen
     kept = Store(demand_path(store, "the directory of an atlas"))
     kept.begin(
         {

@@ -179,7 +179,8 @@ class _Work:
                         given = interpolated(brick.nodes["terms"][said["corners"]], share, length)
                         y[lanes[serving]], cost[lanes[serving]] = given[:, :-1], given[:, -1]
                     for i in np.nonzero(status == Status.ENDS)[0].tolist():
-                        cost[lanes[i]] = brick.least(int(cells[i]))
+                        step = (high - low) / WHOLE / charted.chart.scale
+                        cost[lanes[i]] = brick.least(int(cells[i]), inside[i], step)
             found += [(charted, s, y, cost, first) for s, (y, cost) in offers.items()]
             first += len(charted.sheets)
         self.answered[some[~built]] = Answered.NOT_BUILT

@@ -200,7 +200,8 @@ class Atlas(Reader):
                     share, length = (inside - corner) / size, size * (high - low) / WHOLE / charted.chart.scale
                     given = interpolated(terms, share[None], length[None])[0]
                     offers.append(_Offer(charted, sheet, given[:-1], float(given[-1]), size / (WHOLE * parts)))
-                elif brick.status[cell] == Status.ENDS and (least := brick.least(cell)) < np.inf:
+                elif brick.status[cell] == Status.ENDS:
+                    least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
                     offers.append(_Offer(charted, sheet, None, least, low))
         return sorted(offers, key=lambda offer: offer.cost)
 

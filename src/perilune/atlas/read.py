@@ -67,11 +67,29 @@ class Brick:
             cell = child[cell] + (place[axis[cell]] >= split[cell])
         return cell
 
-    def least(self, number: int) -> float:
-        """The least J at those corners of a cell that there are, inf where there is none."""
+    @cached_property
+    def _wholes(self) -> Whole:
+        """Of which cell each is a half, -1 for the first of a sheet."""
+        found, cut = np.full(len(self.cells), -1), np.nonzero(self.cells["child"] >= 0)[0]
+        for half in (0, 1):
+            found[self.cells["child"][cut] + half] = cut
+        return found
+
+    def least(self, number: int, place: Vector, step: Vector) -> float:
+        """The least J that corners of a cell promise at a place; where it has none, those of the least around it.
+
+        A sheet without a corner of a cell may go through it all the same: it must not be passed over. `step` is that
+        of the lattice, canonical.
+        """
         corners = self.cells["corners"][number]
-        there = corners[corners >= 0]
-        return float(self.nodes["terms"][there, 0, -1].min()) if len(there) else np.inf
+        while not (corners >= 0).any():
+            if (number := int(self._wholes[number])) < 0:
+                return np.inf
+            corners = self.cells["corners"][number]
+        nodes = self.nodes[corners[corners >= 0]]
+        slopes = nodes["terms"][:, [1 << i for i in range(len(step))], -1]
+        promised = nodes["terms"][:, 0, -1] + (slopes * (place - nodes["place"]) * step).sum(axis=1)
+        return float(np.minimum(nodes["terms"][:, 0, -1], promised).min())
 
     def cell(self, number: int) -> tuple[Vector, Vector, NDArray[np.float64]]:
         """Its low corner, its size, and values and derivatives at its corners."""
