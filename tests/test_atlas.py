@@ -489,3 +489,19 @@ def test_an_axis_may_be_a_parameter_that_the_problem_chooses(tmp_path: Path) -> 
     found = atlas.query(retro_delta_v=1101.0)
     wanted = solve(cho_landing().with_given(retro_delta_v=1101.0), level=0)
     assert found.objective == pytest.approx(wanted.objective, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("axes", "x"), ("axes", []), ("axes", [{"name": "vehicle_thrust", "low": 2, "high": 1}]), ("tolerance", "x")],
+)
+def test_a_header_of_another_hand_is_refused_in_words(copy: Path, key: str, value: object) -> None:
+    header = json.loads((copy / HEADER).read_text())
+    (copy / HEADER).write_text(json.dumps({**header, key: value}))
+    with pytest.raises(PeriluneError):
+        open_atlas(copy)
+    lines = (copy / MANIFEST).read_text().splitlines()
+    (copy / HEADER).write_text(json.dumps(header))
+    (copy / MANIFEST).write_text("\n".join([json.dumps({**json.loads(lines[0]), "charts": [7]}), *lines[1:], ""]))
+    with pytest.raises(PeriluneError, match="says what no atlas does"):
+        open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,9 @@ from perilune.atlas.building import cell_type, node_type, sheets_of
 from perilune.atlas.chart import Chart
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import Reflights
-from perilune.atlas.region import Axis, Region
+from perilune.atlas.region import Region, region_of
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.store import Store
+from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.conditions.pontryagin import Conditions, derive
 from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
@@ -140,6 +141,18 @@ class Charted:
         )
 
 
+@contextmanager
+def _told_of_damage(name: str) -> Iterator[None]:
+    """What a file of another hand holds in place of what was written, in plain words."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise PeriluneError(
+            f"the atlas is damaged: {name} says what no atlas does",
+            got=f"{type(error).__name__}: {error}"[:80], expected="the file as it was written",
+        ) from error  # fmt: skip
+
+
 class Reader:
     """An atlas on disk; it may grow meanwhile.
 
@@ -162,8 +175,11 @@ class Reader:
         self.store = Store(directory)
         header = self.store.header()
         self.problem = read_problem(header, problem_from_scenario)
-        self.region = Region(tuple(Axis(**axis) for axis in header["axes"]))
-        self.tolerance = float(header["tolerance"])
+        with _told_of_damage(HEADER):
+            self.region = region_of(
+                self.problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]}
+            )
+            self.tolerance = float(header["tolerance"])
         self.damaged: dict[str, str] = {}
         self._bricks: dict[tuple[int, ...], Brick] = {}
         self.refresh()
@@ -172,13 +188,15 @@ class Reader:
         """Look again at what the manifest says."""
         self.survey = self.store.survey() or {"charts": []}
         ours = self.store.bricks(self.survey)
-        self.said = {(int(line["chart"]), *map(int, line["brick"])): line for line in ours}
+        with _told_of_damage(MANIFEST):
+            self.said = {(int(line["chart"]), *map(int, line["brick"])): line for line in ours}
         self.__dict__.pop("charted", None)
 
     @cached_property
     def charted(self) -> list[Charted]:
         """Its charts."""
-        return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
+        with _told_of_damage(MANIFEST):
+            return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
 
     def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:
         """A brick of a chart; None where there is none, or it is damaged."""
