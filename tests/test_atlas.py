@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -478,7 +479,7 @@ def test_a_sheet_without_a_corner_of_a_cell_is_not_passed_over(atlas: Atlas) -> 
     ours["size"][1:, 0] //= 2
     ours["low"][2, 0] = ours["size"][2, 0]
     ours["corners"][1:] = -1
-    atlas._bricks[0, *place] = Brick(whole.nodes, np.concatenate([ours, others]))
+    atlas._bricks[0, *place] = Brick(whole.nodes, np.concatenate([ours, others]), sheets)
     with pytest.raises(PeriluneError, match="ends in this cell"):
         atlas.query(**at)
     assert atlas.query_many(point[None]).answered[0] == Answered.ENDS
@@ -504,4 +505,22 @@ def test_a_header_of_another_hand_is_refused_in_words(copy: Path, key: str, valu
     (copy / HEADER).write_text(json.dumps(header))
     (copy / MANIFEST).write_text("\n".join([json.dumps({**json.loads(lines[0]), "charts": [7]}), *lines[1:], ""]))
     with pytest.raises(PeriluneError, match="says what no atlas does"):
+        open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("child", 0), ("child", 99999), ("corners", 99999), ("corners", -7), ("axis", 5), ("sheet", 9)],
+)
+def test_numbers_that_lead_nowhere_are_damage(copy: Path, column: str, value: int) -> None:
+    """A circle of cells, or nodes that are not there, with a checksum that is right."""
+    lines = [json.loads(line) for line in (copy / MANIFEST).read_text().splitlines()]
+    for line in lines:
+        if line["kind"] == "brick":
+            cells = np.load(copy / line["cells"]["file"])
+            cells[column][0] = value
+            np.save(copy / line["cells"]["file"], cells)
+            line["cells"]["sha256"] = hashlib.sha256((copy / line["cells"]["file"]).read_bytes()).hexdigest()
+    (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(PeriluneError, match="damaged"):
         open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)

@@ -126,8 +126,7 @@ class _Work:
                 ends = np.isnan(y[lanes, 0])
                 doubt[lanes[ends]] = np.minimum(doubt[lanes[ends]], here[lanes[ends]])
                 if len(lanes := lanes[~ends]):
-                    reached = self._polished(some[lanes], charted, sheet, y[lanes], first)
-                    lost = lanes[~reached]
+                    lost = lanes[self._polished(some[lanes], charted, sheet, y[lanes], first)]
                     doubt[lost] = np.minimum(doubt[lost], here[lost])
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         self.answered[some[found]] = Answered.YES
@@ -138,7 +137,7 @@ class _Work:
     def _polished(
         self, points: NDArray[np.int64], charted: Charted, sheet: int, y: Matrix, first: int
     ) -> NDArray[np.bool_]:
-        """Polish, and keep what is better than what is known; which were reached."""
+        """Polish, and keep what is better than what is known; which of the rest might be answers all the same."""
         atlas, chart = self.atlas, charted.chart
         polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), sheet), y)
         better = polished.answers & (polished.cost < self.cost[points])
@@ -149,7 +148,7 @@ class _Work:
         own = charted.own_unknowns(polished.y[better])
         self.free[kept] = own[:, charted.own.free_at] * free_scales(problem.free, problem)
         self.slopes[kept] = polished.found.cost_slopes[better] * problem.objective_size / chart.scale
-        return polished.reached
+        return polished.doubtful
 
     def _offers(self, some: NDArray[np.int64]) -> list[tuple[Charted, int, Matrix, Vector, int]]:
         """Of each sheet its chart, number, y, J and its chart's first sheet; NaN and inf where it offers nothing."""

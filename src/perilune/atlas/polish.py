@@ -51,6 +51,9 @@ class Polished:
         How far y can be from the extremal, relative.
     away
         How far what the cell gave was from it, relative.
+    doubtful
+        Whether it might be an answer all the same: not reached, or within its sheet but not borne out by its second
+        flight, or breaking the path, beside which a flight that keeps it may still be better than other sheets.
     margin
         By how much it is an answer of its sheet, canonical.
     flown
@@ -62,6 +65,7 @@ class Polished:
     cost: Vector
     reached: NDArray[np.bool_]
     answers: NDArray[np.bool_]
+    doubtful: NDArray[np.bool_]
     steps: NDArray[np.int64]
     bound: Vector
     away: Vector
@@ -119,6 +123,7 @@ class Polisher:
             cost=flown.cost,
             reached=reached,
             answers=answers,
+            doubtful=~answers & ~(reached & (margin < -SLACK)),
             steps=steps,
             bound=2.0 * np.linalg.norm(chart.steps(found, flown.residuals), axis=1) / scale,
             away=np.linalg.norm(y[:, chart.active] - guess, axis=1) / scale,

@@ -135,7 +135,7 @@ class Atlas(Reader):
                 continue
             canonical = (at / offer.charted.chart.scale)[None]
             polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
-            if not polished.reached[0]:
+            if polished.doubtful[0]:
                 doubt = doubt or offer
             elif polished.answers[0]:
                 tried.append(replace(offer, cost=float(polished.cost[0]), polished=polished))

@@ -209,8 +209,20 @@ class Reader:
             try:
                 nodes = self.store.shard(said["nodes"], node_type(d, n))
                 cells = self.store.shard(said["cells"], cell_type(d))
+                _refuse_wild(nodes, cells, d, len(self.charted[number].sheets), str(said["name"]))
             except PeriluneError as error:
                 self.damaged[str(said["name"])] = error.what
                 return None
             self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
         return self._bricks[key]
+
+
+def _refuse_wild(nodes: NDArray[Any], cells: NDArray[Any], d: int, sheets: int, name: str) -> None:
+    """Refuse a brick whose numbers lead nowhere, or in a circle; its checksum says only that it was written so."""
+    own, child = np.arange(len(cells)), cells["child"]
+    good = (child == -1) | (child > own) & (child < len(cells) - 1)
+    good &= ((cells["corners"] >= -1) & (cells["corners"] < len(nodes))).all(axis=1)
+    good &= (cells["axis"] >= -1) & (cells["axis"] < d) & (cells["sheet"] >= 0) & (cells["sheet"] < sheets)
+    good &= ~np.isin(cells["status"], SERVING) | (cells["corners"] >= 0).all(axis=1)
+    if not good.all() or not ((nodes["sheet"] >= 0) & (nodes["sheet"] < sheets)).all():
+        raise PeriluneError(f"a brick of the atlas is damaged: {name}", got="numbers that lead nowhere")

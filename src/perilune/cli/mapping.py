@@ -67,7 +67,8 @@ def _verify(typed: Namespace) -> Answer:
 
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         found = verify_atlas(_opened(typed), typed.sample, seed=typed.seed, watch=watch)
-    document = {**asdict(found), "share": found.share, "outcome": "PROVED" if found.passed else "NOT_PROVED"}
+    outcome = ("PROVED" if found.drawn else "SOLVED") if found.passed else "NOT_PROVED"  # of none drawn nothing is
+    document = {**asdict(found), "share": found.share, "outcome": outcome}
     return Answer(text=str(found), document=document, exit_code=0 if found.passed else 5)
 
 
