@@ -2,7 +2,7 @@
 
 The cells in which a point lies say what the unknowns of each sheet are there, to the fourth order in their size; a step
 or two of Newton's method makes that exact. What is reached has to be of its sheet and to keep its bounds, and it is
-flown again by another integrator. Of several sheets the best is the answer. Nothing is extrapolated: outside of the
+flown again by another integrator. Of several sheets the best is the answer. No answer is extrapolated: outside of the
 region, in a cell in which a sheet ends that might be better, or where Newton's method leaves the cell, there is no
 answer, and it is said why.
 """
@@ -239,7 +239,7 @@ class Atlas(Reader):
         """Why there is no answer at a point of the region."""
         values = dict(zip(self.region.names, at.tolist(), strict=True))
         refuse_impossible(preflight(self.problem.with_given(**values)))
-        place, got = self.region.brick_of(at), ", ".join(f"{name} {value:.6g}" for name, value in values.items())
+        place, got = self.region.brick_of(at), self.region.told(at.tolist())
         keys = [(number, *place) for number in range(len(self.charted))]
         if broken := [self.damaged[name] for key in keys if (name := "-".join(map(str, key))) in self.damaged]:
             return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")

@@ -132,6 +132,7 @@ class Reflights:
     def __init__(self, problem: Problem, conditions: Conditions) -> None:
         self.problem, self.conditions = problem, conditions
         self._marches: dict[tuple[int, int], _Kept] = {}
+        self._jumps: dict[tuple[int, int], _Kept] = {}
 
     @cached_property
     def _stated(self) -> Problem:
@@ -140,6 +141,10 @@ class Reflights:
     @cached_property
     def _starts(self) -> list[_Kept]:
         return [_Kept(start) for start in self.conditions.starts]
+
+    @cached_property
+    def _modes(self) -> list[_Kept]:
+        return [_Kept(extremal.mode) for extremal in self.conditions.phases]
 
     @cached_property
     def _residual(self) -> _Kept:
@@ -162,11 +167,11 @@ class Reflights:
         looked = np.tile([_FAR, _FAR, _FAR, -_FAR], (count, 1))
         drift = np.zeros(count)
         ends, before, sequence = list[Matrix](), np.zeros((count, 0)), list[tuple[int, Lanes, tuple[int, ...]]]()
-        for k, extremal in enumerate(conditions.phases):
+        for k in range(len(conditions.phases)):
             z, duration = self._starts[k](y, before, p)
             looked[:, 2:] = _FAR, -_FAR
             state = np.hstack([z, looked])
-            for lanes, pieces in self._sequences(extremal, z, duration[:, 0], p):
+            for lanes, pieces in self._sequences(k, z, duration[:, 0], p):
                 numbers = p if len(p) == 1 else p[lanes]
                 sequence += [(k, lanes, tuple(piece.mode for piece in pieces))]
                 for piece in pieces:
@@ -192,14 +197,13 @@ class Reflights:
             arcs=tuple(sequence),
         )
 
-    def _sequences(
-        self, extremal: PhaseExtremal, z: Matrix, duration: Vector, p: Matrix
-    ) -> Iterator[tuple[Lanes, list[_Piece]]]:
+    def _sequences(self, k: int, z: Matrix, duration: Vector, p: Matrix) -> Iterator[tuple[Lanes, list[_Piece]]]:
         """Lanes that go through the same modes, and their pieces between switches."""
+        extremal = self.conditions.phases[k]
         if not extremal.events:
             yield np.arange(len(z)), [_Piece(0, duration, None)]
             return
-        first = compile_map(extremal.mode)(z, p)[0][:, 0]
+        first = self._modes[k](z, p)[0][:, 0]
         whole = equations(extremal, (), ())
         flown = engine(whole).propagate(z, p[:, whole.numbers], duration, mode=first)
         met = flown.event_index
@@ -209,7 +213,9 @@ class Reflights:
             mode, at, pieces = int(key[0]), np.zeros(len(lanes)), list[_Piece]()
             for i, number in enumerate(key[1:][key[1:] >= 0].tolist()):
                 event, time = extremal.events[number], flown.event_time[lanes, i]
-                jump = None if event.jump is None else compile_map(event.jump)
+                if event.jump is not None and (k, number) not in self._jumps:
+                    self._jumps[k, number] = _Kept(event.jump)
+                jump = self._jumps.get((k, number))
                 pieces.append(_Piece(mode, time - at, jump))
                 mode, at = event.switches.get(mode, mode), time
             yield lanes, [*pieces, _Piece(mode, duration[lanes] - at, None)]

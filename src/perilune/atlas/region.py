@@ -90,6 +90,10 @@ class Region:
         share = (values - self.low) / (self.high - self.low) * self.parts
         return tuple(np.clip(share.astype(np.int64), 0, self.parts - 1).tolist())
 
+    def told(self, values: Sequence[float]) -> str:
+        """A point [SI] in words."""
+        return ", ".join(f"{name} {value:.6g}" for name, value in zip(self.names, values, strict=True))
+
     def outside(self, values: Sequence[float]) -> str | None:
         """What of a point lies outside, in words; None for a point of the region."""
         for axis, value in zip(self.axes, values, strict=True):

@@ -109,19 +109,17 @@ class Survey:
 
     def _solved(self, values: Vector) -> tuple[Held, Sequence[Extremal]] | None:
         """What of the path the control keeps at a point, and the extremals there; None where there is no answer."""
-        told = dict(zip(self.region.names, values.tolist(), strict=True))
+        at = f"at {self.region.told(values.tolist())}"
         try:
-            problem = self.problem.with_given(**told)
+            problem = self.problem.with_given(**dict(zip(self.region.names, values.tolist(), strict=True)))
             refuse_impossible(preflight(problem))
             search = Search(self.method, problem, self.watch)
             solution = self.method.answer(search)
         except PeriluneError as error:
-            at = ", ".join(f"{name} {value:.6g}" for name, value in told.items())
-            self.notes.append(f"at {at}: {error.what}" + (f"; got {error.got}" if error.got else ""))
+            self.notes.append(f"{at}: {error.what}" + (f"; got {error.got}" if error.got else ""))
             return None
         if solution.statistics.rung.endswith(STRUCTURE):
-            at = ", ".join(f"{name} {value:.6g}" for name, value in told.items())
-            self.notes.append(f"at {at}: the answer is made of several arcs, which an atlas does not follow yet")
+            self.notes.append(f"{at}: the answer is made of several arcs, which an atlas does not follow yet")
             return None
         return search.answering.keep, solution.extremals
 

@@ -53,8 +53,7 @@ def movable(problem: Problem) -> Problem:
 
 def moved(problem: Problem, **values: float) -> Problem:
     """A `movable` problem with other offsets [SI]. Nothing that is stated of it knows them: all else stays."""
-    given = {name: Given(value=values.get(name, g.value), unit=g.unit) for name, g in problem.given.items()}
-    return problem.changed(given=MappingProxyType(given), structure=problem.structure)
+    return _with_values(problem, values)
 
 
 def unmoved(problem: Problem) -> Problem:
@@ -101,10 +100,15 @@ def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
     """
     if any(name in problem.free_names for name in values):
         return problem.with_given(**values)
-    given = {name: Given(value=value, unit=problem.given[name].unit) for name, value in values.items()}
-    new = problem.changed(given=MappingProxyType({**problem.given, **given}), structure=problem.structure)
+    new = _with_values(problem, values)
     new.take_ranges()
     return new
+
+
+def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """The same with other values [SI] of given parameters, which do not enter its structure."""
+    given = {name: Given(value=value, unit=problem.given[name].unit) for name, value in values.items()}
+    return problem.changed(given=MappingProxyType({**problem.given, **given}), structure=problem.structure)
 
 
 def varied(problem: Problem, names: Sequence[str]) -> Problem:
