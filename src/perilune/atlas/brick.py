@@ -278,9 +278,8 @@ class Brick:
         good &= moved <= _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
         if not good.any():
             return
-        some, holds, sheet, places = found.of(good), holds[good], sheet[good], places[good]
-        held = some.roots.choice[:, : self.chart.shooting.plan.held] > 0
-        flown = self.reflights(some.roots.y, self.chart.p[None], held)
+        some, holds, sheet, places = found.of(np.nonzero(good)[0]), holds[good], sheet[good], places[good]
+        flown = self.reflights.finer(some.roots.y, self.chart.p[None], some.roots.choice)
         self.nodes.add(
             self._keys(sheet, places),
             sheet=sheet,

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from perilune.atlas.brick import WHOLE, Brick
 from perilune.atlas.chart import Chart
+from perilune.atlas.course import Course, course_from
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region, region_of
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import Store
 from perilune.atlas.survey import Survey
-from perilune.conditions.held import Held
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.io.export import problem_document, versions
 from perilune.methods.indirect import Indirect
@@ -70,8 +70,8 @@ class Task:
 
     Parameters
     ----------
-    problem, names, widths, keep
-        The chart.
+    problem, names, widths, course, times
+        The chart, and how finely it is flown again.
     sheets
         All sheets of the chart.
     low, high
@@ -85,7 +85,8 @@ class Task:
     problem: Problem
     names: tuple[str, ...]
     widths: Vector
-    keep: Held
+    course: Course
+    times: tuple[int, ...]
     sheets: tuple[Sheet, ...]
     low: Vector
     high: Vector
@@ -97,7 +98,7 @@ class Task:
 
 def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[Any]]:
     """Nodes and cells of a brick, as their shards have them."""
-    chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.keep)
+    chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
     cut = Brick(chart, borders, reflights, task.sheets, low, high, task.tolerance, watch).cut(
         task.sheet, task.corner, task.y
@@ -114,9 +115,11 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
 
 
 @lru_cache(maxsize=4)
-def _tools(problem: Problem, names: tuple[str, ...], widths: tuple[float, ...], keep: Held) -> Any:
-    chart = Chart(problem, names, np.array(widths), keep)
-    return chart, Borders(chart), Reflights(chart.free, chart.conditions)
+def _tools(
+    problem: Problem, names: tuple[str, ...], widths: tuple[float, ...], course: Course, times: tuple[int, ...]
+) -> Any:
+    chart = Chart(problem, names, np.array(widths), course)
+    return chart, Borders(chart), Reflights(chart.free, chart.conditions, times)
 
 
 def build(
@@ -234,7 +237,8 @@ def _survey(kept: Store, problem: Problem, region: Region, method: Indirect, say
         rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], found.y[sheet, corner]
         charts.append(
             {
-                "keep": list(found.chart.keep),
+                **found.chart.course.document(),
+                "times": list(found.times),
                 "unknowns": found.y.shape[2],
                 "sheets": [
                     {"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name}
@@ -274,7 +278,8 @@ def _tasks(
                     problem=problem,
                     names=region.names,
                     widths=region.high - region.low,
-                    keep=tuple(chart["keep"]),
+                    course=course_from(chart),
+                    times=tuple(chart["times"]),
                     sheets=sheets_of(chart),
                     low=low,
                     high=high,

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.course import PLAIN, Course
 from perilune.atlas.hermite import bits
 from perilune.conditions.canonical import extremal_parameters
-from perilune.conditions.held import Held
 from perilune.conditions.pontryagin import Conditions, derive
 from perilune.problem.neighbours import varied
 from perilune.problem.problem import Problem
@@ -64,10 +64,10 @@ class Extremals:
     stepped: Matrix
     roots: Roots
 
-    def of(self, which: NDArray[np.bool_]) -> Extremals:
+    def of(self, lanes: NDArray[np.int64]) -> Extremals:
         """Some of the lanes."""
-        named = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name != "roots"}
-        return Extremals(**named, roots=self.roots.of(np.nonzero(which)[0]))
+        named = {f.name: getattr(self, f.name)[lanes] for f in fields(self) if f.name != "roots"}
+        return Extremals(**named, roots=self.roots.of(lanes))
 
 
 class Chart:
@@ -81,19 +81,22 @@ class Chart:
         Of the parameters that vary.
     widths
         Length of the range of each [SI].
-    keep
-        Conditions of the path that the control keeps.
+    course
+        What its extremals go through.
 
     Attributes
     ----------
+    problem
+        That of which they are smooth extremals: restated, where they have several arcs.
     scale
         SI size of the canonical unit of each parameter, (d,).
     """
 
-    def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, keep: Held = ()) -> None:
-        self.problem, self.names, self.keep = problem, tuple(names), keep
-        self.free = varied(problem, names)
-        self.conditions: Conditions = derive(self.free, keep)
+    def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, course: Course = PLAIN) -> None:
+        self.user, self.names, self.course = problem, tuple(names), course
+        self.problem = course.restated(problem)
+        self.free = varied(self.problem, names)
+        self.conditions: Conditions = derive(self.free, course.keep)
         self.p = extremal_parameters(self.free)
         self.shooting = Shooting(self.conditions)
         self.scale = np.array([problem.scales.of(problem.unit_of(name)) for name in names])
@@ -144,10 +147,14 @@ class Chart:
         Y[:, self.active], Y[:, self._held] = y, values
         return Y
 
+    @cached_property
+    def own(self) -> Conditions:
+        """Of the problem itself, whose parameters do not vary."""
+        return derive(self.problem, self.course.keep)
+
     def told(self, unknowns: Vector) -> Vector:
         """Of unknowns of the problem itself those that this chart moves."""
-        own = derive(self.problem, self.keep)
-        named = dict(zip(own.unknowns, unknowns, strict=True))
+        named = dict(zip(self.own.unknowns, unknowns, strict=True))
         names = [self.conditions.unknowns[i] for i in self.active]
         return np.array([named.get(name, 0.0) for name in names])
 

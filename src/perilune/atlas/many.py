@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from perilune.atlas.brick import WHOLE, Status
 from perilune.atlas.hermite import interpolated
+from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Charted, Reader
 from perilune.problem.preflight import possible, preflight
-from perilune.problem.symbolic import free_scales
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -93,7 +93,7 @@ class _Work:
         self.cost, self.bound = np.full(count, np.inf), np.full(count, np.nan)
         self.free = np.full((count, len(atlas.problem.free)), np.nan)
         self.sheet, self.steps = np.full(count, -1), np.zeros(count, dtype=np.int64)
-        self.slopes = np.full(points.shape, np.nan)
+        self.slopes, self.of_arcs = np.full(points.shape, np.nan), np.zeros(count, dtype=bool)
 
     def place(self) -> None:
         """Which points lie in the region, and which of them physics allows."""
@@ -114,7 +114,8 @@ class _Work:
         offers = self._offers(some)
         cost = np.array([offer[3] for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
-        doubt, going = np.full(len(some), np.inf), np.ones(len(some), dtype=bool)
+        doubt, breaking = np.full((2, len(some)), np.inf)
+        going = np.ones(len(some), dtype=bool)
         for rank in range(len(offers)):
             chosen = order[rank]
             here = cost[chosen, np.arange(len(some))]
@@ -126,18 +127,19 @@ class _Work:
                 ends = np.isnan(y[lanes, 0])
                 doubt[lanes[ends]] = np.minimum(doubt[lanes[ends]], here[lanes[ends]])
                 if len(lanes := lanes[~ends]):
-                    lost = lanes[self._polished(some[lanes], charted, sheet, y[lanes], first)]
-                    doubt[lost] = np.minimum(doubt[lost], here[lost])
+                    polished = self._polished(some[lanes], charted, sheet, y[lanes], first)
+                    for least, which in ((doubt, polished.doubtful), (breaking, polished.breaking)):
+                        least[lanes[which]] = np.minimum(least[lanes[which]], here[lanes[which]])
+        # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
+        doubt = np.where(self.of_arcs[some], doubt, np.minimum(doubt, breaking))
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         self.answered[some[found]] = Answered.YES
         self.answered[some[doubtful]] = Answered.ENDS
         none = some[~found & ~doubtful]
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
 
-    def _polished(
-        self, points: NDArray[np.int64], charted: Charted, sheet: int, y: Matrix, first: int
-    ) -> NDArray[np.bool_]:
-        """Polish, and keep what is better than what is known; which of the rest might be answers all the same."""
+    def _polished(self, points: NDArray[np.int64], charted: Charted, sheet: int, y: Matrix, first: int) -> Polished:
+        """Polish, and keep what is better than what is known."""
         atlas, chart = self.atlas, charted.chart
         polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), sheet), y)
         better = polished.answers & (polished.cost < self.cost[points])
@@ -145,10 +147,10 @@ class _Work:
         self.cost[kept] = polished.cost[better]
         self.bound[kept], self.steps[kept] = polished.bound[better], polished.steps[better]
         self.sheet[kept] = first + sheet
-        own = charted.own_unknowns(polished.y[better])
-        self.free[kept] = own[:, charted.own.free_at] * free_scales(problem.free, problem)
+        self.free[kept] = charted.free(polished.y[better])
         self.slopes[kept] = polished.found.cost_slopes[better] * problem.objective_size / chart.scale
-        return polished.doubtful
+        self.of_arcs[kept] = charted.of_arcs
+        return polished
 
     def _offers(self, some: NDArray[np.int64]) -> list[tuple[Charted, int, Matrix, Vector, int]]:
         """Of each sheet its chart, number, y, J and its chart's first sheet; NaN and inf where it offers nothing."""

@@ -53,7 +53,10 @@ class Polished:
         How far what the cell gave was from it, relative.
     doubtful
         Whether it might be an answer all the same: not reached, or within its sheet but not borne out by its second
-        flight, or breaking the path, beside which a flight that keeps it may still be better than other sheets.
+        flight.
+    breaking
+        Whether it is an extremal of its sheet but for breaking the path: a flight that keeps that may still be better
+        than other sheets.
     margin
         By how much it is an answer of its sheet, canonical.
     flown
@@ -66,6 +69,7 @@ class Polished:
     reached: NDArray[np.bool_]
     answers: NDArray[np.bool_]
     doubtful: NDArray[np.bool_]
+    breaking: NDArray[np.bool_]
     steps: NDArray[np.int64]
     bound: Vector
     away: Vector
@@ -113,9 +117,14 @@ class Polisher:
         held = choice[:, : plan.held] > 0
         free = y[:, chart.conditions.free_at]  # Newton's step leaves the last bit of what is held
         np.copyto(free, choice[:, plan.held : plan.held + plan.free], where=held[:, : plan.free])
-        flown = self.reflights(y, self._p, held)
+        flown = self.reflights(y, self._p, choice)
+        if (poor := np.nonzero(reached & flown.nearly)[0]).size:  # what it misses says where to
+            y[poor[:, None], plan.active] -= chart.steps(found.of(poor), flown.residuals[poor])
+            flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
         margin = self.borders.margins(self.sheets, which, found, limits)
-        answers = reached & (margin >= -SLACK) & flown.good
+        inside = margin >= -SLACK
+        answers = reached & inside & flown.good
+        breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= SLACK)
         scale = 1.0 + np.linalg.norm(found.y, axis=1)
         return Polished(
             found=found,
@@ -123,7 +132,8 @@ class Polisher:
             cost=flown.cost,
             reached=reached,
             answers=answers,
-            doubtful=~answers & ~(reached & (margin < -SLACK)),
+            doubtful=~answers & ~(reached & ~inside) & ~breaking,
+            breaking=breaking,
             steps=steps,
             bound=2.0 * np.linalg.norm(chart.steps(found, flown.residuals), axis=1) / scale,
             away=np.linalg.norm(y[:, chart.active] - guess, axis=1) / scale,

@@ -23,8 +23,6 @@ from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Charted, Reader
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.sheets import Sheet
-from perilune.methods.answer import composed
-from perilune.methods.indirect import Indirect
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
@@ -125,7 +123,7 @@ class Atlas(Reader):
         began = time.perf_counter()
         at = self._point(values)
         offers = self._offers(at)
-        tried, doubt, best = list[_Offer](), None, None
+        tried, doubt, breaking, best = list[_Offer](), None, None, None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
             if best is not None and offer.cost > best.cost + CLEARLY * (1.0 + abs(best.cost)):
@@ -135,11 +133,16 @@ class Atlas(Reader):
                 continue
             canonical = (at / offer.charted.chart.scale)[None]
             polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
-            if polished.doubtful[0]:
+            if polished.breaking[0]:
+                breaking = breaking or offer
+            elif polished.doubtful[0]:
                 doubt = doubt or offer
             elif polished.answers[0]:
                 tried.append(replace(offer, cost=float(polished.cost[0]), polished=polished))
                 best = min(tried, key=lambda one: one.cost)
+        # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
+        if breaking is not None and (best is None or not best.charted.of_arcs):
+            doubt = breaking if doubt is None else min(doubt, breaking, key=lambda one: one.cost)
         if best is None or (doubt is not None and doubt.cost < best.cost):
             raise self._nothing(at, doubt)
         return self._answer(at, best, sorted(tried, key=lambda one: one.cost), offers, began)
@@ -212,11 +215,10 @@ class Atlas(Reader):
         assert polished is not None
         values = dict(zip(self.region.names, at.tolist(), strict=True))
         problem = placed(self.problem, values)
-        roots = [Found(root=o.charted.root(o.polished), minimum=True) for o in tried if o.polished is not None]
+        beside = [(o.charted, o.polished) for o in tried if o.charted is best.charted]
+        roots = [Found(root=charted.root(own), minimum=True) for charted, own in beside if own is not None]
         steps = int(polished.steps[0])
-        answer = composed(
-            Indirect.name, problem, best.charted.own, roots, Statistics(rung="atlas", iterations=steps, arcs=steps + 1)
-        )
+        answer = best.charted.solution(problem, roots, Statistics(rung="atlas", iterations=steps, arcs=steps + 1))
         slopes = polished.found.cost_slopes[0] * self.problem.objective_size / best.charted.chart.scale
         flown = polished.flown
         query = Query(

@@ -14,15 +14,22 @@ from numpy.typing import NDArray
 from perilune.atlas.brick import WHOLE, Status
 from perilune.atlas.building import cell_type, node_type, sheets_of
 from perilune.atlas.chart import Chart
+from perilune.atlas.course import course_from
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region, region_of
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
-from perilune.conditions.pontryagin import Conditions, derive
 from perilune.io.reload import read_problem
+from perilune.methods.answer import composed
+from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution, Statistics
+from perilune.problem.symbolic import free_scales
+from perilune.shooting.extremals import Found
 from perilune.shooting.function import Root
+from perilune.structures.carry import joined
+from perilune.structures.restate import renumbered, sums_of
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -108,19 +115,41 @@ class Charted:
     """One chart of an atlas, as queries need it."""
 
     def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
-        keep = tuple(said["keep"])
         self.sheets, self.unknowns = sheets_of(said), int(said["unknowns"])
-        self.chart = Chart(problem, region.names, region.high - region.low, keep)
+        self.chart = Chart(problem, region.names, region.high - region.low, course_from(said))
         self.borders = Borders(self.chart)
-        reflights = Reflights(self.chart.free, self.chart.conditions)
+        reflights = Reflights(self.chart.free, self.chart.conditions, tuple(map(int, said["times"])))
         self.polish = Polisher(self.chart, self.borders, reflights, self.sheets)
-        self.own: Conditions = derive(problem, keep)
+        self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
         names = [name for name, _ in self.chart.conditions.unknowns]
-        self._own_places = np.array([names.index(name) for name, _ in self.own.unknowns])
+        self._own_places = np.array([names.index(name) for name, _ in self.chart.own.unknowns])
         plan = self.chart.shooting.plan
         self._free = [i for i, name in enumerate(self.chart.free.free_names) if name not in region.names]
         kept = [*self._free, *range(plan.free, plan.held)]
         self._own_choice = [*kept, *(plan.held + i for i in kept)]
+
+    @property
+    def of_arcs(self) -> bool:
+        """Whether its extremals are made of several arcs."""
+        return self.chart.course.structure is not None
+
+    def free(self, y: Matrix) -> Matrix:
+        """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
+        chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]
+        at = {name: value for name, value in zip(chart.problem.free_names, (own * self._sizes).T, strict=True)}
+        sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
+        return np.column_stack([np.zeros((len(y), 0)), *(
+            sum((at[part] for part in sums[name]), np.zeros(len(y))) if name in sums else at[name]
+            for name in chart.user.free_names
+        )])  # fmt: skip
+
+    def solution(self, problem: Problem, roots: Sequence[Found], statistics: Statistics) -> Solution:
+        """Extremals of the chart as a solution of the user's problem at their values."""
+        chart, structure = self.chart, self.chart.course.structure
+        if structure is None:
+            return composed(Indirect.name, problem, chart.own, roots, statistics)
+        found = composed(Indirect.name, renumbered(chart.problem, problem, structure), chart.own, roots, statistics)
+        return joined(problem, found, structure)
 
     def own_unknowns(self, y: Matrix) -> Matrix:
         """Of all unknowns of the chart those of the problem itself, (lanes, n)."""

@@ -13,32 +13,29 @@ section II.9 (9.10), (9.13).
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from itertools import product
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.canonical import PhaseExtremal, limit_symbols
+from perilune.atlas.march import FAR, NOTHING_SEEN, Kept, step_along, step_settling
+from perilune.conditions.canonical import hamiltonian_at
 from perilune.conditions.pontryagin import Conditions
-from perilune.kernels import compile_map
-from perilune.problem.controls import Bounded, placed
-from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import SYMBOLIC, Unnumbered, column, elements, trace_parameters
+from perilune.problem.symbolic import Unnumbered
 from perilune.shooting.newton import Lanes
 from perilune.shooting.propagate import engine, equations
-from perilune.words.types import Matrix, Vector
+from perilune.shooting.settling import settling
+from perilune.words.types import Batch, Matrix, Vector
 
-STEPS = 48  # of a piece
+STEPS = 48  # of a piece, or a multiple of it
+_MOST, _EXACT = 32, 1e-11  # times as many, and what the end of a phase may be wrong by, where they are chosen
+_FINER, _NEARLY = 4, 1e-3  # times as many for a lane that misses something by so little, canonical
 SLACK = 1e-9  # canonical: what an end, a condition, H or its minimum may be missed by
-_SUBSTEPS = (2, 4, 6, 8)
-_FAR = 1e30  # stands for infinity: nothing was looked at yet
-_NEAR = 0.1  # how far from the control that is flown an unbounded one is tried, canonical
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +47,7 @@ class Reflown:
     residuals
         Of all conditions, (lanes, conditions); 0 for those of what is held.
     path
-        The least of all conditions of the path and distances of states from their bounds; `_FAR` where there is none.
+        The least of all conditions of the path and distances of states from their bounds; `FAR` where there is none.
     minimum
         The least of H of another control minus H of the one that is flown.
     drift
@@ -89,6 +86,16 @@ class Reflown:
         kept = (self.residual <= SLACK) & (self.path >= -SLACK)
         return kept & (self.minimum >= -SLACK) & (self.drift <= SLACK)
 
+    @property
+    def nearly(self) -> NDArray[np.bool_]:
+        """Whether something speaks against it by as little as rounding or coarse steps may."""
+        return ~self.good & (np.fmax(self.residual, -np.fmin(self.path, self.minimum)) <= _NEARLY)
+
+    def replace(self, lanes: Lanes, by: Reflown) -> None:
+        """Put other flights of the same arcs in the place of some."""
+        for name in ("residuals", "path", "minimum", "drift", "cost"):
+            getattr(self, name)[lanes] = getattr(by, name)
+
 
 @dataclass(frozen=True)
 class _Piece:
@@ -99,25 +106,27 @@ class _Piece:
     jump: Any
 
 
-class _Kept:
-    """A compiled function whose arrays of one lane are kept, as a single query asks for it again and again."""
+@dataclass(frozen=True)
+class _Leg:
+    """One phase of all lanes.
 
-    def __init__(self, function: ca.Function, times: int = 1) -> None:
-        self._map, self._idle = compile_map(function, times=times), list[Any]()  # a list's pop and append are atomic
+    Attributes
+    ----------
+    begin, end
+        z at its ends; of a phase that settles x alone, and (x, 0).
+    through
+        Phi of a phase that settles, (lanes, n, n).
+    seen
+        As `NOTHING_SEEN`.
+    arcs
+        Lanes, and the modes that they go through.
+    """
 
-    def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
-        if max(map(len, arguments)) != 1:
-            return self._map(*arguments)
-        try:
-            bound = self._idle.pop()
-        except IndexError:
-            bound = self._map.bind(*(np.array(a, dtype=float) for a in arguments))
-        for own, given in zip(bound.inputs, arguments, strict=True):
-            own[:] = given
-        bound()
-        found = tuple(out.copy() for out in bound.outputs)
-        self._idle.append(bound)
-        return found
+    begin: Matrix
+    end: Matrix
+    through: Batch | None
+    seen: Matrix
+    arcs: list[tuple[Lanes, tuple[int, ...]]]
 
 
 class Reflights:
@@ -127,30 +136,42 @@ class Reflights:
     ----------
     problem, conditions
         Whose extremals; the conditions are those of the problem.
+    times
+        For each phase how many times `STEPS` a piece of it has, as `fine_enough` finds them; once by default.
     """
 
-    def __init__(self, problem: Problem, conditions: Conditions) -> None:
+    def __init__(self, problem: Problem, conditions: Conditions, times: Sequence[int] = ()) -> None:
         self.problem, self.conditions = problem, conditions
-        self._marches: dict[tuple[int, int], _Kept] = {}
-        self._jumps: dict[tuple[int, int], _Kept] = {}
+        self.times = tuple(times) or (1,) * len(conditions.phases)
+        self._marches: dict[tuple[int, int], Kept] = {}
+        self._jumps: dict[tuple[int, int], Kept] = {}
 
     @cached_property
     def _stated(self) -> Problem:
         return Unnumbered(self.problem).problem
 
     @cached_property
-    def _starts(self) -> list[_Kept]:
-        return [_Kept(start) for start in self.conditions.starts]
+    def _starts(self) -> list[Kept]:
+        return [Kept(start) for start in self.conditions.starts]
 
     @cached_property
-    def _modes(self) -> list[_Kept]:
-        return [_Kept(extremal.mode) for extremal in self.conditions.phases]
+    def _modes(self) -> list[Kept]:
+        return [Kept(extremal.mode) for extremal in self.conditions.phases]
 
     @cached_property
-    def _residual(self) -> _Kept:
-        return _Kept(self.conditions.residual)
+    def _values(self) -> list[Kept]:
+        """H at a point of each phase."""
+        found = list[Kept]()
+        for extremal in self.conditions.phases:
+            z, numbers = ca.SX.sym("z", 2 * extremal.half), ca.SX.sym("numbers", extremal.modes[0].size1_in(1))
+            found.append(Kept(ca.Function("value", [z, numbers], [hamiltonian_at(extremal, z, numbers)])))
+        return found
 
-    def __call__(self, y: Matrix, p: Matrix, held: NDArray[np.bool_]) -> Reflown:
+    @cached_property
+    def _residual(self) -> Kept:
+        return Kept(self.conditions.residual)
+
+    def __call__(self, y: Matrix, p: Matrix, choice: Matrix) -> Reflown:
         """Fly again.
 
         Parameters
@@ -159,43 +180,88 @@ class Reflights:
             Unknowns of single shooting, (lanes, n).
         p
             Numbers of the canonical equations, (lanes, np) or (1, np).
-        held
-            Which free parameters, then ranges, are held, and not chosen, (lanes, k).
+        choice
+            Which free parameters, then ranges, are held, and not chosen, and their values, (lanes, 2 k).
         """
+        return self._flown(y, p, choice, self.times)
+
+    def finer(self, y: Matrix, p: Matrix, choice: Matrix) -> Reflown:
+        """The same, and by finer steps where these miss by as little as coarse ones may."""
+        found = self._flown(y, p, choice, self.times)
+        if (poor := np.nonzero(found.nearly)[0]).size:
+            numbers = p if len(p) == 1 else p[poor]
+            found.replace(poor, self._flown(y[poor], numbers, choice[poor], [_FINER * times for times in self.times]))
+        return found
+
+    def _flown(self, y: Matrix, p: Matrix, choice: Matrix, times: Sequence[int]) -> Reflown:
         count, conditions = len(y), self.conditions
         free = np.ascontiguousarray(y[:, conditions.free_at])
-        looked = np.tile([_FAR, _FAR, _FAR, -_FAR], (count, 1))
-        drift = np.zeros(count)
-        ends, before, sequence = list[Matrix](), np.zeros((count, 0)), list[tuple[int, Lanes, tuple[int, ...]]]()
+        path, minimum, drift = np.full(count, FAR), np.full(count, FAR), np.zeros(count)
+        legs, ends, before = list[_Leg](), list[Matrix](), np.zeros((count, 0))
         for k in range(len(conditions.phases)):
-            z, duration = self._starts[k](y, before, p)
-            looked[:, 2:] = _FAR, -_FAR
-            state = np.hstack([z, looked])
-            for lanes, pieces in self._sequences(k, z, duration[:, 0], p):
-                numbers = p if len(p) == 1 else p[lanes]
-                sequence += [(k, lanes, tuple(piece.mode for piece in pieces))]
-                for piece in pieces:
-                    march = self._march(k, piece.mode)
-                    flown = march(state[lanes], numbers, free[lanes], piece.length[:, None] / STEPS)[0]
-                    if piece.jump is not None:
-                        flown[:, :-4] = piece.jump(np.ascontiguousarray(flown[:, :-4]), numbers)[0]
-                    state[lanes] = flown
-            before, looked = np.ascontiguousarray(state[:, :-4]), state[:, -4:]
-            drift = np.fmax(drift, looked[:, 3] - looked[:, 2])
-            ends.append(before)
+            leg = self._along(k, y, before, p, free, times[k])
+            path, minimum = np.fmin(path, leg.seen[:, 0]), np.fmin(minimum, leg.seen[:, 1])
+            if leg.through is None:
+                drift = np.fmax(drift, leg.seen[:, 3] - leg.seen[:, 2])
+            legs.append(leg)
+            ends.append(before := leg.end)
         residual, cost = self._residual(y, np.hstack(ends), p)
-        free_count = conditions.free_at.stop - conditions.free_at.start
-        residual[:, conditions.stationarity_at] *= ~held[:, :free_count]
-        for i, (row, nu) in enumerate(conditions.ranges, free_count):
-            residual[:, row] = np.where(held[:, i], 0.0, y[:, nu])  # whether it is in its range is for others to say
-        return Reflown(
-            residuals=residual,
-            path=looked[:, 0],
-            minimum=looked[:, 1],
-            drift=drift,
-            cost=cost[:, 0],
-            arcs=tuple(sequence),
-        )
+        for k, leg in enumerate(legs):
+            if leg.through is None:
+                continue
+            at, half = conditions.costate_at[k], conditions.phases[k].half
+            rows = slice(conditions.transversality_at + at.start, conditions.transversality_at + at.stop)
+            ends[k][:, half:] = -residual[:, rows]  # the costates that the conditions at the end ask for
+            residual, cost = self._residual(y, np.hstack(ends), p)
+            residual[:, rows] = y[:, at] - np.einsum("lij,li->lj", leg.through, ends[k][:, half:])
+            values = [self._values[k](z, p)[0] for z in (np.hstack([leg.begin, y[:, at]]), ends[k])]
+            drift = np.fmax(drift, np.abs(values[1] - values[0])[:, 0])
+        held, values = np.split(choice, 2, axis=1)
+        residual[:, conditions.stationarity_at] *= held[:, : free.shape[1]] == 0
+        for i, (row, nu) in enumerate(conditions.ranges, free.shape[1]):  # one that is not held has no multiplier
+            residual[:, row] = np.where(held[:, i] > 0, residual[:, row] - values[:, i], y[:, nu])
+        arcs = tuple((k, *arc) for k, leg in enumerate(legs) for arc in leg.arcs)
+        return Reflown(residuals=residual, path=path, minimum=minimum, drift=drift, cost=cost[:, 0], arcs=arcs)
+
+    def fine_enough(self, y: Matrix, p: Matrix) -> tuple[int, ...]:
+        """How many times `STEPS` each phase needs, so that twice as many end at the same; for extremals, (lanes, n)."""
+        free, before, found = np.ascontiguousarray(y[:, self.conditions.free_at]), np.zeros((len(y), 0)), list[int]()
+        for k in range(len(self.conditions.phases)):
+            times, wrong = 1, np.inf
+            end = self._along(k, y, before, p, free, times).end
+            while wrong > _EXACT and times < _MOST:
+                coarse, times = end, 2 * times
+                end = self._along(k, y, before, p, free, times).end
+                wrong = float(np.fmax.reduce(np.abs(end - coarse) / (1.0 + np.abs(end)), axis=None))
+            found.append(times // 2 if wrong <= _EXACT else times)
+            before = end
+        return tuple(found)
+
+    def _along(self, k: int, y: Matrix, before: Matrix, p: Matrix, free: Matrix, times: int) -> _Leg:
+        """Fly one phase."""
+        z, duration = self._starts[k](y, before, p)
+        extremal, arcs = self.conditions.phases[k], list[tuple[Lanes, tuple[int, ...]]]()
+        made = settling(extremal) if extremal.settles else None
+        flown = z if made is None else np.hstack([z[:, : extremal.half], np.tile(made.seeds, (len(z), 1))])
+        state, last = np.hstack([flown, np.tile(NOTHING_SEEN, (len(z), 1))]), flown.shape[1]
+        for lanes, pieces in self._sequences(k, z, duration[:, 0], p):
+            numbers, chosen = p if len(p) == 1 else p[lanes], free[lanes]
+            arcs.append((lanes, tuple(piece.mode for piece in pieces)))
+            here = state[lanes]
+            for piece in pieces:
+                march, length = self._march(k, piece.mode), piece.length[:, None] / (STEPS * times)
+                for _ in range(times):
+                    here = march(here, numbers, chosen, length)[0]
+                if piece.jump is not None:
+                    here[:, :last] = piece.jump(np.ascontiguousarray(here[:, :last]), numbers)[0]
+            state[lanes] = here
+        end, seen = np.ascontiguousarray(state[:, :last]), state[:, last:]
+        if made is None:
+            return _Leg(z, end, None, seen, arcs)
+        n = extremal.half
+        through = np.tile(np.eye(n), (len(z), 1, 1))
+        through[:, list(made.rows)] = end[:, n:].reshape(len(z), -1, n)
+        return _Leg(z[:, :n], np.hstack([end[:, :n], np.zeros((len(z), n))]), through, seen, arcs)
 
     def _sequences(self, k: int, z: Matrix, duration: Vector, p: Matrix) -> Iterator[tuple[Lanes, list[_Piece]]]:
         """Lanes that go through the same modes, and their pieces between switches."""
@@ -214,112 +280,18 @@ class Reflights:
             for i, number in enumerate(key[1:][key[1:] >= 0].tolist()):
                 event, time = extremal.events[number], flown.event_time[lanes, i]
                 if event.jump is not None and (k, number) not in self._jumps:
-                    self._jumps[k, number] = _Kept(event.jump)
+                    self._jumps[k, number] = Kept(event.jump)
                 jump = self._jumps.get((k, number))
                 pieces.append(_Piece(mode, time - at, jump))
                 mode, at = event.switches.get(mode, mode), time
             yield lanes, [*pieces, _Piece(mode, duration[lanes] - at, None)]
 
-    def _march(self, k: int, mode: int) -> _Kept:
+    def _march(self, k: int, mode: int) -> Kept:
         if (k, mode) not in self._marches:
-            step = _step(self._stated, k, self._stated.phases[k], self.conditions.phases[k], mode)
-            self._marches[k, mode] = _Kept(step, times=STEPS)
-        return self._marches[k, mode]
-
-
-def _step(problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, mode: int) -> ca.Function:
-    """One step: (z and what was seen so far, numbers, free parameters, length) -> the same behind it."""
-    size = 2 * extremal.half
-    numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
-    free, h = ca.SX.sym("free", len(problem.free)), ca.SX.sym("h")
-    state = ca.SX.sym("state", size + 4)
-    z = state[:size]
-    after = _extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
-    path, minimum, value = _seen(problem, k, phase, extremal, mode, z, numbers, free)
-    seen = [
-        ca.fmin(state[size], path),
-        ca.fmin(state[size + 1], minimum),
-        ca.fmin(state[size + 2], value),
-        ca.fmax(state[size + 3], value),
-    ]
-    out = ca.vertcat(after, *seen)
-    return ca.Function("step", [state, numbers, free, h], [ca.cse(out)])
-
-
-def _extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
-    """A step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length."""
-    first, table = rate(z), list[ca.SX]()
-    for j, count in enumerate(_SUBSTEPS):
-        part = h / count
-        before, here = z, z + part * first
-        for _ in range(count - 1):
-            before, here = here, before + 2 * part * rate(here)
-        row = [here]
-        for k in range(1, j + 1):
-            ratio = (count / _SUBSTEPS[j - k]) ** 2 - 1.0
-            row.append(row[k - 1] + (row[k - 1] - table[k - 1]) / ratio)
-        table = row
-    return table[-1]
-
-
-def _seen(
-    problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
-) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """At a point the least condition, the least H of another control beyond that of the one flown, and that H."""
-    n, p = extremal.state_count, trace_parameters(problem)
-    symbols, limits = limit_symbols(problem, p)
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
-    rates = column(phase.rates(elements(x), elements(u), p.record, SYMBOLIC))
-    held = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
-    bounds = [v.limits(p.record) for v in phase.states]
-    room = [(x[i] - ca.SX(low), ca.SX(high) - x[i]) for i, (low, high) in enumerate(bounds)]
-    finite = [ca.SX(e) for pair in room for e in pair if not (ca.SX(e).is_constant() and not np.isfinite(float(e)))]
-    conditions = ca.vertcat(ca.SX(0, 1), held, *finite)
-    given = numbers[: p.given.numel()]
-    plain = numbers[p.given.numel() : p.given.numel() + symbols.numel()]
-    known = [p.given, p.free, symbols]
-    lam = ca.SX.sym("lam", n)
-    value = ca.Function("value", [x, u, lam, *known], [ca.dot(lam, rates), conditions])
-    control, _, _ = extremal.reports[mode](z, numbers)
-    where, costate = z[:n], z[extremal.half : extremal.half + n]
-    best, kept = value(where, control, costate, given, free, plain)
-    of_limits = ca.Function(
-        "limits", known, [ca.vertcat(ca.SX(0, 1), *(e for pair in limits[k].values() for e in pair))]
-    )
-    others = []
-    for other in _samples(phase, control, of_limits(given, free, plain)):
-        there, allowed = value(where, other, costate, given, free, plain)
-        gain = there - best
-        if allowed.numel() and ca.depends_on(held, u):
-            gain = ca.if_else(ca.mmin(allowed[: held.numel()]) >= 0, gain, _FAR)
-        others.append(gain)
-    least = ca.mmin(ca.vertcat(*others)) if others else ca.SX(_FAR)
-    return ca.mmin(kept) if kept.numel() else ca.SX(_FAR), least, best
-
-
-def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
-    """Admissible controls all over the set of each phase."""
-    choices, at = list[list[ca.SX]](), 0
-    for here, kind in placed(phase.controls):
-        flown = control[here.start : here.stop]
-        if isinstance(kind, Bounded):
-            low, high = limits[2 * at], limits[2 * at + 1]
-            at += 1
-            if kind.bounded:
-                choices.append([flown, low, 0.5 * (low + high), high])
+            stated, extremal = (self._stated, k, self._stated.phases[k]), self.conditions.phases[k]
+            if extremal.settles:
+                step = step_settling(*stated, extremal, settling(extremal), mode)
             else:
-                choices.append([flown, *(ca.fmin(ca.fmax(flown + way * _NEAR, low), high) for way in (-1, 1))])
-        else:
-            choices.append([flown, *(ca.SX(ca.DM(v)) for v in _directions(len(kind.names)))])
-    for number, parts in enumerate(product(*choices)):
-        if number:  # the first is the control itself
-            yield ca.vertcat(*parts)
-
-
-@lru_cache(maxsize=4)
-def _directions(components: int) -> tuple[tuple[float, ...], ...]:
-    """Unit vectors all around: eight in the plane, the faces and corners of a cube in space."""
-    if components == 2:
-        return tuple((float(np.cos(a)), float(np.sin(a))) for a in np.arange(8) * np.pi / 4)
-    whole = [v for v in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) in (1, 3)]
-    return tuple(tuple((np.array(v) / np.linalg.norm(v)).tolist()) for v in whole)
+                step = step_along(*stated, extremal, mode)
+            self._marches[k, mode] = Kept(step, times=STEPS)
+        return self._marches[k, mode]

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart, Extremals
-from perilune.conditions.pontryagin import derive
+from perilune.methods.starts import SIGNED
 from perilune.problem.extremal import Nature
-from perilune.problem.symbolic import canonical_free, free_scales
+from perilune.problem.symbolic import free_scales
 from perilune.shooting.active import limits_of
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -69,7 +69,7 @@ class Borders:
 
     def __init__(self, chart: Chart) -> None:
         self.chart, problem = chart, chart.problem
-        plan, own = chart.shooting.plan, limits_of(problem, derive(problem, chart.keep))
+        plan, own = chart.shooting.plan, limits_of(problem, chart.own)
         free, ends = len(problem.free), [c for phase in problem.phases for c in phase.end_conditions]
         lower, upper = np.full(plan.held, -np.inf), np.full(plan.held, np.inf)
         lower[:free], upper[:free] = own.lower[:free], own.upper[:free]
@@ -81,6 +81,8 @@ class Borders:
         self.names = [*chart.free.free_names, *(ends[row].name for row, _ in chart.conditions.ranges)]
         self._ranged = [ends[row] for row, _ in chart.conditions.ranges]
         self._free_sizes = free_scales(problem.free, problem)
+        unknowns = [name for name, _ in chart.conditions.unknowns]
+        self._touched = [unknowns.index(name) for name in chart.course.touched(chart.user)]
 
     def at(self, values: Matrix) -> Limits:
         """Lower and upper bounds, canonical, (lanes, what can be held) each."""
@@ -132,7 +134,8 @@ class Borders:
     ) -> Vector:
         """How far each lane is from where its sheet ends to be an answer; below zero beyond it. Canonical.
 
-        Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior.
+        Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior, and of what is
+        touched by how much J would fall if it gave way.
         """
         at, rises = self.chart.shooting.held_values(found.roots)
         lower, upper = limits or self.at(found.values)
@@ -141,6 +144,7 @@ class Borders:
             inside = np.minimum(at - lower, upper - at)
         inside = np.where(masks | np.isnan(inside), np.inf, inside)
         margin = inside.min(axis=1, initial=np.inf)
+        margin = np.minimum(margin, -found.roots.y[:, self._touched].max(axis=1, initial=-np.inf))
         for number, sheet in enumerate(sheets):
             here = which == number
             for name, side in sheet.holds.items():
@@ -150,16 +154,24 @@ class Borders:
         return margin
 
 
-def held_at(borders: Borders, values: Vector, free: Mapping[str, float]) -> dict[str, str]:
-    """Which free parameters of an extremal [SI] lie on a bound, at values of the parameters."""
-    chart = borders.chart
+def held_at(borders: Borders, values: Vector, y: Vector) -> dict[str, str]:
+    """Which free parameters and ranges an extremal holds at a bound, and at which.
+
+    Parameters
+    ----------
+    borders
+        Of its chart.
+    values, y
+        Of the parameters, (d,), and its unknowns there, (n,), canonical.
+    """
+    chart, found = borders.chart, dict[str, str]()
     lower, upper = (bound[0] for bound in borders.at(values[None]))
-    y = canonical_free(chart.problem, free)
-    found = {}
-    for i, name in enumerate(chart.problem.free_names):
-        if name in chart.names:
-            continue
+    whole = chart.whole(values[None], y[None])[0]
+    for i, at in enumerate(whole[chart.conditions.free_at].tolist()):
         for side, bound in (("lower", lower[i]), ("upper", upper[i])):
-            if abs(y[i] - bound) <= _SLACK:
-                found[name] = side
+            if abs(at - bound) <= _SLACK:
+                found[borders.names[i]] = side
+    for i, (_, nu) in enumerate(chart.conditions.ranges, chart.shooting.plan.free):
+        if abs(whole[nu]) > SIGNED:  # J rises into its range by -nu
+            found[borders.names[i]] = "lower" if whole[nu] < 0 else "upper"
     return found

@@ -7,18 +7,18 @@ plane and Newton's method, in lanes, the step halved where that fails.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
+from perilune.atlas.course import Course, course_of
+from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet, held_at
-from perilune.conditions.held import Held
 from perilune.methods.indirect import Indirect
-from perilune.methods.ladder import STRUCTURE
 from perilune.methods.search import Search
 from perilune.problem.extremal import Extremal
 from perilune.problem.preflight import preflight, refuse_impossible
@@ -43,12 +43,24 @@ class Found:
         In the order in which they were found.
     y
         Unknowns of each at the corners of bricks, NaN where it does not reach, (sheets, corners, n).
+    times
+        How finely they are flown again (`perilune.atlas.reflight.Reflights`).
     """
 
     chart: Chart
     borders: Borders
     sheets: tuple[Sheet, ...]
     y: NDArray[np.float64]
+    times: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The extremals that were found at a point [SI], and what they go through."""
+
+    values: Vector
+    course: Course
+    extremals: Sequence[Extremal]
 
 
 @dataclass
@@ -75,53 +87,56 @@ class Survey:
     notes: list[str] = field(default_factory=list)
 
     def run(self) -> list[Found]:
-        """All sheets, by charts; so far there is one.
+        """All sheets, by charts.
 
         Raises
         ------
         PeriluneError
-            If no point that was tried has an extremal which one smooth flight is.
+            If no point that was tried has an extremal that can be followed.
         """
         _, corners = self.region.corners()
         low, high = self.region.low, self.region.high
         ends = (corners == low) | (corners == high)
         tried = np.vstack([0.5 * (low + high), corners[ends.all(axis=1)]])
-        solved = list[tuple[Vector, Sequence[Extremal]]]()
-        keep: Held = ()
+        solved = list[_Solved]()
         for number, values in enumerate(tried):
             self.watch(f"survey: point {number + 1} of {len(tried)}")
             if (answer := self._solved(values)) is not None:
-                keep = tuple(dict.fromkeys((*keep, *answer[0])))
-                solved.append((values, answer[1]))
-        # A control that keeps a condition flies as one that does not wherever that is not in its way.
-        chart = Chart(self.problem, self.region.names, self.region.high - self.region.low, keep)
-        empty = np.empty((0, len(corners), len(chart.places)))
-        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty)
-        for values, extremals in solved:
-            found = self._with(found, corners, values, extremals)
-        if not found.sheets:
+                solved.append(answer)
+        charts = [found for course, own in _courses(solved) if (found := self._found(course, own, corners)).sheets]
+        if not charts:
             raise PeriluneError(
                 "there is nothing to map",
                 got="; ".join(self.notes)[:300] or "no extremals",
                 advice="solve the problem at one point of the region first: perilune solve",
             )
-        return [found]
+        return charts
 
-    def _solved(self, values: Vector) -> tuple[Held, Sequence[Extremal]] | None:
-        """What of the path the control keeps at a point, and the extremals there; None where there is no answer."""
+    def _found(self, course: Course, solved: Sequence[_Solved], corners: Matrix) -> Found:
+        """The sheets of one chart."""
+        chart = Chart(self.problem, self.region.names, self.region.high - self.region.low, course)
+        empty = np.empty((0, len(corners), len(chart.places)))
+        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty)
+        for point in solved:
+            found = self._with(found, corners, point.values, point.extremals)
+        reached = np.isfinite(found.y[:, :, 0])
+        if not reached.any():
+            return found
+        at = np.nonzero(reached)
+        y = chart.whole(corners[at[1]] / chart.scale, found.y[at])
+        return replace(found, times=Reflights(chart.free, chart.conditions).fine_enough(y, chart.p[None]))
+
+    def _solved(self, values: Vector) -> _Solved | None:
+        """The extremals at a point; None where there is no answer."""
         at = f"at {self.region.told(values.tolist())}"
         try:
             problem = self.problem.with_given(**dict(zip(self.region.names, values.tolist(), strict=True)))
             refuse_impossible(preflight(problem))
             search = Search(self.method, problem, self.watch)
-            solution = self.method.answer(search)
+            return _Solved(values, *course_of(self.method.answer(search), search.answering.keep))
         except PeriluneError as error:
             self.notes.append(f"{at}: {error.what}" + (f"; got {error.got}" if error.got else ""))
             return None
-        if solution.statistics.rung.endswith(STRUCTURE):
-            self.notes.append(f"{at}: the answer is made of several arcs, which an atlas does not follow yet")
-            return None
-        return search.answering.keep, solution.extremals
 
     def _with(self, known: Found, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> Found:
         """The same with the sheets on which extremals at a point lie."""
@@ -130,11 +145,10 @@ class Survey:
         for extremal in extremals:
             if not extremal.unknowns:
                 continue
-            held = held_at(borders, values, extremal.free)
-            sheet = Sheet(holds=held, orientation=0.0, nature=extremal.nature)
+            y = chart.told(np.array(extremal.unknowns))
+            sheet = Sheet(holds=held_at(borders, values, y), orientation=0.0, nature=extremal.nature)
             start = chart.solve(
-                values[None], chart.told(np.array(extremal.unknowns))[None],
-                borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None]), limit=_MOST,
+                values[None], y[None], borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None]), limit=_MOST,
             )  # fmt: skip
             if not start.converged[0]:
                 continue
@@ -163,6 +177,20 @@ class Survey:
             if np.linalg.norm(here - y) <= _SAME * (1.0 + np.linalg.norm(y)):
                 return True
         return False
+
+
+def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]]:
+    """What is gone through, and who does.
+
+    A control that keeps a condition flies as one that does not wherever that is not in its way.
+    """
+    plain = [one for one in solved if one.course.structure is None]
+    if plain:
+        yield Course(tuple(dict.fromkeys(name for one in plain for name in one.course.keep))), plain
+    of_arcs = [one for one in solved if one.course.structure is not None]
+    for text in dict.fromkeys(one.course.text for one in of_arcs):
+        alike = [one for one in of_arcs if one.course.text == text]
+        yield alike[0].course, alike
 
 
 def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:

@@ -16,7 +16,7 @@ PATIENCE = 24  # evaluations of a random start: the first to reach an extremal t
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
 _ON_BOUND = 1e-6  # canonical distance at which a guess means a bound, as the direct method stays that far inside
 _VANISHING = 1e-3  # of the longest that a phase may last
-_SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
+SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
 
 def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
@@ -88,6 +88,6 @@ def held_in(trials: Trials, guess: Solution, y: Vector) -> Vector:
     for i, (_, unknown) in enumerate(trials.conditions.ranges):
         nu = y[unknown]
         limit = (limits.lower if nu < 0 else limits.upper)[len(free) + i]
-        if abs(nu) > _SIGNED and np.isfinite(limit):
+        if abs(nu) > SIGNED and np.isfinite(limit):
             ranges[i] = float(limit)
     return trials.shooting.holding(held, ranges)

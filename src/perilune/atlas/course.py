@@ -1,0 +1,123 @@
+"""What the extremals of a chart go through: conditions that the control keeps, and arcs of conditions on states.
+
+Extremals that go through the same are roots of one shooting function, so that Newton's method leads from one to the
+other. Those of several arcs are extremals of the problem restated with a phase for each arc.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from perilune.conditions.held import Held
+from perilune.conditions.pontryagin import derive, keepable_conditions
+from perilune.methods.answer import Curves
+from perilune.problem.extremal import Extremal
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.structures.carry import Joined
+from perilune.structures.restate import part_name, restate
+from perilune.structures.structure import Arc, Structure, conditions_of
+from perilune.words.outcome import PeriluneError
+
+
+@dataclass(frozen=True)
+class Course:
+    """What extremals go through.
+
+    Parameters
+    ----------
+    keep
+        Conditions of the path that the control keeps.
+    structure
+        The arcs, where there are several.
+    """
+
+    keep: Held = ()
+    structure: Structure | None = None
+
+    @cached_property
+    def text(self) -> str:
+        """The arcs in words; nothing where there is one."""
+        return self.structure.text if self.structure is not None else ""
+
+    def restated(self, problem: Problem) -> Problem:
+        """The problem whose smooth extremals they are."""
+        return problem if self.structure is None else restate(problem, self.structure, repeated=False)
+
+    def touched(self, problem: Problem) -> list[str]:
+        """Names of the multipliers of what is touched, none of which is above zero where that is worth it."""
+        found = list[str]()
+        for k, arcs in enumerate(self.structure.phases if self.structure is not None else ()):
+            for j, arc in enumerate(arcs):
+                for name, condition in conditions_of(problem, k, arc.touches).items():
+                    part = part_name(problem.phases[k].name, j, len(arcs))
+                    found += [f"{part}.nu_{condition.rated(0, 'touch_', 1.0).name}"] if name in arc.touches else []
+        return found
+
+    def document(self) -> dict[str, Any]:
+        """As a manifest has it; times are first values of lengths that are free."""
+        if self.structure is None:
+            return {"keep": list(self.keep)}
+        arcs = [
+            [{**asdict(a), "until": a.until if math.isfinite(a.until) else None} for a in arcs]
+            for arcs in self.structure.phases
+        ]
+        return {"keep": list(self.keep), "structure": arcs}
+
+
+PLAIN = Course()
+
+
+def course_from(document: Mapping[str, Any]) -> Course:
+    """The course that `Course.document` wrote."""
+    keep, said = tuple(map(str, document["keep"])), document.get("structure")
+    return Course(keep, None if said is None else Structure(tuple(tuple(map(_arc, arcs)) for arcs in said)))
+
+
+def _arc(said: Mapping[str, Any]) -> Arc:
+    until = said["until"]
+    return Arc(
+        along=tuple(map(str, said["along"])),
+        touches=tuple(map(str, said["touches"])),
+        regimes=tuple((str(name), str(regime)) for name, regime in said["regimes"]),
+        until=math.nan if until is None else float(until),
+    )
+
+
+def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
+    """What the extremals of a solution go through, and they, with unknowns of the restated problem.
+
+    Parameters
+    ----------
+    solution
+        As the indirect method found it.
+    keep
+        What the control keeps where there are no arcs.
+
+    Raises
+    ------
+    PeriluneError
+        If an atlas does not follow it.
+    """
+    known = solution.trajectories
+    if not isinstance(known, Joined):
+        return Course(keep), list(solution.extremals)
+    arcs = [arc for phase in known.structure.phases for arc in phase]
+    if any(arc.along or arc.regimes for arc in arcs):
+        raise PeriluneError(
+            "the answer rides along a condition, or has a singular arc, which an atlas does not follow yet",
+            got=known.structure.text,
+        )
+    restated, curves = known.restated, known.restated.trajectories
+    if not isinstance(curves, Curves):
+        raise PeriluneError("of this solution nothing but its curves is known")
+    for own in ((), keepable_conditions(restated.problem)):
+        if derive(restated.problem, own) is curves.conditions:
+            natures = [extremal.nature for extremal in solution.extremals]
+            extremals = [replace(e, nature=n) for e, n in zip(restated.extremals, natures, strict=True)]
+            return Course(own, known.structure), extremals
+    raise PeriluneError("the control keeps some of the conditions that it can keep, which an atlas does not follow yet")

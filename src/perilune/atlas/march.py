@@ -1,0 +1,165 @@
+"""Marches of a second flight: steps of equal length by the extrapolated midpoint rule, and what is seen at each.
+
+Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., Springer 1993,
+section II.9 (9.10), (9.13).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from perilune.conditions.canonical import PhaseExtremal, limit_symbols
+from perilune.kernels import compile_map
+from perilune.problem.controls import Bounded, placed
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.symbolic import SYMBOLIC, column, elements, trace_parameters
+from perilune.shooting.settling import Settling
+from perilune.words.types import Matrix
+
+FAR = 1e30  # stands for infinity: nothing was looked at yet
+NOTHING_SEEN = (FAR, FAR, FAR, -FAR)  # the least condition, the least gain of another control, the least and most H
+_SUBSTEPS = (2, 4, 6, 8)
+_NEAR = 0.1  # how far from the control that is flown an unbounded one is tried, canonical
+
+
+class Kept:
+    """A compiled function whose arrays of one lane are kept, as a single query asks for it again and again."""
+
+    def __init__(self, function: ca.Function, times: int = 1) -> None:
+        self._map, self._idle = compile_map(function, times=times), list[Any]()  # a list's pop and append are atomic
+
+    def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
+        """Evaluate it, many lanes or one."""
+        if max(map(len, arguments)) != 1:
+            return self._map(*arguments)
+        try:
+            bound = self._idle.pop()
+        except IndexError:
+            bound = self._map.bind(*(np.array(a, dtype=float) for a in arguments))
+        for own, given in zip(bound.inputs, arguments, strict=True):
+            own[:] = given
+        bound()
+        found = tuple(out.copy() for out in bound.outputs)
+        self._idle.append(bound)
+        return found
+
+
+def step_along(problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, mode: int) -> ca.Function:
+    """One step: (z and what was seen so far, numbers, free parameters, length) -> the same behind it."""
+    size = 2 * extremal.half
+    numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
+    free, h = ca.SX.sym("free", len(problem.free)), ca.SX.sym("h")
+    state = ca.SX.sym("state", size + 4)
+    z = state[:size]
+    after = _extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
+    path, minimum, value = _seen(problem, k, phase, extremal, mode, z, numbers, free)
+    seen = [
+        ca.fmin(state[size], path),
+        ca.fmin(state[size + 1], minimum),
+        ca.fmin(state[size + 2], value),
+        ca.fmax(state[size + 3], value),
+    ]
+    out = ca.vertcat(after, *seen)
+    return ca.Function("step", [state, numbers, free, h], [ca.cse(out)])
+
+
+def step_settling(
+    problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, made: Settling, mode: int
+) -> ca.Function:
+    """The same of a phase that settles, with (x, Phi) in the place of z: nothing steers it."""
+    flown, known = made.flown.modes[mode], made.flown.numbers.tolist()
+    numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
+    free, h = ca.SX.sym("free", len(problem.free)), ca.SX.sym("h")
+    size = flown.size1_in(0)
+    state = ca.SX.sym("state", size + len(NOTHING_SEEN))
+    after = _extrapolated(lambda point: flown(point, numbers[known]), state[:size], h)
+    still = ca.vertcat(state[: extremal.half], ca.SX.zeros(extremal.half, 1))
+    path, _, _ = _seen(problem, k, phase, extremal, mode, still, numbers, free)
+    seen = ca.vertcat(ca.fmin(state[size], path), state[size + 1 :])
+    return ca.Function("step", [state, numbers, free, h], [ca.cse(ca.vertcat(after, seen))])
+
+
+def _extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
+    """A step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length."""
+    first, table = rate(z), list[ca.SX]()
+    for j, count in enumerate(_SUBSTEPS):
+        part = h / count
+        before, here = z, z + part * first
+        for _ in range(count - 1):
+            before, here = here, before + 2 * part * rate(here)
+        row = [here]
+        for k in range(1, j + 1):
+            ratio = (count / _SUBSTEPS[j - k]) ** 2 - 1.0
+            row.append(row[k - 1] + (row[k - 1] - table[k - 1]) / ratio)
+        table = row
+    return table[-1]
+
+
+def _seen(
+    problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """At a point the least condition, the least H of another control beyond that of the one flown, and that H."""
+    n, p = extremal.state_count, trace_parameters(problem)
+    symbols, limits = limit_symbols(problem, p)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
+    rates = column(phase.rates(elements(x), elements(u), p.record, SYMBOLIC))
+    held = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
+    bounds = [v.limits(p.record) for v in phase.states]
+    room = [(x[i] - ca.SX(low), ca.SX(high) - x[i]) for i, (low, high) in enumerate(bounds)]
+    finite = [ca.SX(e) for pair in room for e in pair if not (ca.SX(e).is_constant() and not np.isfinite(float(e)))]
+    conditions = ca.vertcat(ca.SX(0, 1), held, *finite)
+    given = numbers[: p.given.numel()]
+    plain = numbers[p.given.numel() : p.given.numel() + symbols.numel()]
+    known = [p.given, p.free, symbols]
+    lam = ca.SX.sym("lam", n)
+    value = ca.Function("value", [x, u, lam, *known], [ca.dot(lam, rates), conditions])
+    control, _, _ = extremal.reports[mode](z, numbers)
+    where, costate = z[:n], z[extremal.half : extremal.half + n]
+    best, kept = value(where, control, costate, given, free, plain)
+    of_limits = ca.Function(
+        "limits", known, [ca.vertcat(ca.SX(0, 1), *(e for pair in limits[k].values() for e in pair))]
+    )
+    others = []
+    for other in _samples(phase, control, of_limits(given, free, plain)):
+        there, allowed = value(where, other, costate, given, free, plain)
+        gain = there - best
+        if allowed.numel() and ca.depends_on(held, u):
+            gain = ca.if_else(ca.mmin(allowed[: held.numel()]) >= 0, gain, FAR)
+        others.append(gain)
+    least = ca.mmin(ca.vertcat(*others)) if others else ca.SX(FAR)
+    return ca.mmin(kept) if kept.numel() else ca.SX(FAR), least, best
+
+
+def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
+    """Admissible controls all over the set of each phase."""
+    choices, at = list[list[ca.SX]](), 0
+    for here, kind in placed(phase.controls):
+        flown = control[here.start : here.stop]
+        if isinstance(kind, Bounded):
+            low, high = limits[2 * at], limits[2 * at + 1]
+            at += 1
+            if kind.bounded:
+                choices.append([flown, low, 0.5 * (low + high), high])
+            else:
+                choices.append([flown, *(ca.fmin(ca.fmax(flown + way * _NEAR, low), high) for way in (-1, 1))])
+        else:
+            choices.append([flown, *(ca.SX(ca.DM(v)) for v in _directions(len(kind.names)))])
+    for number, parts in enumerate(product(*choices)):
+        if number:  # the first is the control itself
+            yield ca.vertcat(*parts)
+
+
+@lru_cache(maxsize=4)
+def _directions(components: int) -> tuple[tuple[float, ...], ...]:
+    """Unit vectors all around: eight in the plane, the faces and corners of a cube in space."""
+    if components == 2:
+        return tuple((float(np.cos(a)), float(np.sin(a))) for a in np.arange(8) * np.pi / 4)
+    whole = [v for v in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) in (1, 3)]
+    return tuple(tuple((np.array(v) / np.linalg.norm(v)).tolist()) for v in whole)
