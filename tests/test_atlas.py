@@ -40,6 +40,7 @@ from perilune.problem.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
+from problems.constrained import bryson_denham, bryson_denham_truth
 
 #: Across the Isp of 277.867 s at which the retro burn stops paying, Cho et al. 2015, Figs 9 and 10.
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (270.0, 310.0)}
@@ -135,15 +136,14 @@ def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart:
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
     nothing = np.zeros(2 * chart.shooting.plan.held)
     here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
-    held = here.roots.choice[:, : chart.shooting.plan.held] > 0
     again = Reflights(chart.free, chart.conditions)
-    good = again(here.roots.y, chart.p[None], held)
+    good = again(here.roots.y, chart.p[None], here.roots.choice)
     assert good.good[0] and good.residual[0] < 1e-11 and good.drift[0] < 1e-12
     assert good.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
     for place in chart.active:  # every unknown matters
         wrong = here.roots.y.copy()
         wrong[0, place] += 1e-6 * (1 + abs(wrong[0, place]))
-        assert not again(wrong, chart.p[None], held).good[0]
+        assert not again(wrong, chart.p[None], here.roots.choice).good[0]
 
 
 def precision(**more: float) -> Problem:
@@ -162,7 +162,7 @@ def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
     for slope, kept in ((problem.given["corridor_slope"].value, True), (np.radians(30.0), False)):
         values[0, 1] = slope
         here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
-        flown = again(here.roots.y, chart.p[None], here.roots.choice[:, : chart.shooting.plan.held] > 0)
+        flown = again(here.roots.y, chart.p[None], here.roots.choice)
         assert flown.residual[0] < 1e-10 and flown.minimum[0] > -1e-9
         assert [modes for _, _, modes in flown.arcs] == [(1, 0, 1)]  # full, least, full thrust
         assert bool(flown.path[0] >= -1e-9) is kept
@@ -524,3 +524,31 @@ def test_numbers_that_lead_nowhere_are_damage(copy: Path, column: str, value: in
     (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(PeriluneError, match="damaged"):
         open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
+
+
+# -- answers of several arcs -------------------------------------------------------------------------------------------
+
+
+def test_answers_that_touch_a_condition_are_mapped_beside_those_that_do_not(tmp_path: Path) -> None:
+    """Bryson, Denham, Dreyfus 1963: touched where the ceiling is below 1/4, where J rises from 2 on."""
+    atlas = open_atlas(build(bryson_denham(1 / 5), {"ceiling": (0.17, 0.3)}, tmp_path / "ceilings"))
+    ceilings = np.linspace(0.17, 0.3, 201)
+    found = atlas.query_many(ceilings[:, None])
+    truth = [bryson_denham_truth(c) if c < 0.25 else 2.0 for c in ceilings.tolist()]
+    assert found.good.all()
+    np.testing.assert_allclose(found.objective, truth, rtol=1e-11)
+    touching, free = atlas.query(ceiling=0.2), atlas.query(ceiling=0.29)
+    assert [arc.words for arc in touching.structure] == ["room touched"] and not free.structure
+    assert "touches room" in touching.query.sheet and "touches" not in free.query.sheet
+    assert len(touching.query.met) == 2  # the one that breaks the ceiling would cost less
+    slope = (bryson_denham_truth(0.2001) - bryson_denham_truth(0.1999)) / 2e-4
+    assert touching.query.slopes["ceiling"] == pytest.approx(slope, rel=1e-6)
+    assert pl.prove(touching).outcome is Outcome.PROVED
+
+
+def test_an_answer_that_breaks_the_path_is_none_where_nothing_that_keeps_it_is_known(tmp_path: Path) -> None:
+    atlas = open_atlas(build(bryson_denham(0.3), {"ceiling": (0.2, 0.3)}, tmp_path / "ceilings"))
+    assert atlas.charted.pop().of_arcs and len(atlas.charted) == 1
+    with pytest.raises(PeriluneError, match="no answer here"):
+        atlas.query(ceiling=0.22)
+    assert atlas.query_many(np.array([[0.22], [0.29]])).answered.tolist() == [Answered.ENDS, Answered.YES]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
-from perilune.atlas.reflight import Reflights
+from perilune.atlas.reflight import SLACK, Reflights
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
@@ -46,6 +46,7 @@ class Status(IntEnum):
     MORE_STEPS = 2  # answers, but at the least size a step is not enough
     ENDS = 3  # the sheet ends inside
     NO_ANSWER = 4  # its extremals lie beyond a bound, or gain by leaving one
+    BREAKS = 5  # its extremals break the path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +103,7 @@ class _Nodes:
     def __init__(self) -> None:
         self.known: dict[int, int] = {}
         self.parts: dict[str, list[NDArray]] = {}
-        self._rows: dict[str, NDArray[Any]] = {name: np.empty(0) for name in ("terms", "margin", "sequence")}
+        self._rows: dict[str, NDArray[Any]] = {name: np.empty(0) for name in ("terms", "margin", "sequence", "path")}
         self.count = 0
 
     def add(self, keys: Whole, **columns: NDArray) -> None:
@@ -194,7 +195,7 @@ class Brick:
         if complete.any():
             passed, beyond, axis[complete] = self._tried(_some(cells, complete))
             here = np.nonzero(complete)[0]
-            status[here[passed]] = Status.ONE_STEP
+            status[here[passed]] = np.where(self._breaks(cells.corners[here[passed]]), Status.BREAKS, Status.ONE_STEP)
             status[here[passed & beyond]] = Status.NO_ANSWER
         along = np.take_along_axis(cells.size, axis[:, None], axis=1)[:, 0]
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
@@ -221,6 +222,11 @@ class Brick:
         beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
+
+    def _breaks(self, corners: Whole) -> NDArray[np.bool_]:
+        """Whether extremals break the path at all corners of cells, by more than they differ in that."""
+        path = self.nodes.rows("path", corners)
+        return path.max(axis=1) < -np.ptp(path, axis=1) - SLACK
 
     def _halved(self, cells: Cells, axis: Whole) -> Cells:
         """Both halves of cells, one after the other."""

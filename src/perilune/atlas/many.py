@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from perilune.atlas.brick import WHOLE, Status
 from perilune.atlas.hermite import interpolated
 from perilune.atlas.polish import Polished
-from perilune.atlas.read import SERVING, Charted, Reader
+from perilune.atlas.read import SERVING, Brick, Charted, Reader
 from perilune.problem.preflight import possible, preflight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -83,6 +83,21 @@ def answers(atlas: Reader, points: Matrix) -> Answers:
     return work.answers()
 
 
+@dataclass(frozen=True)
+class _Offered:
+    """What one sheet gives for J and y at points, NaN and inf where nothing; where it `breaks` the path, J alone.
+
+    `first` is the number of the first sheet of its chart.
+    """
+
+    charted: Charted
+    sheet: int
+    first: int
+    y: Matrix
+    cost: Vector
+    breaks: NDArray[np.bool_]
+
+
 class _Work:
     """The arrays that are filled."""
 
@@ -112,7 +127,7 @@ class _Work:
         """Polish what the cells of some points give, best first, until the others are clearly worse."""
         some = some[self.answered[some] != Answered.OUTSIDE]
         offers = self._offers(some)
-        cost = np.array([offer[3] for offer in offers]).reshape(len(offers), len(some))
+        cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
         doubt, breaking = np.full((2, len(some)), np.inf)
         going = np.ones(len(some), dtype=bool)
@@ -122,12 +137,13 @@ class _Work:
             best = self.cost[some]
             with np.errstate(invalid="ignore"):
                 going &= np.isfinite(here) & ~(here > best + CLEARLY * (1.0 + np.abs(best)))
-            for number, (charted, sheet, y, _, first) in enumerate(offers):
+            for number, offer in enumerate(offers):
                 lanes = np.nonzero(going & (chosen == number))[0]
-                ends = np.isnan(y[lanes, 0])
-                doubt[lanes[ends]] = np.minimum(doubt[lanes[ends]], here[lanes[ends]])
+                ends, breaks = np.isnan(offer.y[lanes, 0]), offer.breaks[lanes]
+                for least, which in ((doubt, lanes[ends & ~breaks]), (breaking, lanes[breaks])):
+                    least[which] = np.minimum(least[which], here[which])
                 if len(lanes := lanes[~ends]):
-                    polished = self._polished(some[lanes], charted, sheet, y[lanes], first)
+                    polished = self._polished(some[lanes], offer, offer.y[lanes])
                     for least, which in ((doubt, polished.doubtful), (breaking, polished.breaking)):
                         least[lanes[which]] = np.minimum(least[lanes[which]], here[lanes[which]])
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
@@ -138,28 +154,33 @@ class _Work:
         none = some[~found & ~doubtful]
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
 
-    def _polished(self, points: NDArray[np.int64], charted: Charted, sheet: int, y: Matrix, first: int) -> Polished:
+    def _polished(self, points: NDArray[np.int64], offer: _Offered, y: Matrix) -> Polished:
         """Polish, and keep what is better than what is known."""
-        atlas, chart = self.atlas, charted.chart
-        polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), sheet), y)
+        atlas, charted, chart = self.atlas, offer.charted, offer.charted.chart
+        polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), offer.sheet), y)
         better = polished.answers & (polished.cost < self.cost[points])
         kept, problem = points[better], atlas.problem
         self.cost[kept] = polished.cost[better]
         self.bound[kept], self.steps[kept] = polished.bound[better], polished.steps[better]
-        self.sheet[kept] = first + sheet
+        self.sheet[kept] = offer.first + offer.sheet
         self.free[kept] = charted.free(polished.y[better])
         self.slopes[kept] = polished.found.cost_slopes[better] * problem.objective_size / chart.scale
         self.of_arcs[kept] = charted.of_arcs
         return polished
 
-    def _offers(self, some: NDArray[np.int64]) -> list[tuple[Charted, int, Matrix, Vector, int]]:
-        """Of each sheet its chart, number, y, J and its chart's first sheet; NaN and inf where it offers nothing."""
-        atlas, found, first = self.atlas, list[tuple[Charted, int, Matrix, Vector, int]](), 0
+    def _offers(self, some: NDArray[np.int64]) -> list[_Offered]:
+        """What all sheets give."""
+        atlas, found, first, count = self.atlas, list[_Offered](), 0, len(some)
         bricks = np.unique(self.bricks[some], axis=0)
-        built = np.zeros(len(some), dtype=bool)
+        built = np.zeros(count, dtype=bool)
         for number, charted in enumerate(atlas.charted):
-            offers = {s: (np.full((len(some), charted.unknowns), np.nan), np.full(len(some), np.inf))
-                      for s, sheet in enumerate(charted.sheets) if sheet.minimum}  # fmt: skip
+            offers = [
+                _Offered(
+                    charted, s, first, np.full((count, charted.unknowns), np.nan), np.full(count, np.inf),
+                    np.zeros(count, dtype=bool),
+                )
+                for s, sheet in enumerate(charted.sheets) if sheet.minimum
+            ]  # fmt: skip
             for row in bricks:
                 lanes = np.nonzero((self.bricks[some] == row).all(axis=1))[0]
                 place = tuple(row.tolist())
@@ -169,20 +190,9 @@ class _Work:
                 built[lanes] = True
                 low, high = atlas.region.box(place)
                 inside = (self.points[some[lanes]] - low) / (high - low) * WHOLE
-                for sheet, (y, cost) in offers.items():
-                    cells = brick.leaves(sheet, inside)
-                    status = np.where(cells >= 0, brick.arrays[3][cells], -1)
-                    serving = np.isin(status, SERVING)
-                    if serving.any():
-                        said = brick.cells[cells[serving]]
-                        share = (inside[serving] - said["low"]) / said["size"]
-                        length = said["size"] * ((high - low) / WHOLE / charted.chart.scale)
-                        given = interpolated(brick.nodes["terms"][said["corners"]], share, length)
-                        y[lanes[serving]], cost[lanes[serving]] = given[:, :-1], given[:, -1]
-                    for i in np.nonzero(status == Status.ENDS)[0].tolist():
-                        step = (high - low) / WHOLE / charted.chart.scale
-                        cost[lanes[i]] = brick.least(int(cells[i]), inside[i], step)
-            found += [(charted, s, y, cost, first) for s, (y, cost) in offers.items()]
+                for offer in offers:
+                    _fill(offer, brick, lanes, inside, (high - low) / WHOLE / charted.chart.scale)
+            found += offers
             first += len(charted.sheets)
         self.answered[some[~built]] = Answered.NOT_BUILT
         return found
@@ -201,3 +211,18 @@ class _Work:
             error_bound=np.where(good, self.bound, np.nan),
             slopes=self.slopes,
         )
+
+
+def _fill(offer: _Offered, brick: Brick, lanes: NDArray[np.int64], inside: Matrix, step: Vector) -> None:
+    """What the cells of a brick give at points inside it, in lattice steps; `step` is one of them, canonical."""
+    cells = brick.leaves(offer.sheet, inside)
+    status = np.where(cells >= 0, brick.arrays[3][cells], -1)
+    serving = np.isin(status, SERVING)
+    if serving.any():
+        said = brick.cells[cells[serving]]
+        share = (inside[serving] - said["low"]) / said["size"]
+        given = interpolated(brick.nodes["terms"][said["corners"]], share, said["size"] * step)
+        offer.y[lanes[serving]], offer.cost[lanes[serving]] = given[:, :-1], given[:, -1]
+    offer.breaks[lanes] = status == Status.BREAKS
+    for i in np.nonzero((status == Status.ENDS) | (status == Status.BREAKS))[0].tolist():
+        offer.cost[lanes[i]] = brick.least(int(cells[i]), inside[i], step)

@@ -26,6 +26,7 @@ from perilune.words.types import Matrix, Vector
 _DONE = 1e-7  # relative: a step that leaves its own square
 _MOST = 6  # steps
 _SHRINKS = 0.25  # by so much at least from step to step
+_FLOWN = 1e-6  # canonical, by which the second flight of what breaks the path may miss its ends
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
 
 
@@ -124,7 +125,7 @@ class Polisher:
         margin = self.borders.margins(self.sheets, which, found, limits)
         inside = margin >= -SLACK
         answers = reached & inside & flown.good
-        breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= SLACK)
+        breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
         scale = 1.0 + np.linalg.norm(found.y, axis=1)
         return Polished(
             found=found,

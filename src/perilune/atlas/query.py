@@ -22,7 +22,6 @@ from perilune.atlas.many import CLEARLY, Answers, answers
 from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Charted, Reader
 from perilune.atlas.reflight import SLACK
-from perilune.atlas.sheets import Sheet
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
@@ -83,18 +82,19 @@ class Mapped(Solution):
 
 @dataclass(frozen=True)
 class _Offer:
-    """What a cell of one sheet gives at the point: unknowns (None where the sheet ends in it) and J, canonical."""
+    """What a cell of one sheet gives at the point: unknowns (None where there are none to polish) and J, canonical."""
 
     charted: Charted
     number: int
     y: Vector | None
     cost: float
     cell: Vector
+    breaks: bool = False  # the path: all over the cell
     polished: Polished | None = None
 
     @property
-    def sheet(self) -> Sheet:
-        return self.charted.sheets[self.number]
+    def label(self) -> str:
+        return self.charted.label(self.number)
 
 
 class Atlas(Reader):
@@ -128,6 +128,9 @@ class Atlas(Reader):
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
             if best is not None and offer.cost > best.cost + CLEARLY * (1.0 + abs(best.cost)):
                 break
+            if offer.breaks:
+                breaking = breaking or offer
+                continue
             if offer.y is None:
                 doubt = doubt or offer
                 continue
@@ -203,6 +206,9 @@ class Atlas(Reader):
                     share, length = (inside - corner) / size, size * (high - low) / WHOLE / charted.chart.scale
                     given = interpolated(terms, share[None], length[None])[0]
                     offers.append(_Offer(charted, sheet, given[:-1], float(given[-1]), size / (WHOLE * parts)))
+                elif brick.status[cell] == Status.BREAKS:
+                    least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
+                    offers.append(_Offer(charted, sheet, None, least, low, breaks=True))
                 elif brick.status[cell] == Status.ENDS:
                     least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
                     offers.append(_Offer(charted, sheet, None, least, low))
@@ -222,8 +228,8 @@ class Atlas(Reader):
         slopes = polished.found.cost_slopes[0] * self.problem.objective_size / best.charted.chart.scale
         flown = polished.flown
         query = Query(
-            sheet=best.sheet.label,
-            met=tuple(offer.sheet.label for offer in offers),
+            sheet=best.label,
+            met=tuple(offer.label for offer in offers),
             cell=tuple(best.cell.tolist()),
             guess_error=float(polished.away[0]),
             steps=steps,
@@ -250,7 +256,7 @@ class Atlas(Reader):
                 "this part of the atlas is not built yet", got=got, advice="build it again with --resume"
             )
         near = self._nearest(at)
-        why = f"the sheet '{doubt.sheet.label}' ends in this cell" if doubt else "no sheet has an answer in this cell"
+        why = f"the sheet '{doubt.label}' ends in this cell" if doubt else "no sheet has an answer in this cell"
         return PeriluneError(
             f"the atlas has no answer here: {why}",
             got=got,

@@ -133,6 +133,10 @@ class Charted:
         """Whether its extremals are made of several arcs."""
         return self.chart.course.structure is not None
 
+    def label(self, number: int) -> str:
+        """What tells a sheet, in words."""
+        return "; ".join(filter(None, (self.chart.course.text, self.sheets[number].label)))
+
     def free(self, y: Matrix) -> Matrix:
         """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
         chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]

@@ -14,10 +14,9 @@ from every angle, no entry ends there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,6 +37,7 @@ _FLOATING = 30.0  # m/s, of a steady fall
 _STILL, _SLOWEST, _FASTEST = 5.0, 100.0, 2e4  # m/s
 _SURELY_DOWN = math.radians(-1.0)  # a path angle from which no vehicle leaves the air again
 _ANGLES_TRIED, _SPEEDS_TRIED = 6, 4
+_KEPT = 64  # falls
 
 
 def typical_angle(p: Any) -> float:
@@ -99,7 +99,7 @@ def lowest(p: Any) -> Any:
 def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None, points: int = POINTS) -> Fall:
     """From the interface to the end of the entry; at a typical path angle and speed where none is given."""
     if angle is None and speed is None:  # which a problem, its rough flight and its preflight ask for, one by one
-        return _typical(tuple((name, float(value)) for name, value in vars(p).items()), _Itself(air), points)
+        return _typical(_Itself(air), points).of({name: float(value) for name, value in vars(p).items()})
     return _fall(p, air, angle, speed, points)
 
 
@@ -116,9 +116,45 @@ class _Itself:
         return id(self.air)
 
 
+class _Read:
+    """Parameters that remember which of them were asked for."""
+
+    def __init__(self, numbers: Mapping[str, float]) -> None:
+        self._numbers, self.names = numbers, set[str]()
+
+    def __getattr__(self, name: str) -> Any:
+        self.names.add(name)
+        if name not in self._numbers:
+            raise AttributeError(name)
+        return self._numbers[name]
+
+
+class _Typical:
+    """Falls through one air at typical values, the last ones kept by the numbers on which they depend."""
+
+    def __init__(self, air: Air, points: int) -> None:
+        self.air, self.points = air, points
+        self._names, self._known = set[str](), dict[tuple[Any, ...], Fall]()
+
+    def of(self, numbers: Mapping[str, float]) -> Fall:
+        """The fall with these parameters."""
+        if (found := self._known.get(self._key(numbers))) is not None:
+            return found
+        read = _Read(numbers)
+        found = _fall(read, self.air, None, None, self.points)
+        if not read.names <= self._names or len(self._known) >= _KEPT:
+            self._names = self._names | read.names
+            self._known = {}
+        self._known[self._key(numbers)] = found
+        return found
+
+    def _key(self, numbers: Mapping[str, float]) -> tuple[Any, ...]:
+        return tuple((name, numbers.get(name)) for name in sorted(self._names))
+
+
 @lru_cache(maxsize=8)
-def _typical(numbers: tuple[tuple[str, float], ...], of: _Itself, points: int) -> Fall:
-    return _fall(SimpleNamespace(**dict(numbers)), of.air, None, None, points)
+def _typical(of: _Itself, points: int) -> _Typical:
+    return _Typical(of.air, points)
 
 
 def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: int) -> Fall:
