@@ -18,22 +18,22 @@ from perilune.reproductions.liu2019 import equations
 from perilune.reproductions.liu2019.case import CASE, paper_costates, paper_state, site_fixed, site_free, units
 from perilune.reproductions.liu2019.compute import (
     PASSES,
-    Member,
     Reproduction,
     fly,
     fly_printed,
-    members,
-    missed_by_cubic,
     off_plane,
     refusal,
     sideways,
     thrust_angles,
 )
 from perilune.reproductions.liu2019.equations import compare, corrected_rates
+from perilune.reproductions.liu2019.fast import fast
+from perilune.reproductions.liu2019.members import Member, members, missed_by_cubic
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune.reproductions.liu2019.report import figures, markdown, table_2, table_3
 from perilune.reproductions.liu2019.searches import Searches, by_hybrid
 from perilune.reproductions.liu2019.surfaces import _between, fits, surfaces
+from perilune.reproductions.liu2019.times import times
 from perilune.reproductions.liu2019.trajectories import beside, rows, trajectories
 from perilune.reproductions.papers import reproduce
 from perilune.reproductions.starts import Starts, starts
@@ -69,6 +69,7 @@ def made() -> Reproduction:
             hybrid=Starts(flight_times=(2631.7156256, 3000.0, math.nan), processor_times=(1.0, 2.0, 9.0)),
             on_fixed=Starts(flight_times=(math.nan,), processor_times=(3.0,)),
         ),
+        fast=fast(fixed.problem, (), near, 1, lambda _: None),
     )  # fmt: skip
 
 
@@ -362,3 +363,14 @@ def test_the_command_writes_it_all(
     assert "report.md" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {"report.md", "table2.csv", "table3.csv", "fig16_18.csv", "figures"}
     assert len(list((out / "figures").glob("*.png"))) == len(figures(made))
+
+
+def test_the_fast_methods_answer_and_say_how_long_they_take(made: Reproduction) -> None:
+    """Neighbour B touches the interface on its way, and falls: both are mapped, and flown again."""
+    found = made.fast
+    assert np.isfinite(found.queried[:REACHED]).all() and not found.refused
+    assert any("touches" in kind for kind in found.kinds)
+    assert found.apart < 1e-10
+    assert found.queried[0] < 0.1 * found.alone[0]
+    text = " ".join(times(made))
+    assert "ours, from the atlas, flown again" in text and f"answers {REACHED} of {REACHED}" in text

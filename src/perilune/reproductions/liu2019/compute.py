@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -23,13 +21,14 @@ from perilune.reproductions.liu2019.case import (
     as_printed,
     constants,
     fixed_sweep,
-    paper_costates,
     paper_state,
     site_fixed,
     site_free,
     units,
 )
 from perilune.reproductions.liu2019.equations import Comparison, compare, corrected_rates, costate_matrix
+from perilune.reproductions.liu2019.fast import Fast, fast
+from perilune.reproductions.liu2019.members import Member, members
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3, GridPoint
 from perilune.reproductions.liu2019.searches import Searches, searched
 from perilune.reproductions.paper import worst
@@ -40,25 +39,6 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
 PASSES = ("descending", "ascending")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Member:
-    """Neighbour B at a manoeuvre point [deg]: its solution, or why there is none, and the processor time [s]."""
-
-    longitude: float
-    latitude: float
-    solution: Solution | None
-    message: str
-    processor_time: float
-
-    def value(self, name: str) -> float:
-        """One of its results in SI; NaN where there is no solution."""
-        return math.nan if self.solution is None else self.solution.results[name].value
-
-    def costates(self) -> Vector:
-        """Seven costates at ignition in the paper's coordinates and units, NaN where there is no solution."""
-        return np.full(7, math.nan) if self.solution is None else paper_costates(self.solution, 0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +85,8 @@ class Reproduction:
         B at the manoeuvre points of Table 2, and of Tables 1 and 3.
     searches
         The paper's hybrid method, and ours, from `CASE.place`.
+    fast
+        The paper's fast method on B, and ours.
     """
 
     equations: Comparison
@@ -117,6 +99,7 @@ class Reproduction:
     grid: tuple[Member, ...]
     experiments: tuple[Member, ...]
     searches: Searches
+    fast: Fast
 
     @property
     def outcome(self) -> Outcome:
@@ -139,7 +122,7 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
     level
         Verification level to prove of the neighbours from `CASE.place`; the other manoeuvre points are solved only.
     seeds
-        Tries of the paper's hybrid method.
+        Tries of the paper's hybrid method; at twice as many manoeuvre points B is solved from nothing.
     """
     watch("the paper's hybrid method, and ours")
     searches = searched(seeds, watch)
@@ -168,6 +151,7 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
         grid=grid,
         experiments=experiments,
         searches=searches,
+        fast=fast(fixed.problem, grid, experiments, 2 * seeds, watch),
     )
 
 
@@ -312,62 +296,3 @@ def hamiltonian_by_thrust() -> Vector:
     """Of every grid point: what turning the thrust from (9) to the opposite takes from H at t0, paper's units."""
     x, costates = _printed_start(1.0)
     return 2 * constants().thrust / x[6] * np.linalg.norm(np.array(along_thrust(x, costates)), axis=0)
-
-
-# -- neighbour B over the region ------------------------------------------------------------------------------------
-
-
-def members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch) -> tuple[Member, ...]:
-    """Solve at every manoeuvre point [deg], each from the nearest that is known; in the order of the points."""
-    known = {(math.degrees(CASE.place[0]), math.degrees(CASE.place[1])): first}
-    made: dict[int, Member] = {}
-    begin = next(iter(known))
-    for i in sorted(range(len(points)), key=lambda k: math.dist(points[k], begin)):
-        longitude, latitude = points[i]
-        near = min(known, key=lambda point: math.dist(point, points[i]))
-        began, message, solution = time.process_time(), "", None
-        try:
-            stated = first.problem.with_given(
-                manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude)
-            )
-            solution = solve(stated, guess=known[near], level=0)
-        except PeriluneError as error:
-            message = " ".join(str(error).split())
-        else:
-            known[points[i]] = solution
-        made[i] = Member(
-            longitude=longitude, latitude=latitude, solution=solution, message=message,
-            processor_time=time.process_time() - began,
-        )  # fmt: skip
-        watch(f"manoeuvre point {longitude:g}°, {latitude:g}° ({len(made)} of {len(points)})")
-    return tuple(made[i] for i in range(len(points)))
-
-
-def missed_by_cubic(grid: Sequence[Member], at: Sequence[Member], known: Vector, right: Vector) -> Vector:
-    """Error of the paper's prediction (16) at manoeuvre points, over the largest size of the quantity.
-
-    Ten coefficients, found from the ten nearest points of the grid; the smallest ones where these do not tell them.
-
-    Parameters
-    ----------
-    grid, known
-        Points that the prediction is made from, and the values there.
-    at, right
-        Points that it is made for, and the values there.
-    """
-    there = np.isfinite(known)
-    place = np.array([(m.longitude, m.latitude) for m in grid])[there]
-    errors = []
-    for member, value in zip(at, right, strict=True):
-        off = place - (member.longitude, member.latitude)
-        near = np.argsort((off**2).sum(axis=1))[:10]
-        u, v = off[near].T
-        columns = np.array([u**0, u, v, u**2, v**2, u**3, v**3, u * v, u * v**2, u**2 * v]).T
-        errors.append(np.linalg.lstsq(columns, known[there][near], rcond=1e-9)[0][0] - value)
-    return np.abs(np.array(errors)) / np.abs(known[there]).max()
-
-
-def varies(values: Vector) -> bool:
-    """Whether a quantity is more than one number and the noise of its last digits."""
-    known = values[np.isfinite(values)]
-    return bool(len(known) and np.ptp(known) > 1e-6 * np.abs(known).max())

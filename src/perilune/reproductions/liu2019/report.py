@@ -19,7 +19,6 @@ from perilune.report.style import lines
 from perilune.report.summary import solution_summary, table
 from perilune.reproductions.liu2019.case import CASE, paper_costates
 from perilune.reproductions.liu2019.compute import (
-    Member,
     Reproduction,
     away_from_plane,
     burn_until,
@@ -28,6 +27,7 @@ from perilune.reproductions.liu2019.compute import (
     sideways,
 )
 from perilune.reproductions.liu2019.equations import NAMES, SAMPLES
+from perilune.reproductions.liu2019.members import Member
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune.reproductions.liu2019.surfaces import fits, fitted, surfaces
 from perilune.reproductions.liu2019.times import times

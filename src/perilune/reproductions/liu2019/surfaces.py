@@ -11,8 +11,8 @@ from matplotlib.tri import TriAnalyzer, Triangulation
 
 from perilune.report.style import new_figure, styled
 from perilune.report.summary import table
-from perilune.reproductions.liu2019.compute import Member, missed_by_cubic, varies
 from perilune.reproductions.liu2019.equations import NAMES
+from perilune.reproductions.liu2019.members import Member, missed_by_cubic, varies
 from perilune.words.types import Matrix, Vector
 
 # Of Figs 19 to 27, in the order of `nine`: what the errors are less than, as printed, and the unit.

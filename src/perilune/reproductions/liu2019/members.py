@@ -1,0 +1,96 @@
+"""Neighbour B over the region of manoeuvre points: solved from each other, and predicted by the paper's (16)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from perilune.problem.solution import Solution
+from perilune.reproductions.liu2019.case import CASE, paper_costates
+from perilune.solve import solve
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch
+
+
+@dataclass(frozen=True, kw_only=True)
+class Member:
+    """Neighbour B at a manoeuvre point [deg]: its solution, or why there is none, and the processor time [s]."""
+
+    longitude: float
+    latitude: float
+    solution: Solution | None
+    message: str
+    processor_time: float
+
+    def value(self, name: str) -> float:
+        """One of its results in SI; NaN where there is no solution."""
+        return math.nan if self.solution is None else self.solution.results[name].value
+
+    def costates(self) -> Vector:
+        """Seven costates at ignition in the paper's coordinates and units, NaN where there is no solution."""
+        return np.full(7, math.nan) if self.solution is None else paper_costates(self.solution, 0, 0.0)
+
+
+def members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch) -> tuple[Member, ...]:
+    """Solve at every manoeuvre point [deg], each from the nearest that is known; in the order of the points."""
+    known = {(math.degrees(CASE.place[0]), math.degrees(CASE.place[1])): first}
+    made: dict[int, Member] = {}
+    begin = next(iter(known))
+    for i in sorted(range(len(points)), key=lambda k: math.dist(points[k], begin)):
+        longitude, latitude = points[i]
+        near = min(known, key=lambda point: math.dist(point, points[i]))
+        began, message, solution = time.process_time(), "", None
+        try:
+            stated = first.problem.with_given(
+                manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude)
+            )
+            solution = solve(stated, guess=known[near], level=0)
+        except PeriluneError as error:
+            message = " ".join(str(error).split())
+        else:
+            known[points[i]] = solution
+        made[i] = Member(
+            longitude=longitude, latitude=latitude, solution=solution, message=message,
+            processor_time=time.process_time() - began,
+        )  # fmt: skip
+        watch(f"manoeuvre point {longitude:g}°, {latitude:g}° ({len(made)} of {len(points)})")
+    return tuple(made[i] for i in range(len(points)))
+
+
+def missed_by_cubic(grid: Sequence[Member], at: Sequence[Member], known: Vector, right: Vector) -> Vector:
+    """Error of the paper's prediction (16) at manoeuvre points, over the largest size of the quantity.
+
+    Parameters
+    ----------
+    grid, known
+        Points that the prediction is made from, and the values there.
+    at, right
+        Points that it is made for, and the values there.
+    """
+    there = np.isfinite(known)
+    members = [m for m, here in zip(grid, there, strict=True) if here]
+    errors = [by_cubic(members, m, known[None, there])[0] - value for m, value in zip(at, right, strict=True)]
+    return np.abs(np.array(errors)) / np.abs(known[there]).max()
+
+
+def by_cubic(grid: Sequence[Member], at: Member, known: Matrix) -> Vector:
+    """The paper's prediction (16) at one manoeuvre point of several quantities, known on the grid (quantities, points).
+
+    Ten coefficients, found from the ten nearest points of the grid; the smallest ones where these do not tell them.
+    """
+    off = np.array([(m.longitude, m.latitude) for m in grid]) - (at.longitude, at.latitude)
+    near = np.argsort((off**2).sum(axis=1))[:10]
+    u, v = off[near].T
+    columns = np.array([u**0, u, v, u**2, v**2, u**3, v**3, u * v, u * v**2, u**2 * v]).T
+    return np.linalg.lstsq(columns, known[:, near].T, rcond=1e-9)[0][0]
+
+
+def varies(values: Vector) -> bool:
+    """Whether a quantity is more than one number and the noise of its last digits."""
+    known = values[np.isfinite(values)]
+    return bool(len(known) and np.ptp(known) > 1e-6 * np.abs(known).max())
