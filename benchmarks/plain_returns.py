@@ -1,0 +1,117 @@
+"""Returns that nobody optimised: thrust in one direction beside the flight until its way down is steep enough.
+
+From ignition on the thrust keeps a pitch below and a yaw beside the direction against the velocity. It ends when the
+coast that follows comes to the interface at a path angle; from there the vehicle falls. SciPy flies it through the
+equations of the problem, and nothing is sought but the length of the burn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from perilune.models import ellipsoid
+from perilune.models.deorbit.flight import how_fast, path_angle, where
+from perilune.models.rotating import Triple
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.words.maths import NUMERIC
+
+BURNS = 24  # lengths that are tried
+SPENT = 0.98  # of the propellant, at most
+HALVINGS = 48
+NEAR = 1e-9  # rad
+LONGEST_ENTRY = 4000.0  # s
+ROUGH: dict[str, float] = {"rtol": 1e-8, "atol": 1e-3}
+
+
+def landing(problem: Problem, coast: float, pitch: float, yaw: float, angle: float) -> Triple | None:
+    """Position [m] beside the body where the return of the shortest such burn lands; None where there is none.
+
+    Parameters
+    ----------
+    problem
+        A return to any place at an altitude: a coast or none, burn, drift, entry.
+    coast
+        Before ignition [s].
+    pitch, yaw
+        Of the thrust [rad], below the direction against the inertial velocity and to the left of it.
+    angle
+        At the interface, beside the body [rad].
+    """
+    p, phases = problem.parameters({}), {phase.name: phase for phase in problem.phases}
+    state = np.array(problem.start(p, NUMERIC), dtype=float)
+    if "coast" in phases:
+        state, _ = _flown(phases["coast"], state, coast, p)
+    ignited, thrust = state, _beside(pitch, yaw, p)
+
+    def down(length: float) -> tuple[Any, float]:
+        """Where the flight with a burn comes to the interface, and by how much it is too flat there."""
+        burnt, low = _flown(phases["burn"], ignited, length, p, thrust, p.interface_altitude)
+        if low:  # with the engine on
+            return burnt, -math.inf
+        there, low = _flown(phases["drift"], burnt, p.transition_longest_coast, p, lowest=p.interface_altitude)
+        return there, path_angle(phases["drift"].state_record(*there), NUMERIC) - angle if low else math.inf
+
+    most = SPENT * (p.vehicle_mass - p.vehicle_dry_mass) * p.vehicle_exhaust_velocity / p.vehicle_thrust
+    long = next((length for length in np.linspace(0.0, most, BURNS + 1)[1:] if down(length)[1] < 0), None)
+    if long is None:
+        return None
+    short, there, flat = long - most / BURNS, state, math.inf
+    for _ in range(HALVINGS):
+        if abs(flat) < NEAR:
+            break
+        middle = (short + long) / 2
+        there, flat = down(middle)
+        short, long = (middle, long) if flat > 0 else (short, middle)
+    if not abs(flat) < NEAR:  # the engine burns down to the interface before it is so steep
+        return None
+    entry = phases["entry"]
+    ended, low = _flown(entry, there, LONGEST_ENTRY, p, lowest=p.site_altitude, highest=p.interface_altitude)
+    slow = math.hypot(*how_fast(entry.state_record(*ended))) <= p.site_speed_upper
+    return where(entry.state_record(*ended)) if low and slow else None
+
+
+def _beside(pitch: float, yaw: float, p: SimpleNamespace) -> Callable[[Any], Any]:
+    """Direction of the thrust at a state."""
+
+    def thrust(state: Any) -> Any:
+        position = np.array(state[:3])
+        velocity = np.array(state[3:6]) + p.body_rotation_rate * np.array([-position[1], position[0], 0.0])
+        ahead = velocity / np.linalg.norm(velocity)
+        left = np.cross(position, velocity)
+        left /= np.linalg.norm(left)
+        up = np.cross(ahead, left)
+        return math.cos(yaw) * (-math.cos(pitch) * ahead - math.sin(pitch) * up) + math.sin(yaw) * left
+
+    return thrust
+
+
+def _flown(
+    phase: Phase,
+    state: Any,
+    longest: float,
+    p: SimpleNamespace,
+    control: Callable[[Any], Any] = lambda _: (),
+    lowest: float = -math.inf,
+    highest: float = math.inf,
+) -> tuple[Any, bool]:
+    """State after a time [s], or where an altitude [m] is reached on the way down; whether it is."""
+
+    def down(_: float, y: Any) -> float:
+        return float(ellipsoid.altitude(y[:3], p, NUMERIC)) - max(lowest, -p.body_radius)
+
+    def up(_: float, y: Any) -> float:
+        return float(ellipsoid.altitude(y[:3], p, NUMERIC)) - min(highest, 1e3 * p.body_radius)
+
+    down.terminal = up.terminal = True  # type: ignore[attr-defined]
+    down.direction, up.direction = -1.0, 1.0  # type: ignore[attr-defined]
+    flown = solve_ivp(
+        lambda t, y: phase.rates(y, control(y), p), (0.0, longest), state, method="DOP853", events=(down, up), **ROUGH
+    )
+    return flown.y[:, -1], bool(len(flown.t_events[0]))
