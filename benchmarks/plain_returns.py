@@ -27,7 +27,7 @@ SPENT = 0.98  # of the propellant, at most
 HALVINGS = 48
 NEAR = 1e-9  # rad
 LONGEST_ENTRY = 4000.0  # s
-ROUGH: dict[str, float] = {"rtol": 1e-8, "atol": 1e-3}
+RELATIVE, ABSOLUTE = 1e-8, 1e-3  # tolerances of the flight
 
 
 def landing(problem: Problem, coast: float, pitch: float, yaw: float, angle: float) -> Triple | None:
@@ -111,7 +111,9 @@ def _flown(
 
     down.terminal = up.terminal = True  # type: ignore[attr-defined]
     down.direction, up.direction = -1.0, 1.0  # type: ignore[attr-defined]
-    flown = solve_ivp(
-        lambda t, y: phase.rates(y, control(y), p), (0.0, longest), state, method="DOP853", events=(down, up), **ROUGH
-    )
+
+    def rates(_: float, y: Any) -> Any:
+        return phase.rates(y, control(y), p)
+
+    flown = solve_ivp(rates, (0.0, longest), state, method="DOP853", events=(down, up), rtol=RELATIVE, atol=ABSOLUTE)
     return flown.y[:, -1], bool(len(flown.t_events[0]))
