@@ -78,6 +78,31 @@ def test_costates_of_a_fall_follow_from_its_end(tmp_path: Path) -> None:
         }
 
 
+def test_a_rough_coast_ends_at_the_pass_that_comes_nearest_to_the_site() -> None:
+    """The end of a rough flight that begins a coast later is a site: the rough flight from t = 0 waits for it."""
+    stated = {
+        "vehicle": Returner(mass=1000.0, thrust=300.0, exhaust_velocity=3000.0, dry_mass=700.0, drag_area=3.0),
+        "interface": Interface(altitude=120e3, angle=math.radians(-1.8)),
+        "transition": Transition(longest_coast=4000.0),
+        "air": Atmosphere(model="us1976"),
+        "manoeuvre": Manoeuvre(longitude=0.3, latitude=0.4, going="ascending"),
+    }
+    radius = EARTH.radius + 300e3
+    period = 2 * math.pi * math.sqrt(radius**3 / EARTH.gravitational_parameter)
+    orbit = Orbit(radius=radius, inclination=1.0, longest_coast=3.0 * period)
+    anywhere = deorbit_entry(orbit_=orbit, site=Landing(altitude=10e3), **stated)
+    typical = {f.name: f.typical for f in anywhere.free}
+    assert anywhere.rough_flight is not None
+    for turns in (0.02, 0.6, 0.97, 1.95, 2.5):
+        began = {**typical, "coast_time": turns * period}
+        end = anywhere.rough_flight(anywhere.parameters(began))[-1][-1, :3]
+        end = end / np.linalg.norm(end)
+        site = Landing(longitude=math.atan2(end[1], end[0]), latitude=math.asin(end[2]), altitude=10e3)
+        there = deorbit_entry(orbit_=orbit, site=site, **stated)
+        coast = next(f.typical for f in there.free if f.name == "coast_time")
+        assert coast == pytest.approx(turns * period, abs=0.01 * period)
+
+
 def test_propellant_is_that_of_the_whole_vehicle_whatever_enters_the_air() -> None:
     """What is left behind at the interface is no propellant: the best burn is that of a flight which ends there."""
     stated = {

@@ -31,6 +31,7 @@ from perilune.words.types import Matrix, Physics, Vector
 
 _NEAR = 0.01  # of the distance: an end of the flight in the plane that is an end at the interface
 _SHORTER = 0.1  # of a turn: by so much the way to a site may be shorter than the typical one
+_TURNS = 50  # of a long coast, the passes after which are looked at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,23 +148,32 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
         times["parachute_time"] = parachute.typical_time(p, air)
     if hasattr(p, "site_longitude"):
         whole, swept = down.whole + entry.time, down.swept + float(entry.rows[-1, 1])
-        more = _to_the_site(p, angle, node, mean_rate(p, angle), whole, swept)
+        longest = p.orbit_longest_coast if coasts else 0.0
+        more = _to_the_site(p, angle, node, whole, swept, longest)
         if coasts:
-            times["coast_time"] = min(more, p.orbit_longest_coast)
+            times["coast_time"] = min(more, longest)
         else:
             times["drift_time" if drifts else "burn_time"] += more
     return times
 
 
-def _to_the_site(p: Any, angle: float, node: float, mean: float, whole: float, swept: float) -> float:
-    """How much later [s] than at once a flight begins that lasts `whole` and sweeps an angle, to end at the site."""
-    up, ahead = plane(angle, node, p, NUMERIC)
-    more = 0.0
-    for _ in range(30):  # the body carries the site along
-        site, _, _ = local_axes(p.site_longitude + p.body_rotation_rate * (whole + more), p.site_latitude, NUMERIC)
-        away = math.atan2(dot(site, ahead), dot(site, up)) - swept
-        more = (away - 2 * math.pi * math.floor(away / (2 * math.pi) + _SHORTER)) / mean
-    return max(more, 0.0)
+def _to_the_site(p: Any, angle: float, node: float, whole: float, swept: float, longest: float) -> float:
+    """How much later [s] than at once a flight begins that lasts `whole` and sweeps an angle, to end at the site.
+
+    At the first pass; of the passes within the `longest` coast at that which comes nearest to the site.
+    """
+    (up, ahead), mean = plane(angle, node, p, NUMERIC), mean_rate(p, angle)
+    aside, found = cross(up, ahead), list[tuple[float, float]]()
+    for turn in range(min(int(longest * mean / (2 * math.pi) + _SHORTER), _TURNS) + 1):
+        more = 0.0
+        for _ in range(30):  # the body carries the site along
+            turned = p.body_rotation_rate * (whole + more)
+            site, _, _ = local_axes(p.site_longitude + turned, p.site_latitude, NUMERIC)
+            away = math.atan2(dot(site, ahead), dot(site, up)) - swept
+            more = (away - 2 * math.pi * (math.floor(away / (2 * math.pi) + _SHORTER) - turn)) / mean
+        if not found or more <= longest:
+            found.append((abs(dot(site, aside)), max(more, 0.0)))
+    return min(found)[1]
 
 
 def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
