@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from perilune.atlas.building import build
     from perilune.atlas.many import Answered, Answers
     from perilune.atlas.query import Atlas, Mapped, Query, open_atlas as open
+    from perilune.atlas.slices import Slice, sliced
 
 _HOME = {
     "build": ("building", "build"),
@@ -22,8 +23,10 @@ _HOME = {
     "Query": ("query", "Query"),
     "Answers": ("many", "Answers"),
     "Answered": ("many", "Answered"),
+    "Slice": ("slices", "Slice"),
+    "sliced": ("slices", "sliced"),
 }
-__all__ = ["Answered", "Answers", "Atlas", "Mapped", "Query", "build", "open"]
+__all__ = ["Answered", "Answers", "Atlas", "Mapped", "Query", "Slice", "build", "open", "sliced"]
 
 
 def __getattr__(name: str) -> Any:

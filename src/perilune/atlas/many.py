@@ -48,7 +48,7 @@ class Answers:
         Number of the sheet, counted through all charts.
     steps
         Of Newton's method.
-    error_bound
+    guess_error, error_bound
         As of `perilune.atlas.query.Query`.
     slopes
         dJ/dp [SI], (points, d).
@@ -59,6 +59,7 @@ class Answers:
     free: Mapping[str, Vector]
     sheet: NDArray[np.int64]
     steps: NDArray[np.int64]
+    guess_error: Vector
     error_bound: Vector
     slopes: Matrix
 
@@ -105,7 +106,7 @@ class _Work:
         count = len(points)
         self.atlas, self.points = atlas, points
         self.answered = np.full(count, Answered.NONE, dtype=np.int64)
-        self.cost, self.bound = np.full(count, np.inf), np.full(count, np.nan)
+        self.cost, self.bound, self.away = np.full(count, np.inf), np.full(count, np.nan), np.full(count, np.nan)
         self.free = np.full((count, len(atlas.problem.free)), np.nan)
         self.sheet, self.steps = np.full(count, -1), np.zeros(count, dtype=np.int64)
         self.slopes, self.of_arcs = np.full(points.shape, np.nan), np.zeros(count, dtype=bool)
@@ -162,7 +163,7 @@ class _Work:
         kept, problem = points[better], atlas.problem
         self.cost[kept] = polished.cost[better]
         self.bound[kept], self.steps[kept] = polished.bound[better], polished.steps[better]
-        self.sheet[kept] = offer.first + offer.sheet
+        self.sheet[kept], self.away[kept] = offer.first + offer.sheet, polished.away[better]
         self.free[kept] = charted.free(polished.y[better])
         self.slopes[kept] = polished.found.cost_slopes[better] * problem.objective_size / chart.scale
         self.of_arcs[kept] = charted.of_arcs
@@ -208,6 +209,7 @@ class _Work:
             free=dict(zip(problem.free_names, self.free.T, strict=True)),
             sheet=np.where(good, self.sheet, -1),
             steps=self.steps,
+            guess_error=np.where(good, self.away, np.nan),
             error_bound=np.where(good, self.bound, np.nan),
             slopes=self.slopes,
         )

@@ -314,6 +314,24 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         _NO_CACHE,
         among=actions,
     )  # fmt: skip
+    command(
+        "atlas plot",
+        "Draw a slice of an atlas: cost, free parameters, sheets and refusals, nodes, errors.",
+        directory,
+        _option("--axes", metavar="A,B", help="Along which axes, one or two; the first two if left out."),
+        _option(
+            "--at",
+            metavar="KEY=VALUE",
+            action="append",
+            default=[],
+            help="Of the other axes; in the middle of their ranges if left out.",
+        ),
+        _option("--points", metavar="N", type=_number(2, 2000), default=101, help="Along each axis. Usually 101."),
+        _OUT,
+        _FORCE,
+        _NO_CACHE,
+        among=actions,
+    )
     command("atlas info", "Say what an atlas maps, and how much of it is there.", directory, among=actions)
     command(
         "atlas verify",

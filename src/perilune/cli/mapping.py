@@ -1,4 +1,4 @@
-"""The command ``atlas``: build, query, info, verify."""
+"""The command ``atlas``: build, query, plot, info, verify."""
 
 from __future__ import annotations
 
@@ -93,6 +93,30 @@ def _query(typed: Namespace) -> Answer:
     )
 
 
+def _plot(typed: Namespace) -> Answer:
+    from perilune.atlas.slices import sliced
+    from perilune.report.atlas_maps import write_maps
+
+    atlas = _opened(typed)
+    refuse_used(typed.out, typed.force)
+    names = [name.strip() for name in typed.axes.split(",")] if typed.axes is not None else []
+    shown = sliced(atlas, names, _values(atlas, typed.at), points=typed.points)
+    drawn = write_maps(shown, typed.out, typed.force) if typed.out is not None else []
+    total = len(shown.answers.good)
+    lines = [
+        f"slice over {' and '.join(axis.name for axis in shown.axes)}"
+        + "".join(f", {axis.name} {told(shown.at[axis.name], axis.unit)}" for axis in atlas.region.axes
+                  if axis.name in shown.at),
+        *(f"  {100 * count / total:5.1f} %  {text}" for text, count in shown.counts.items()),
+        f"written to {typed.out}: {', '.join(drawn)}" if drawn else "--out DIR writes its figures",
+    ]  # fmt: skip
+    document = {
+        "axes": [axis.name for axis in shown.axes], "at": dict(shown.at), "points": total,
+        "answered": int(shown.answers.good.sum()), "counts": shown.counts, "figures": drawn,
+    }  # fmt: skip
+    return Answer(text="\n".join(lines), document=document)
+
+
 def _opened(typed: Namespace) -> Atlas:
     from perilune.atlas.query import open_atlas
 
@@ -153,6 +177,7 @@ def _query_lines(query: Query) -> list[str]:
 ACTIONS: Mapping[str, Callable[[Namespace], Answer]] = {
     "build": _build,
     "query": _query,
+    "plot": _plot,
     "info": _info,
     "verify": _verify,
 }

@@ -1,0 +1,192 @@
+"""A slice of an atlas: answers all over one or two of its axes, and of what has none why.
+
+The points of a slice are asked as any others are (`perilune.atlas.many`), so a slice shows what a query would say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.brick import WHOLE
+from perilune.atlas.many import Answered, Answers
+from perilune.atlas.query import Atlas
+from perilune.atlas.region import Axis
+from perilune.problem.preflight import preflight
+from perilune.problem.problem import Problem
+from perilune.words.declared import parameter_name
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.types import Matrix, Vector
+
+POINTS = 101  # along each axis
+_MOST = 2000
+_WHY = {
+    Answered.NOT_BUILT: "no sheet reaches this part, or it is not built yet",
+    Answered.NONE: "no sheet has an answer here",
+    Answered.ENDS: "a sheet that might be better ends here",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slice:
+    """Answers over one or two axes, the others held.
+
+    Attributes
+    ----------
+    problem
+        What is mapped.
+    axes, at
+        Along which axes it goes, and where it lies along the others [SI].
+    values
+        Of the axes at its points [SI], an array for each axis.
+    answers
+        At all points, the last axis changing fastest.
+    sheets
+        Labels of all sheets, as `answers.sheet` counts them.
+    why
+        Number of the reason of each point that has no answer, -1 where there is one, (points,).
+    reasons
+        Their texts.
+    size
+        Of the cell from which each answer was read: length along each of the axes as a share of the region, NaN
+        where there is none, (points, axes).
+    nodes
+        Values of the axes at the corners of these cells [SI], (nodes, axes).
+    """
+
+    problem: Problem
+    axes: tuple[Axis, ...]
+    at: Mapping[str, float]
+    values: tuple[Vector, ...]
+    answers: Answers
+    sheets: tuple[str, ...]
+    why: NDArray[np.int64]
+    reasons: tuple[str, ...]
+    size: Matrix
+    nodes: Matrix
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of an array over its points."""
+        return tuple(len(values) for values in self.values)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many points have an answer on each sheet, and how many have none for each reason."""
+        good = self.answers.sheet[self.answers.good]
+        found = {label: int((good == number).sum()) for number, label in enumerate(self.sheets)}
+        found |= {text: int((self.why == number).sum()) for number, text in enumerate(self.reasons)}
+        return {text: count for text, count in found.items() if count}
+
+
+def sliced(
+    atlas: Atlas, axes: Sequence[str] = (), at: Mapping[str, float] | None = None, *, points: int = POINTS
+) -> Slice:
+    """Ask an atlas all over one or two of its axes.
+
+    Parameters
+    ----------
+    atlas
+        Which.
+    axes
+        Names of one or two; by default the first two of those that `at` does not name.
+    at
+        Values of the others [SI]; by default in the middle of their ranges.
+    points
+        How many along each axis, 2 to 2000.
+
+    Raises
+    ------
+    PeriluneError
+        If a name is no axis, a value lies outside of its range, or the points are too few or too many.
+    """
+    region = atlas.region
+    held = _held(atlas, at or {})
+    names = [parameter_name(name) for name in axes] or [name for name in region.names if name not in held][:2]
+    for name in names:
+        if name not in region.names:
+            raise unknown_name("axis", name, list(region.names))
+        if name in held or names.count(name) > 1:
+            raise PeriluneError(f"{name} is told twice", expected="an axis either along the slice or at one value")
+    if len(names) not in (1, 2):
+        raise PeriluneError("a slice goes along one axis or two", got=str(len(names)), expected="1 or 2 names")
+    if isinstance(points, bool) or not isinstance(points, int) or not 2 <= points <= _MOST:
+        raise PeriluneError("a slice has too few points, or too many", got=str(points)[:40], expected=f"2 to {_MOST}")
+    along = tuple(next(axis for axis in region.axes if axis.name == name) for name in names)
+    others = {axis.name: held.get(axis.name, 0.5 * (axis.low + axis.high)) for axis in region.axes}
+    others = {name: value for name, value in others.items() if name not in names}
+    values = tuple(np.linspace(axis.low, axis.high, points) for axis in along)
+    grid = {name: rows.ravel() for name, rows in zip(names, np.meshgrid(*values, indexing="ij"), strict=True)}
+    whole = np.column_stack([grid.get(name, np.full(points ** len(names), others.get(name))) for name in region.names])
+    answers = atlas.query_many(whole)
+    why, reasons = _reasons(atlas.problem, dict(zip(region.names, whole.T, strict=True)), answers)
+    size, nodes = _cells(atlas, whole, answers, [region.names.index(name) for name in names])
+    sheets = tuple(sheet.label for charted in atlas.charted for sheet in charted.sheets)
+    return Slice(
+        problem=atlas.problem, axes=along, at=others, values=values, answers=answers, sheets=sheets, why=why,
+        reasons=reasons, size=size, nodes=nodes,
+    )  # fmt: skip
+
+
+def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
+    """Values of axes that are held, as they have to be."""
+    held, region = dict[str, float](), atlas.region
+    for stated, value in at.items():
+        name = parameter_name(stated)
+        if name not in region.names:
+            raise unknown_name("axis", stated, list(region.names))
+        try:
+            held[name] = float(value)
+        except (TypeError, ValueError):
+            raise PeriluneError("the values of axes are numbers in SI", got=str(value)[:80]) from None
+    middle = [held.get(axis.name, 0.5 * (axis.low + axis.high)) for axis in region.axes]
+    if (outside := region.outside(middle)) is not None:
+        raise PeriluneError("the slice lies outside of the atlas", got=outside)
+    return held
+
+
+def _reasons(
+    problem: Problem, over: Mapping[str, Vector], answers: Answers
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Number of each point's reason, and the reasons; where physics refuses a point, that is it."""
+    texts, of_status = list[str](), np.zeros(len(answers.answered), dtype=np.int64)
+    why = np.full(len(answers.answered), -1)
+    for status, text in _WHY.items():
+        of_status[answers.answered == status] = len(texts)
+        texts.append(text)
+    why[~answers.good] = of_status[~answers.good]
+    decided = answers.good.copy()
+    for finding in preflight(problem, over) if problem.preflight is not None else ():
+        missed = np.broadcast_to(~np.asarray(finding.passed), decided.shape) & ~decided
+        if finding.binding and missed.any():
+            why[missed], decided = len(texts), decided | missed
+            texts.append(finding.meaning)
+    met = [number for number in range(len(texts)) if (why == number).any()]
+    numbers = np.full(len(texts) + 1, -1)  # the last stands for -1
+    numbers[met] = range(len(met))
+    return numbers[why], tuple(texts[number] for number in met)
+
+
+def _cells(atlas: Atlas, points: Matrix, answers: Answers, along: list[int]) -> tuple[Matrix, Matrix]:
+    """Shares of the region that the cells of the answers take along some axes, and the nodes at their corners."""
+    region, first = atlas.region, 0
+    size, nodes = np.full((len(points), len(along)), np.nan), [np.empty((0, len(along)))]
+    share = (points - region.low) / (region.high - region.low) * region.parts
+    places = np.clip(share.astype(np.int64), 0, region.parts - 1)
+    for number, charted in enumerate(atlas.charted):
+        for place in np.unique(places, axis=0).tolist():
+            brick = atlas.brick(number, tuple(place))
+            if brick is None:
+                continue
+            low, high = region.box(tuple(place))
+            here = (places == place).all(axis=1)
+            for sheet in brick.minima:
+                lanes = np.nonzero(here & (answers.sheet == first + sheet))[0]
+                cells = brick.cells[brick.leaves(sheet, (points[lanes] - low) / (high - low) * WHOLE)]
+                size[lanes] = cells["size"][:, along] / (WHOLE * region.parts)
+                nodes.append(brick.nodes["values"][np.unique(cells["corners"])][:, along])
+        first += len(charted.sheets)
+    return size, np.unique(np.concatenate(nodes), axis=0)

@@ -1,0 +1,260 @@
+"""Figures of a slice of an atlas: cost, free parameters, sheets and refusals, nodes, errors."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter
+
+from perilune.atlas.region import Axis
+from perilune.atlas.slices import Slice
+from perilune.io.columns import spoken
+from perilune.io.files import fresh_directory
+from perilune.report.histories import LONG
+from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save, styled
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Vector
+
+_SHEETS = (BLUE, ORANGE, GREEN, SKY, PURPLE, VERMILION)
+_NOTHING = ("#D0D0D0", "#8C8C8C", "#404040", "#F0E0E0", "#B8A8A8")  # by their reason
+_EMPTY = "#ECECEC"  # where there is no answer, in all other figures
+_FINEST = 1e-16  # what is less is not told from nothing
+_DOTS = 3000  # nodes that are drawn one by one
+
+
+def atlas_maps(shown: Slice) -> dict[str, Figure]:
+    """Every figure of a slice, by file name.
+
+    Returns
+    -------
+    dict
+        ``objective``, ``free_NAME`` of each free parameter, ``sheets`` (with the reasons of what has no answer),
+        ``nodes`` and ``errors``.
+
+    Raises
+    ------
+    PeriluneError
+        If no point of it has an answer.
+    """
+    if not shown.answers.good.any():
+        raise PeriluneError(
+            "there is nothing to draw", got="; ".join(f"{text}: {n} points" for text, n in shown.counts.items()),
+            expected="a slice on which some points have an answer",
+        )  # fmt: skip
+    problem, answers = shown.problem, shown.answers
+    made = {"objective": _quantity(shown, answers.objective, f"J ({problem.objective_unit})".removesuffix(" (1)"))}
+    for name, values in answers.free.items():
+        if name not in (axis.name for axis in shown.axes) and name not in shown.at:
+            factor, text = _told(name, problem.unit_of(name), values)
+            made[f"free_{name}"] = _quantity(shown, factor * values, text)
+    return {**made, "sheets": _sheets(shown), "nodes": _nodes(shown), "errors": _errors(shown)}
+
+
+def write_maps(shown: Slice, directory: str | Path, force: bool = False) -> list[str]:
+    """Write ``NAME.png`` and ``.svg`` of every figure of a slice.
+
+    Parameters
+    ----------
+    shown
+        As `perilune.atlas.sliced` gives it.
+    directory, force
+        As of `perilune.io.files.fresh_directory`.
+
+    Returns
+    -------
+    list of str
+        The names.
+    """
+    with fresh_directory(directory, force) as work:
+        drawn = atlas_maps(shown)
+        for name, figure in drawn.items():
+            save(figure, work, name)
+    return list(drawn)
+
+
+def _told(name: str, unit: str, values: Vector) -> tuple[float, str]:
+    """Factor to the unit in which a reader expects a quantity, and the text of its axis."""
+    factor, unit = spoken(unit)
+    least, longer = LONG.get(unit, (math.inf, unit))
+    if np.nanmax(np.abs(values), initial=0.0) >= least:
+        factor, unit = 1e-3, longer
+    return factor, f"{name.replace('_', ' ')} ({unit})".removesuffix(" (1)")
+
+
+def _told_at(shown: Slice, name: str, value: float) -> str:
+    factor, text = _told(name, shown.problem.unit_of(name), np.array([value]))
+    words, _, unit = text.partition(" (")
+    return f"{words} {factor * value:.6g} {unit.removesuffix(')')}".rstrip()
+
+
+def _along(axis: Axis, values: Vector) -> tuple[Vector, str]:
+    factor, text = _told(axis.name, axis.unit, np.array([axis.low, axis.high]))
+    return factor * values, text
+
+
+def _panels(shown: Slice, count: int = 1) -> tuple[Figure, list[Any], list[Vector]]:
+    """A figure of panels over the axes of a slice, one below the other, and the values along the axes."""
+    plane = len(shown.axes) == 2
+    figure, axes = new_figure((2.75 if plane else 2.3) if count == 1 else 0.5 + (2.1 if plane else 1.3) * count, count)
+    panels, values = list(np.atleast_1d(axes)), list[Vector]()
+    for number, (axis, rows) in enumerate(zip(shown.axes, shown.values, strict=True)):
+        along, text = _along(axis, rows)
+        values.append(along)
+        for panel in panels:
+            panel.set_ylabel(text) if number else panel.set_xlim(along[0], along[-1])
+            if number:
+                panel.set_ylim(along[0], along[-1])
+                panel.grid(False)
+                panel.set_facecolor(_EMPTY)
+        if not number:
+            panels[-1].set_xlabel(text)
+    held = ", ".join(_told_at(shown, name, value) for name, value in shown.at.items())
+    if held:
+        panels[0].set_title("\n".join(textwrap.wrap(held, 62)), fontsize=6.5, color=GREY, loc="left")
+    return figure, panels, values
+
+
+def _filled(shown: Slice, panel: Any, along: list[Vector], values: Vector, **settings: Any) -> Any:
+    """Colours of values at all points of a slice over two axes; none where a value is NaN."""
+    rows = np.ma.masked_invalid(values.reshape(shown.shape).T)
+    return panel.pcolormesh(*along, rows, shading="nearest", rasterized=True, **settings)
+
+
+def _spans(shown: Slice, panel: Any, along: Vector) -> None:
+    """What has no answer along one axis, in grey."""
+    half = 0.5 * (along[1] - along[0])
+    for value in along[~shown.answers.good]:
+        panel.axvspan(value - half, value + half, color=_EMPTY, linewidth=0)
+
+
+@styled
+def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
+    """One quantity: colours with lines of equal value over two axes, curves along one."""
+    figure, (panel,), along = _panels(shown)
+    known = values[np.isfinite(values)]
+    if len(along) == 1:
+        _spans(shown, panel, along[0])
+        for number, (label, colour) in enumerate(_named(shown)):
+            here = np.where(shown.answers.sheet == number, values, np.nan)
+            if np.isfinite(here).any():
+                panel.plot(along[0], here, color=colour, label=_wrapped(label))
+        panel.set_ylabel(text)
+        _legend(figure, panel.get_legend_handles_labels()[0])
+        return figure
+    if len(known):
+        same = np.ptp(known) <= 1e-9 * np.abs(known).max()
+        span = {"vmin": known[0] - 1, "vmax": known[0] + 1} if same else {}
+        drawn = _filled(shown, panel, along, values, cmap="viridis", **span)
+        bar = figure.colorbar(drawn, ax=panel, pad=0.02)
+        bar.set_label(text)
+        bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
+        if not same:
+            _equal(shown, panel, along, values)
+    return figure
+
+
+def _equal(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> None:
+    """Lines of equal value, of each sheet for itself: between two of them the value may jump."""
+    levels = np.quantile(values[np.isfinite(values)], np.linspace(0.1, 0.9, 7))
+    for number in range(len(shown.sheets)):
+        here = np.where(shown.answers.sheet == number, values, np.nan).reshape(shown.shape).T
+        if np.isfinite(here[:-1, :-1] + here[1:, 1:]).any() and np.nanmin(here) < np.nanmax(here):
+            inside = levels[(levels > np.nanmin(here)) & (levels < np.nanmax(here))]
+            if len(inside := np.unique(inside)):
+                panel.contour(
+                    *along, np.ma.masked_invalid(here), inside, colors="white", linewidths=0.5, linestyles="-"
+                )
+
+
+def _named(shown: Slice) -> list[tuple[str, str]]:
+    """Label and colour of each sheet."""
+    return [(label.replace("_", " "), _SHEETS[number % len(_SHEETS)]) for number, label in enumerate(shown.sheets)]
+
+
+@styled
+def _sheets(shown: Slice) -> Figure:
+    """From which sheet each answer is, and why there is none where there is none."""
+    figure, (panel,), along = _panels(shown)
+    count = len(shown.sheets)
+    kinds = [*_named(shown), *zip(shown.reasons, (_NOTHING * len(shown.reasons))[: len(shown.reasons)], strict=True)]
+    number = np.where(shown.answers.good, shown.answers.sheet, count + shown.why)
+    if len(along) == 2:
+        colours = ListedColormap([colour for _, colour in kinds])
+        _filled(shown, panel, along, number.astype(float), cmap=colours, vmin=-0.5, vmax=len(kinds) - 0.5)
+    else:
+        half = 0.5 * (along[0][1] - along[0][0])
+        for value, kind in zip(along[0].tolist(), number.tolist(), strict=True):
+            panel.axvspan(value - half, value + half, color=kinds[kind][1], linewidth=0)
+        panel.set_yticks([])
+    met = [kind for i, kind in enumerate(kinds) if (number == i).any()]
+    _legend(figure, [Patch(color=colour, label=_wrapped(label)) for label, colour in met])
+    return figure
+
+
+def _wrapped(label: str) -> str:
+    return "\n".join(textwrap.wrap(label.replace("$", r"\$"), 60, max_lines=3, placeholder=" ..."))
+
+
+def _legend(figure: Figure, handles: list[Any]) -> None:
+    if handles:
+        figure.legend(handles=handles, loc="outside lower left", ncols=1, fontsize=6.5, handlelength=1.2)
+
+
+@styled
+def _nodes(shown: Slice) -> Figure:
+    """How finely the answering cells are cut, and the nodes at their corners where they are few."""
+    figure, (panel,), along = _panels(shown)
+    if len(along) == 1:
+        _spans(shown, panel, along[0])
+        panel.semilogy(along[0], 100.0 * shown.size[:, 0], color=BLUE, drawstyle="steps-mid")
+        panel.set_ylabel("cell (% of the range)")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter("{x:g}")
+        return figure
+    density = 1.0 / shown.size.prod(axis=1)
+    if np.isfinite(density).any():
+        low, high = np.nanmin(density), np.nanmax(density)
+        drawn = _filled(shown, panel, along, density, cmap="cividis", norm=LogNorm(low / 1.5, high * 1.5))
+        bar = figure.colorbar(drawn, ax=panel, pad=0.02, label="cells per region")
+        bar.ax.yaxis.set_major_formatter("{x:g}")
+        bar.ax.yaxis.set_minor_formatter(NullFormatter())
+    if len(shown.nodes) <= _DOTS:
+        rows = [_along(axis, column)[0] for axis, column in zip(shown.axes, shown.nodes.T, strict=True)]
+        panel.plot(*rows, "o", color="white", markersize=1.2, markeredgewidth=0, clip_on=False, label="nodes")
+    return figure
+
+
+@styled
+def _errors(shown: Slice) -> Figure:
+    """Relative errors of what cells give, and their bound behind Newton's method."""
+    errors = {
+        "first guess, from the cell": shown.answers.guess_error,
+        "polished: bound on the error": shown.answers.error_bound,
+    }
+    if len(shown.axes) == 1:
+        figure, (panel,), along = _panels(shown)
+        _spans(shown, panel, along[0])
+        for (text, values), colour in zip(errors.items(), (VERMILION, BLUE), strict=True):
+            panel.semilogy(along[0], np.maximum(values, _FINEST), color=colour, label=text)
+        panel.set_ylabel("relative error")
+        _legend(figure, panel.get_legend_handles_labels()[0])
+        return figure
+    figure, panels, along = _panels(shown, len(errors))
+    title = panels[0].get_title("left")
+    for panel, (text, values) in zip(panels, errors.items(), strict=True):
+        panel.set_title("\n".join(filter(None, (text, title))), fontsize=6.5, color=GREY, loc="left")
+        title = ""
+        values = np.maximum(values, _FINEST)
+        if np.isfinite(values).any():
+            least = 10.0 ** math.floor(math.log10(np.nanmin(values)))
+            most = 10.0 ** math.ceil(math.log10(np.nanmax(values)))
+            drawn = _filled(shown, panel, along, values, cmap="magma", norm=LogNorm(least, max(most, 10 * least)))
+            figure.colorbar(drawn, ax=panel, pad=0.02, label="relative error")
+    return figure

@@ -1,0 +1,138 @@
+"""Slices of atlases and their figures: what is shown is what a query says, and why there is no answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from cho import cho_landing
+from command_line import read_json
+from perilune.atlas.building import build
+from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas.slices import sliced
+from perilune.cli import run
+from perilune.report.atlas_maps import atlas_maps
+from perilune.solve import solve
+from perilune.words.outcome import InfeasibleError, PeriluneError
+
+AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (270.0, 310.0)}
+
+
+@pytest.fixture(scope="module")
+def jump(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
+    """Over two axes, where the answer changes from one sheet to another."""
+    return open_atlas(build(cho_landing(), AXES, tmp_path_factory.mktemp("maps") / "jump"))
+
+
+@pytest.fixture(scope="module")
+def weak(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
+    """Over one axis, where physics refuses a part."""
+    problem = cho_landing().with_given(retro_delta_v=0.0)
+    return open_atlas(build(problem, {"vehicle.thrust": (15.0, 500.0)}, tmp_path_factory.mktemp("maps") / "weak"))
+
+
+def test_a_slice_shows_what_queries_say(jump: Atlas) -> None:
+    shown = sliced(jump, points=9)
+    assert shown.shape == (9, 9) and shown.answers.good.all() and (shown.why == -1).all()
+    assert sum(shown.counts.values()) == 81 and len(shown.counts) == 2
+    objective = shown.answers.objective.reshape(shown.shape)
+    for i, k in ((0, 0), (3, 7), (8, 2)):
+        found = jump.query(vehicle_thrust=shown.values[0][i], retro_specific_impulse=shown.values[1][k])
+        assert objective[i, k] == pytest.approx(found.objective, rel=1e-12)
+        number = i * 9 + k
+        assert shown.answers.guess_error[number] == pytest.approx(found.query.guess_error, rel=1e-3, abs=1e-13)
+        assert shown.size[number] == pytest.approx(found.query.cell)
+        assert shown.sheets[shown.answers.sheet[number]] == found.query.sheet
+    low, high = jump.region.low, jump.region.high
+    assert ((shown.nodes >= low) & (shown.nodes <= high)).all() and len(shown.nodes) > 9
+
+
+def test_a_slice_along_one_axis_lies_where_it_is_told_to(jump: Atlas) -> None:
+    shown = sliced(jump, ["vehicle.thrust"], {"retro.specific_impulse": 305.0}, points=5)
+    assert shown.shape == (5,) and dict(shown.at) == {"retro_specific_impulse": 305.0}
+    alone = jump.query(vehicle_thrust=435.0, retro_specific_impulse=305.0)
+    assert shown.answers.objective[1] == pytest.approx(alone.objective, rel=1e-12)
+    assert sliced(jump, at={"vehicle_thrust": 440.0}, points=2).axes[0].name == "retro_specific_impulse"
+    assert dict(sliced(jump, ["vehicle_thrust"], points=2).at) == {"retro_specific_impulse": 290.0}
+
+
+def test_where_physics_refuses_its_reason_is_shown(weak: Atlas) -> None:
+    shown = sliced(weak, points=98)
+    assert not shown.answers.good.all()
+    for number in np.nonzero(~shown.answers.good)[0][::9].tolist():
+        reason = shown.reasons[shown.why[number]]
+        thrust = float(shown.values[0][number])
+        try:
+            refused = ""
+            weak.query(vehicle_thrust=thrust)
+        except InfeasibleError as error:
+            refused = error.what
+        except PeriluneError:
+            pass
+        assert (reason == refused) == bool(refused)
+    assert any("too weak" in reason for reason in shown.reasons)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"axes": ["vehicle.mass"]}, "no axis"),
+        ({"at": {"vehicle.mass": 300.0}}, "no axis"),
+        ({"axes": ["vehicle.thrust"], "at": {"vehicle.thrust": 440.0}}, "told twice"),
+        ({"axes": ["vehicle.thrust", "vehicle_thrust"]}, "told twice"),
+        ({"at": {"vehicle.thrust": 440.0, "retro.specific_impulse": 300.0}}, "one axis or two"),
+        ({"at": {"vehicle.thrust": 451.0}}, "outside"),
+        ({"at": {"vehicle.thrust": float("nan")}}, "outside"),
+        ({"at": {"vehicle.thrust": "much"}}, "numbers"),
+        ({"points": 1}, "too few"),
+        ({"points": 10.0}, "too few"),
+    ],
+)
+def test_slices_that_are_none_are_refused(jump: Atlas, settings: dict, words: str) -> None:
+    with pytest.raises(PeriluneError, match=words):
+        sliced(jump, **settings)
+
+
+def test_figures_have_colours_where_there_is_an_answer_and_name_what_they_show(jump: Atlas) -> None:
+    shown = sliced(jump, points=9)
+    drawn = atlas_maps(shown)
+    assert set(drawn) == {"objective", "free_retro_delta_v", "free_flight_time", "sheets", "nodes", "errors"}
+    panel, bar = drawn["free_retro_delta_v"].axes
+    assert bar.get_ylabel() == "retro delta v (m/s)" and panel.get_ylabel() == "retro specific impulse (s)"
+    rows = np.reshape(panel.collections[0].get_array(), (9, 9))
+    np.testing.assert_allclose(rows.T.ravel(), shown.answers.free["retro_delta_v"])
+    below = solve(cho_landing().with_given(vehicle_thrust=440.0, retro_specific_impulse=270.0), level=0)
+    assert rows[0, 4] == pytest.approx(below.free["retro_delta_v"], abs=1e-9)
+    kinds = np.reshape(drawn["sheets"].axes[0].collections[0].get_array(), (9, 9))
+    assert kinds[0, 4] != kinds[8, 4]  # through the jump
+
+
+def test_what_has_no_answer_is_left_out_and_said(weak: Atlas) -> None:
+    drawn = atlas_maps(sliced(weak, points=50))
+    assert np.isnan(drawn["objective"].axes[0].lines[0].get_ydata()).any()
+    texts = [text.get_text().replace("\n", " ") for text in drawn["sheets"].legends[0].get_texts()]
+    assert any("too weak" in text for text in texts)
+    shown = sliced(weak, points=50)
+    none = replace(shown.answers, answered=np.ones_like(shown.answers.answered))
+    with pytest.raises(PeriluneError, match="nothing to draw"):
+        atlas_maps(replace(shown, answers=none))
+
+
+def test_the_command_line_plots(jump: Atlas, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place, out = str(jump.store.directory), str(tmp_path / "maps")
+    assert run(["atlas", "plot", place, "--points", "9", "--axes", "vehicle.thrust", "--out", out, "--json"]) == 0
+    told = read_json(capsys.readouterr().out)
+    assert told["answered"] == told["points"] == 9 and "sheets" in told["figures"]
+    for name in told["figures"]:
+        assert imread(Path(out) / f"{name}.png").std() > 0.01 and (Path(out) / f"{name}.svg").stat().st_size > 5000
+    assert run(["atlas", "plot", place, "--points", "9", "--out", out]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert run(["atlas", "plot", place, "--points", "5", "--axes", "vehicle.thrust"]) == 0
+    assert "slice over vehicle_thrust, retro_specific_impulse 290 s" in capsys.readouterr().out
+    assert run(["atlas", "plot", place, "--at", "vehicle.thrust=1 km"]) == 2
+    assert run(["atlas", "plot", place, "--points", "1"]) == 2
+    assert run(["atlas", "plot", str(tmp_path / "nowhere")]) == 2
