@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,17 +98,22 @@ def test_slices_that_are_none_are_refused(jump: Atlas, settings: dict, words: st
         sliced(jump, **settings)
 
 
+def colours(panel: Any) -> np.ndarray:
+    """What the colours of a map stand for."""
+    return np.asarray(panel.collections[0].get_array()).reshape(9, 9)
+
+
 def test_figures_have_colours_where_there_is_an_answer_and_name_what_they_show(jump: Atlas) -> None:
     shown = sliced(jump, points=9)
     drawn = atlas_maps(shown)
     assert set(drawn) == {"objective", "free_retro_delta_v", "free_flight_time", "sheets", "nodes", "errors"}
     panel, bar = drawn["free_retro_delta_v"].axes
     assert bar.get_ylabel() == "retro delta v (m/s)" and panel.get_ylabel() == "retro specific impulse (s)"
-    rows = np.reshape(panel.collections[0].get_array(), (9, 9))
+    rows = colours(panel)
     np.testing.assert_allclose(rows.T.ravel(), shown.answers.free["retro_delta_v"])
     below = solve(cho_landing().with_given(vehicle_thrust=440.0, retro_specific_impulse=270.0), level=0)
     assert rows[0, 4] == pytest.approx(below.free["retro_delta_v"], abs=1e-9)
-    kinds = np.reshape(drawn["sheets"].axes[0].collections[0].get_array(), (9, 9))
+    kinds = colours(drawn["sheets"].axes[0])
     assert kinds[0, 4] != kinds[8, 4]  # through the jump
 
 

@@ -11,12 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from perilune.atlas.building import build
+    from perilune.atlas.extending import extend
     from perilune.atlas.many import Answered, Answers
+    from perilune.atlas.merging import merge
     from perilune.atlas.query import Atlas, Mapped, Query, open_atlas as open
     from perilune.atlas.slices import Slice, sliced
 
 _HOME = {
     "build": ("building", "build"),
+    "extend": ("extending", "extend"),
+    "merge": ("merging", "merge"),
     "open": ("query", "open_atlas"),
     "Atlas": ("query", "Atlas"),
     "Mapped": ("query", "Mapped"),
@@ -26,7 +30,7 @@ _HOME = {
     "Slice": ("slices", "Slice"),
     "sliced": ("slices", "sliced"),
 }
-__all__ = ["Answered", "Answers", "Atlas", "Mapped", "Query", "Slice", "build", "open", "sliced"]
+__all__ = ["Answered", "Answers", "Atlas", "Mapped", "Query", "Slice", "build", "extend", "merge", "open", "sliced"]
 
 
 def __getattr__(name: str) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,10 +19,10 @@ from perilune.atlas.brick import WHOLE, Brick
 from perilune.atlas.chart import Chart
 from perilune.atlas.course import Course, course_from
 from perilune.atlas.reflight import Reflights
-from perilune.atlas.region import Region, region_of
+from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import Store
-from perilune.atlas.survey import Survey
+from perilune.atlas.survey import Found, Survey
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.io.export import problem_document, versions
 from perilune.methods.indirect import Indirect
@@ -34,6 +34,7 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
+MOST_NOTES = 100
 _PATIENCE = 0.2  # seconds between looks at what another builder does
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
@@ -172,23 +173,34 @@ def build(
     if chosen := {axis.name: axis.low for axis in region.axes if axis.name in problem.free_names}:
         problem = problem.with_given(**chosen)  # an axis is told, not chosen
     kept = Store(demand_path(store, "the directory of an atlas"))
-    kept.begin(
-        {
-            "axes": [vars(axis) for axis in region.axes],
-            "tolerance": tolerance,
-            "versions": versions(),
-            **problem_document(problem),
-        }
-    )
-    survey = _surveyed(kept, problem, region, method or Indirect(), say)
+    header = {
+        "axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes],
+        "tolerance": tolerance,
+        "versions": versions(),
+        **problem_document(problem),
+    }
+    survey = _surveyed(kept, header, problem, region, method or Indirect(), say)
+    return completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
+
+
+def completed(
+    kept: Store,
+    problem: Problem,
+    region: Region,
+    survey: Mapping[str, Any],
+    tolerance: float,
+    executor: Submits | None,
+    say: Watch,
+) -> Path:
+    """Compute what is missing of the bricks of a survey."""
     tasks = dict(_tasks(kept, problem, region, survey, tolerance))
     there = {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey)}
     say(f"{len(there)} of {len(tasks)} bricks, {sum(there.values())} nodes")
     while todo := {name: task for name, task in tasks.items() if name not in there}:
-        for name, arrays in _everywhere(kept, todo, executor, say):
+        for name, arrays in _everywhere(kept, {name: task for name, (_, task) in todo.items()}, executor, say):
             prefix = f"brick-{survey['digest'][:8]}-{name}"
             shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
-            group, *brick = (int(part) for part in name.split("-"))
+            (group, *brick), _ = todo[name]
             line = {"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"], **shards}
             kept.add(line)
             there[name] = len(arrays["nodes"])
@@ -215,40 +227,66 @@ def _everywhere(
             yield name, dict(zip(("nodes", "cells"), found, strict=True))
 
 
-def _surveyed(kept: Store, problem: Problem, region: Region, method: Indirect, say: Watch) -> dict[str, Any]:
-    """The survey's line of the manifest, made where there is none."""
+def _surveyed(
+    kept: Store, header: Mapping[str, Any], problem: Problem, region: Region, method: Indirect, say: Watch
+) -> dict[str, Any]:
+    """The survey's line of the manifest, made where there is none; of a survey that fails nothing is left."""
+    kept.prepare(header)
     while (known := kept.survey()) is None:
         with kept.claimed("survey") as ours:
             if not ours:
                 time.sleep(_PATIENCE)
             elif kept.survey() is None:
-                kept.add(_survey(kept, problem, region, method, say))
+                try:
+                    survey = Survey(problem=problem, region=region, method=method, watch=say)
+                    found = survey.run()
+                    kept.begin(header)
+                    kept.add(_survey(kept, region, found, survey.notes))
+                except BaseException:
+                    kept.leave()
+                    raise
+    kept.prepare(header)  # another builder may have begun meanwhile
     return known
 
 
-def _survey(kept: Store, problem: Problem, region: Region, method: Indirect, say: Watch) -> dict[str, Any]:
-    """Make it."""
-    survey = Survey(problem=problem, region=region, method=method, watch=say)
+def _survey(kept: Store, region: Region, found: Sequence[Found], notes: Sequence[str]) -> dict[str, Any]:
+    """Its line, behind its shards."""
     places, _ = region.corners()
     charts = []
-    for number, found in enumerate(survey.run()):
-        sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
-        rows = np.zeros(len(sheet), dtype=seed_type(len(region.axes), found.y.shape[2]))
-        rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], found.y[sheet, corner]
-        charts.append(
-            {
-                **found.chart.course.document(),
-                "times": list(found.times),
-                "unknowns": found.y.shape[2],
-                "sheets": [
-                    {"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name}
-                    for s in found.sheets
-                ],
-                "seeds": kept.put(f"survey-{number}.npy", rows),
-            }
-        )
-    digest = hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
-    return {"kind": "survey", "digest": digest, "charts": charts, "notes": survey.notes[:100]}
+    for number, one in enumerate(found):
+        rows = seeds(places, one.y)
+        charts.append({**said_of(one), "seeds": kept.put(f"survey-{number}.npy", rows)})
+    return {"kind": "survey", "digest": digest_of(charts), "charts": charts, "notes": list(notes)[:MOST_NOTES]}
+
+
+def said_of(found: Found) -> dict[str, Any]:
+    """What a survey's line says of a chart."""
+    sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
+    course = found.chart.course.document()
+    return {**course, "times": list(found.times), "unknowns": found.y.shape[2], "sheets": sheets}
+
+
+def seeds(places: NDArray[np.int64], y: NDArray[np.float64]) -> NDArray[Any]:
+    """The shard of sheets at corners, (sheets, corners, n) with NaN where one does not reach."""
+    sheet, corner = np.nonzero(np.isfinite(y[:, :, 0]))
+    rows = np.zeros(len(sheet), dtype=seed_type(places.shape[1], y.shape[2]))
+    rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], y[sheet, corner]
+    return rows
+
+
+def digest_of(charts: Any) -> str:
+    """By which a survey is known."""
+    return hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
+
+
+def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
+    """The region that a header states."""
+    return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
+
+
+def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
+    """The region of a survey: that of the header, unless it states edges of its own."""
+    return stated_region(region, survey["edges"]) if "edges" in survey else region
 
 
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
@@ -261,31 +299,38 @@ def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
 
 def _tasks(
     kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
-) -> Iterator[tuple[str, Task]]:
-    """Every brick in which a sheet is known, by its name."""
+) -> Iterator[tuple[str, tuple[tuple[int, ...], Task]]]:
+    """Every brick in which a sheet is known, by its name: its chart and numbers, and what there is to compute.
+
+    Not those which the chart is told to leave out, as they came from elsewhere with another.
+    """
     d = len(region.axes)
     for number, chart in enumerate(survey["charts"]):
-        seeds = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
-        for brick in region.bricks:
-            side = seeds["corner"] - np.array(brick)
+        known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+        left_out = {tuple(place) for place in chart.get("without", ())}
+        for brick in (place for place in region.bricks if place not in left_out):
+            side = known["corner"] - np.array(brick)
             here = ((side == 0) | (side == 1)).all(axis=1)
             if not here.any():
                 continue
             low, high = region.box(brick)
-            yield (
-                "-".join(map(str, (number, *brick))),
-                Task(
-                    problem=problem,
-                    names=region.names,
-                    widths=region.high - region.low,
-                    course=course_from(chart),
-                    times=tuple(chart["times"]),
-                    sheets=sheets_of(chart),
-                    low=low,
-                    high=high,
-                    sheet=seeds["sheet"][here].astype(np.int64),
-                    corner=(side[here] << np.arange(d)).sum(axis=1),
-                    y=np.array(seeds["y"][here]),
-                    tolerance=tolerance,
-                ),
+            task = Task(
+                problem=problem,
+                names=region.names,
+                widths=region.high - region.low,
+                course=course_from(chart),
+                times=tuple(chart["times"]),
+                sheets=sheets_of(chart),
+                low=low,
+                high=high,
+                sheet=known["sheet"][here].astype(np.int64),
+                corner=(side[here] << np.arange(d)).sum(axis=1),
+                y=np.array(known["y"][here]),
+                tolerance=tolerance,
             )
+            yield brick_name((number, *brick)), ((number, *brick), task)
+
+
+def brick_name(key: tuple[int, ...]) -> str:
+    """Name of a brick of a chart: its numbers, ``m`` before those below zero."""
+    return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)

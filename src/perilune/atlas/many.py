@@ -120,9 +120,7 @@ class _Work:
         self.allowed = np.ones(len(self.points), dtype=bool)
         if atlas.problem.preflight is not None and inside.any():
             self.allowed[inside] = possible(preflight(atlas.problem, over))
-        share = (self.points - region.low) / (region.high - region.low) * region.parts
-        with np.errstate(invalid="ignore"):
-            self.bricks = np.clip(np.nan_to_num(share).astype(np.int64), 0, region.parts - 1)
+        self.bricks = region.bricks_of(self.points)
 
     def answer(self, some: NDArray[np.int64]) -> None:
         """Polish what the cells of some points give, best first, until the others are clearly worse."""

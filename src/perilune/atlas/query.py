@@ -194,8 +194,8 @@ class Atlas(Reader):
         """What the cells in which a point lies give of sheets that can be answers, the least J first."""
         place = self.region.brick_of(at)
         low, high = self.region.box(place)
-        inside, parts = (at - low) / (high - low) * WHOLE, self.region.parts
-        where, offers = inside.tolist(), list[_Offer]()
+        inside, offers = (at - low) / (high - low) * WHOLE, list[_Offer]()
+        where, part = inside.tolist(), (high - low) / (self.region.high - self.region.low) / WHOLE
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
                 continue
@@ -205,7 +205,7 @@ class Atlas(Reader):
                     corner, size, terms = brick.cell(cell)
                     share, length = (inside - corner) / size, size * (high - low) / WHOLE / charted.chart.scale
                     given = interpolated(terms, share[None], length[None])[0]
-                    offers.append(_Offer(charted, sheet, given[:-1], float(given[-1]), size / (WHOLE * parts)))
+                    offers.append(_Offer(charted, sheet, given[:-1], float(given[-1]), size * part))
                 elif brick.status[cell] == Status.BREAKS:
                     least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
                     offers.append(_Offer(charted, sheet, None, least, low, breaks=True))
@@ -249,7 +249,7 @@ class Atlas(Reader):
         refuse_impossible(preflight(self.problem.with_given(**values)))
         place, got = self.region.brick_of(at), self.region.told(at.tolist())
         keys = [(number, *place) for number in range(len(self.charted))]
-        if broken := [self.damaged[name] for key in keys if (name := "-".join(map(str, key))) in self.damaged]:
+        if broken := [self.damaged[key] for key in keys if key in self.damaged]:
             return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")
         if not any(key in self.said for key in keys):
             return PeriluneError(

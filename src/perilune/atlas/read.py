@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.brick import WHOLE, Status
-from perilune.atlas.building import cell_type, node_type, sheets_of
+from perilune.atlas.building import cell_type, header_region, node_type, sheets_of, survey_region
 from perilune.atlas.chart import Chart
 from perilune.atlas.course import course_from
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import Reflights
-from perilune.atlas.region import Region, region_of
+from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.io.reload import read_problem
@@ -209,11 +209,9 @@ class Reader:
         header = self.store.header()
         self.problem = read_problem(header, problem_from_scenario)
         with _told_of_damage(HEADER):
-            self.region = region_of(
-                self.problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]}
-            )
+            self._first = header_region(self.problem, header)
             self.tolerance = float(header["tolerance"])
-        self.damaged: dict[str, str] = {}
+        self.damaged: dict[tuple[int, ...], str] = {}
         self._bricks: dict[tuple[int, ...], Brick] = {}
         self.refresh()
 
@@ -222,6 +220,7 @@ class Reader:
         self.survey = self.store.survey() or {"charts": []}
         ours = self.store.bricks(self.survey)
         with _told_of_damage(MANIFEST):
+            self.region = survey_region(self._first, self.survey)
             self.said = {(int(line["chart"]), *map(int, line["brick"])): line for line in ours}
         self.__dict__.pop("charted", None)
 
@@ -244,7 +243,7 @@ class Reader:
                 cells = self.store.shard(said["cells"], cell_type(d))
                 _refuse_wild(nodes, cells, d, len(self.charted[number].sheets), str(said["name"]))
             except PeriluneError as error:
-                self.damaged[str(said["name"])] = error.what
+                self.damaged[key] = error.what
                 return None
             self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
         return self._bricks[key]

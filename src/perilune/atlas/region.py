@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -23,12 +25,41 @@ _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """A parameter that varies between two values [SI]."""
+    """A parameter that varies between two values.
+
+    Parameters
+    ----------
+    name, unit
+        Of the parameter; the unit in SI.
+    edges
+        Where the bricks along it begin and end [SI], rising.
+    first
+        Number of the first brick: what is added below what was there has numbers below 0.
+    """
 
     name: str
-    low: float
-    high: float
     unit: str
+    edges: tuple[float, ...]
+    first: int = 0
+
+    @property
+    def low(self) -> float:
+        """Where it begins [SI]."""
+        return self.edges[0]
+
+    @property
+    def high(self) -> float:
+        """Where it ends [SI]."""
+        return self.edges[-1]
+
+    @property
+    def numbers(self) -> range:
+        """Of the bricks along it."""
+        return range(self.first, self.first + len(self.edges) - 1)
+
+    def edge(self, number: int) -> float:
+        """Where a brick begins [SI]."""
+        return self.edges[number - self.first]
 
 
 @dataclass(frozen=True)
@@ -48,47 +79,45 @@ class Region:
         """Of the parameters."""
         return tuple(axis.name for axis in self.axes)
 
-    @property
+    @cached_property
     def low(self) -> Vector:
         """Lower bounds [SI], (d,)."""
         return np.array([axis.low for axis in self.axes])
 
-    @property
+    @cached_property
     def high(self) -> Vector:
         """Upper bounds [SI], (d,)."""
         return np.array([axis.high for axis in self.axes])
 
     @property
-    def parts(self) -> int:
-        """How many bricks there are along each axis."""
-        return _PARTS[len(self.axes)]
-
-    @property
     def bricks(self) -> list[tuple[int, ...]]:
-        """Places of all bricks, the last axis changing fastest."""
-        return list(product(range(self.parts), repeat=len(self.axes)))
+        """Numbers of all bricks, the last axis changing fastest."""
+        return list(product(*(axis.numbers for axis in self.axes)))
 
     def box(self, brick: tuple[int, ...]) -> tuple[Vector, Vector]:
         """Corners of a brick [SI]; neighbours have the very same."""
-        low = [self._edge(axis, n) for axis, n in zip(self.axes, brick, strict=True)]
-        high = [self._edge(axis, n + 1) for axis, n in zip(self.axes, brick, strict=True)]
-        return np.array(low), np.array(high)
-
-    def _edge(self, axis: Axis, number: int) -> float:
-        if number == self.parts:
-            return axis.high
-        return axis.low + (axis.high - axis.low) * number / self.parts
+        low, high = (
+            np.array([axis.edge(n + side) for axis, n in zip(self.axes, brick, strict=True)]) for side in (0, 1)
+        )
+        return low, high
 
     def corners(self) -> tuple[NDArray[np.int64], Matrix]:
-        """Places of the corners of all bricks, (k, d), and their values [SI]."""
-        places = np.array(list(product(range(self.parts + 1), repeat=len(self.axes))))
-        values = np.array([[self._edge(a, n) for a, n in zip(self.axes, row, strict=True)] for row in places.tolist()])
-        return places, values
+        """Numbers of the corners of all bricks, (k, d), and their values [SI]."""
+        numbers = [range(axis.first, axis.first + len(axis.edges)) for axis in self.axes]
+        return np.array(list(product(*numbers))), np.array(list(product(*(axis.edges for axis in self.axes))))
 
     def brick_of(self, values: Vector) -> tuple[int, ...]:
         """The brick in which a point [SI] of the region lies."""
-        share = (values - self.low) / (self.high - self.low) * self.parts
-        return tuple(np.clip(share.astype(np.int64), 0, self.parts - 1).tolist())
+        inner = zip(self.axes, values.tolist(), strict=True)
+        return tuple(axis.first + bisect_right(axis.edges, value, 1, len(axis.edges) - 1) - 1 for axis, value in inner)
+
+    def bricks_of(self, points: Matrix) -> NDArray[np.int64]:
+        """The bricks in which points [SI] lie, (points, d); for those outside of the region one beside them."""
+        columns = [
+            axis.first + np.searchsorted(axis.edges[1:-1], values, side="right")
+            for axis, values in zip(self.axes, points.T, strict=True)
+        ]
+        return np.column_stack(columns)
 
     def told(self, values: Sequence[float]) -> str:
         """A point [SI] in words."""
@@ -140,9 +169,73 @@ def region_of(problem: Problem, axes: Mapping[str, Any]) -> Region:
                 f"the range of {name} is empty", got=f"{low:g} to {high:g} {problem.unit_of(name)}",
                 expected="low < high, both finite",
             )  # fmt: skip
-        found.append(Axis(name=name, low=low, high=high, unit=problem.unit_of(name)))
+        found.append(Axis(name=name, unit=problem.unit_of(name), edges=_equal_parts(low, high, _PARTS[len(axes)])))
     region = Region(tuple(found))
-    for corner in product(*((axis.low, axis.high) for axis in found)):
-        # So that records refuse what they do not take.
-        problem.with_given(**dict(zip(region.names, corner, strict=True)))
+    refuse_untaken(problem, region)
     return region
+
+
+def refuse_untaken(problem: Problem, region: Region) -> None:
+    """Refuse a region of whose values the records of a problem do not take some."""
+    for corner in product(*((axis.low, axis.high) for axis in region.axes)):
+        problem.with_given(**dict(zip(region.names, corner, strict=True)))
+
+
+def _equal_parts(low: float, high: float, count: int) -> tuple[float, ...]:
+    return (*(low + (high - low) * number / count for number in range(count)), high)
+
+
+def wider(region: Region, axes: Mapping[str, tuple[float, float]]) -> Region:
+    """The same region with more bricks, no wider than those that are there, below and above these.
+
+    Parameters
+    ----------
+    region
+        What there is.
+    axes
+        ``{name: (low, high)}`` [SI] of the axes that become wider; a dot in a name may stand for an underscore.
+
+    Raises
+    ------
+    PeriluneError
+        If a name is no axis, or a range leaves out some of what is there.
+    """
+    told, found = {parameter_name(name): bounds for name, bounds in axes.items()}, list[Axis]()
+    for name in told:
+        if name not in region.names:
+            raise unknown_name("axis", name, list(region.names))
+    for axis in region.axes:
+        low, high = told.get(axis.name, (axis.low, axis.high))
+        if not (math.isfinite(high - low) and low <= axis.low and high >= axis.high):
+            raise PeriluneError(
+                f"the range of {axis.name} leaves out some of what is mapped", got=f"{low:g} to {high:g} {axis.unit}",
+                expected=f"at least {axis.low:g} to {axis.high:g} {axis.unit}",
+                advice="extend an atlas beyond its ranges, or build another",
+            )  # fmt: skip
+        below = _parts_of(low, axis.low, axis.edges[1] - axis.edges[0])
+        above = _parts_of(axis.high, high, axis.edges[-1] - axis.edges[-2])
+        edges = (*below[:-1], *axis.edges, *above[1:])
+        found.append(replace(axis, edges=edges, first=axis.first - max(0, len(below) - 1)))
+    return Region(tuple(found))
+
+
+def _parts_of(low: float, high: float, most: float) -> tuple[float, ...]:
+    """Edges of equal parts, none longer than `most`; none where there is nothing between."""
+    return _equal_parts(low, high, math.ceil((high - low) / most - 1e-9)) if high > low else ()
+
+
+def stated_region(region: Region, edges: Sequence[Mapping[str, Any]]) -> Region:
+    """A region with the edges that a manifest states of each axis.
+
+    Raises
+    ------
+    ValueError
+        If they are none.
+    """
+    found = []
+    for axis, said in zip(region.axes, edges, strict=True):
+        at = tuple(float(value) for value in said["at"])
+        if len(at) < 2 or not all(a < b for a, b in pairwise(at)) or not math.isfinite(at[-1] - at[0]):
+            raise ValueError("edges of bricks that do not rise")
+        found.append(replace(axis, edges=at, first=int(said["first"])))
+    return Region(tuple(found))

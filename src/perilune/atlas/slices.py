@@ -174,8 +174,7 @@ def _cells(atlas: Atlas, points: Matrix, answers: Answers, along: list[int]) -> 
     """Shares of the region that the cells of the answers take along some axes, and the nodes at their corners."""
     region, first = atlas.region, 0
     size, nodes = np.full((len(points), len(along)), np.nan), [np.empty((0, len(along)))]
-    share = (points - region.low) / (region.high - region.low) * region.parts
-    places = np.clip(share.astype(np.int64), 0, region.parts - 1)
+    places, whole = region.bricks_of(points), (region.high - region.low) * WHOLE
     for number, charted in enumerate(atlas.charted):
         for place in np.unique(places, axis=0).tolist():
             brick = atlas.brick(number, tuple(place))
@@ -186,7 +185,7 @@ def _cells(atlas: Atlas, points: Matrix, answers: Answers, along: list[int]) -> 
             for sheet in brick.minima:
                 lanes = np.nonzero(here & (answers.sheet == first + sheet))[0]
                 cells = brick.cells[brick.leaves(sheet, (points[lanes] - low) / (high - low) * WHOLE)]
-                size[lanes] = cells["size"][:, along] / (WHOLE * region.parts)
+                size[lanes] = (cells["size"] * (high - low) / whole)[:, along]
                 nodes.append(brick.nodes["values"][np.unique(cells["corners"])][:, along])
         first += len(charted.sheets)
     return size, np.unique(np.concatenate(nodes), axis=0)

@@ -16,7 +16,7 @@ import io
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,27 +52,39 @@ class Store:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
 
-    def begin(self, header: Mapping[str, Any]) -> None:
-        """Make the directory, or see that it is of the very same atlas.
+    def prepare(self, header: Mapping[str, Any]) -> None:
+        """Make the directory, or see that it is empty, or of the very same atlas.
 
         Raises
         ------
         PeriluneError
             If it is of another, or cannot be written.
         """
-        said = json.loads(json.dumps(finite(dict(header))))
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
             if not (self.directory / HEADER).exists():
-                if any(not _ours(path.name) for path in self.directory.iterdir()):
+                if any(not ours(path.name) for path in self.directory.iterdir()):
                     raise _unusable(self.directory, "files, and no atlas", "a new or empty directory")
-                self._put(HEADER, json_text({"format": FORMAT, **said}).encode())
+                return
         except OSError as error:
             raise _unusable(self.directory, str(error.strerror), "a directory that you may write") from error
-        found = self.header()
+        said, found = json.loads(json.dumps(finite(dict(header)))), self.header()
         differs = [name for name, value in said.items() if name != "versions" and found.get(name) != value]
         if differs:
             raise _unusable(self.directory, f"an atlas of other {', '.join(differs)}", "the same atlas")
+
+    def begin(self, header: Mapping[str, Any]) -> None:
+        """Write the header, unless another builder did; arguments and errors of `prepare`."""
+        if not (self.directory / HEADER).exists():
+            self._put(HEADER, json_text({"format": FORMAT, **finite(dict(header))}).encode())
+        self.prepare(header)
+
+    def leave(self) -> None:
+        """Remove the directory if nothing was begun in it."""
+        with contextlib.suppress(OSError):
+            if all(path.name.startswith((".claim-", ".writing-")) for path in self.directory.iterdir()):
+                clear(self.directory)
+                self.directory.rmdir()
 
     def header(self) -> dict[str, Any]:
         """What ``atlas.json`` says.
@@ -113,13 +125,21 @@ class Store:
                 yield found
 
     def survey(self) -> dict[str, Any] | None:
-        """The first survey's line; where two builders made one at once, theirs is the same."""
-        return next((line for line in self.lines() if line.get("kind") == "survey"), None)
+        """The line of the survey that counts.
+
+        That is the first (where two builders made one at once, theirs is the same), or what extended it since: each
+        names the surveys ``before`` it, the last of which it extends.
+        """
+        found = None
+        for line in self.lines():
+            if line.get("kind") == "survey" and _before(line)[-1:] == ([] if found is None else [found.get("digest")]):
+                found = line
+        return found
 
     def bricks(self, survey: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """The lines of the bricks of a survey."""
-        mine = survey.get("digest")
-        return [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") == mine]
+        """The lines of the bricks of a survey, and of those that it extends."""
+        mine = [survey.get("digest"), *_before(survey)]
+        return [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
 
     def there(self, name: str) -> bool:
         """Whether a brick was written, perhaps by another builder meanwhile."""
@@ -139,6 +159,18 @@ class Store:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+    def write_lines(self, lines: Iterable[Mapping[str, Any]]) -> None:
+        """Write the whole manifest at once, in the place of one that is there."""
+        text = "".join(json.dumps(finite(dict(line)), allow_nan=False) + "\n" for line in lines)
+        self._put(MANIFEST, text.encode())
+
+    def has(self, name: str, said: Mapping[str, Any]) -> bool:
+        """Whether a shard of a name is there, and has the content that is said of another."""
+        try:
+            return hashlib.sha256((self.directory / name).read_bytes()).hexdigest() == said.get("sha256")
+        except OSError:
+            return False
 
     def put(self, name: str, array: NDArray[Any]) -> dict[str, Any]:
         """Write a shard; what the manifest says of it."""
@@ -204,15 +236,20 @@ class Store:
             ) from error  # fmt: skip
 
 
+def _before(survey: Mapping[str, Any]) -> list[Any]:
+    found = survey.get("before", [])
+    return found if isinstance(found, list) else [found]
+
+
 def clear(directory: Path) -> None:
     """Remove the files of an atlas, and nothing else."""
     with contextlib.suppress(FileNotFoundError):
         for file in list(directory.iterdir()):
-            if _ours(file.name):
+            if ours(file.name):
                 file.unlink()
 
 
-def _ours(name: str) -> bool:
+def ours(name: str) -> bool:
     """Whether a file of this name is an atlas's."""
     return name in (HEADER, MANIFEST) or name.startswith((".claim-", ".writing-")) or bool(_OURS.fullmatch(name))
 

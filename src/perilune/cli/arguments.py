@@ -270,6 +270,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
     made = command("atlas", "Map extremals over a region of parameters once, and answer from the map at once.")
     actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
     directory = _option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")
+    workers = _option("--workers", metavar="N", type=_number(1), default=1, help="Processes side by side. Usually 1.")
     command(
         "atlas build",
         "Map the extremals of a scenario over ranges of one to four of its values.",
@@ -289,11 +290,37 @@ def _atlas(command: Callable[..., _Parser]) -> None:
             type=_real,
             help="Relative error at which one step of Newton's method has to end. Usually 1e-9.",
         ),
-        _option("--workers", metavar="N", type=_number(1), default=1, help="Processes side by side. Usually 1."),
+        workers,
         _switch("--resume", "Go on with the atlas that is in --out DIR already."),
         _VERBOSE,
         _FORCE,
         _NO_CACHE,
+        among=actions,
+    )
+    command(
+        "atlas extend",
+        "Map more of the same problem around an atlas; what is there is kept. Without a range: what is missing.",
+        directory,
+        _option(
+            "--vary",
+            metavar="KEY=LOW:HIGH",
+            action="append",
+            default=[],
+            help="The wider range of an axis; may be repeated.",
+        ),
+        workers,
+        _VERBOSE,
+        _NO_CACHE,
+        among=actions,
+    )
+    command(
+        "atlas merge",
+        "Make one atlas of two of the same problem: of the same region, or side by side.",
+        directory,
+        _option("other", metavar="OTHER", type=Path, help="Another atlas."),
+        _option("--out", metavar="DIR", type=Path, required=True, help="Where the new one goes."),
+        _VERBOSE,
+        _FORCE,
         among=actions,
     )
     command(

@@ -1,10 +1,10 @@
-"""The command ``atlas``: build, query, plot, info, verify."""
+"""The command ``atlas``: build, extend, merge, query, plot, info, verify."""
 
 from __future__ import annotations
 
 from argparse import Namespace
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -44,6 +44,42 @@ def _build(typed: Namespace) -> Answer:
             tolerance=TOLERANCE if typed.tolerance is None else typed.tolerance,
             watch=watch,
         )
+    return _described(_opened(typed), built=str(typed.out))
+
+
+def _extend(typed: Namespace) -> Answer:
+    from perilune.atlas.extending import extend
+
+    atlas, wanted = _opened(typed), dict[str, tuple[float, float]]()
+    for key, bounds in _axis_ranges(atlas, typed.vary):
+        if key in wanted:
+            raise PeriluneError(f"--vary names {key} twice", expected="each axis once")
+        wanted[key] = bounds
+    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(typed.workers) as executor:
+        extend(typed.directory, wanted, executor, watch=watch)
+    return _described(_opened(typed), built=str(typed.directory))
+
+
+def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Ranges of axes [SI] as they were typed."""
+    from perilune.scenario import bounds_of
+    from perilune.words.declared import Quantity
+
+    units = {axis.name: axis.unit for axis in atlas.region.axes}
+    for stated in vary:
+        key, _, text = (part.strip() for part in stated.partition("="))
+        name = parameter_name(key)
+        if name not in units:
+            raise unknown_name("axis", key, list(units))
+        yield name, bounds_of(key, text, {key: Quantity(unit=units[name], example=f"1 {units[name]}")})
+
+
+def _merge(typed: Namespace) -> Answer:
+    from perilune.atlas.merging import merge
+
+    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
+        merge(typed.directory, typed.other, typed.out, force=typed.force, watch=watch)
+    typed.directory = typed.out
     return _described(_opened(typed), built=str(typed.out))
 
 
@@ -176,6 +212,8 @@ def _query_lines(query: Query) -> list[str]:
 
 ACTIONS: Mapping[str, Callable[[Namespace], Answer]] = {
     "build": _build,
+    "extend": _extend,
+    "merge": _merge,
     "query": _query,
     "plot": _plot,
     "info": _info,

@@ -28,7 +28,7 @@ from perilune.words.types import Vector
 from perilune.words.watch import Watch
 
 _BESIDE = math.radians(0.05)  # by which the box is wider than the points
-AXES = ("manoeuvre_longitude", "manoeuvre_latitude")
+AXES: tuple[str, ...] = ("manoeuvre_longitude", "manoeuvre_latitude")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def fast(problem: Problem, grid: Sequence[Member], experiments: Sequence[Member]
         solution = solve(problem.with_given(**dict(zip(AXES, points[number].tolist(), strict=True))), level=0)
         took.append(time.process_time() - began)
         if math.isfinite(found[number]):
-            apart = max(apart, abs(solution.objective / found[number] - 1.0))
+            apart = max(apart, float(abs(solution.objective / found[number] - 1.0)))
     return Fast(
         built=built, nodes=nodes, kinds=kinds, predicted=_predicted(grid, experiments), queried=queried,
         refused=refused, alone=np.array(took), apart=apart,

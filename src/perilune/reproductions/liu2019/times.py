@@ -46,8 +46,9 @@ def _fast(made: Reproduction) -> Iterator[str]:
         "The paper keeps the extremals of the grid, predicts those of a manoeuvre point by (16), and searches within "
         f"2 % of that. Ours is an atlas over the box around the region, {fast.nodes} extremals with their derivatives "
         f"in {fast.built:.1f} s ({'; '.join(fast.kinds)}): it interpolates, makes a step or two of Newton's method, "
-        f"and flies the answer again. At the points of Table 1 it answers {np.count_nonzero(answered)} of {len(answered)}; "
-        f"from nothing, {len(fast.alone)} of them have the same time of flight within {fast.apart:.0e}, relative."
+        f"and flies the answer again. At the points of Table 1 it answers {np.count_nonzero(answered)} of "
+        f"{len(answered)}; from nothing, {len(fast.alone)} of them have the same time of flight within "
+        f"{fast.apart:.0e}, relative."
     )
     rows = [
         ["hybrid, from nothing", f"{PRINTED_TIMES['hybrid method']:g} s", _time(slow.processor_times)],

@@ -1,0 +1,202 @@
+"""A wider atlas: bricks beside those that are there, which stay as they are.
+
+The wider region is surveyed as a new one would be. What is found of sheets that are known goes on with them; the others
+begin charts of their own, with bricks all over the region where they reach. A sheet that is not found again is carried
+on from where it was known. The survey's line in the manifest names the one that it extends: once it is there the atlas
+is the wider one, and before that nothing has changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.building import (
+    MOST_NOTES,
+    completed,
+    digest_of,
+    header_region,
+    said_of,
+    seed_type,
+    seeds,
+    sheets_of,
+    survey_region,
+)
+from perilune.atlas.course import course_from
+from perilune.atlas.region import Region, refuse_untaken, wider
+from perilune.atlas.sheets import Sheet
+from perilune.atlas.store import Store
+from perilune.atlas.survey import Found, Survey, carried
+from perilune.families.elsewhere import Submits
+from perilune.io.reload import read_problem
+from perilune.methods.indirect import Indirect
+from perilune.problem.problem import Problem
+from perilune.words.asked import demand_callable, demand_path
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix
+from perilune.words.watch import Watch, silent
+
+_SAME = 1e-6  # relative: extremals of one sheet, found twice
+
+Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
+
+
+def extend(
+    store: str | Path,
+    axes: Mapping[str, tuple[float, float]],
+    executor: Submits | None = None,
+    *,
+    method: Indirect | None = None,
+    watch: Watch | None = None,
+    problem_from_scenario: Callable[[str], Problem] | None = None,
+) -> Path:
+    """Map more of the same problem, around what there is.
+
+    Parameters
+    ----------
+    store
+        The directory of an atlas, as `perilune.atlas.build` made it; no node in it is computed again.
+    axes
+        ``{name: (low, high)}`` in SI of the axes that become wider; ranges that it has already complete it.
+    executor, method, watch
+        As of `perilune.atlas.build`.
+    problem_from_scenario
+        As of `perilune.atlas.open`.
+
+    Returns
+    -------
+    Path
+        The directory.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no atlas, a name is no axis of it, or a range leaves out some of what is mapped.
+    """
+    if problem_from_scenario is None:
+        from perilune.scenario import load_text as problem_from_scenario
+    demand_callable(watch, "a watch")
+    kept, say = Store(demand_path(store, "the directory of an atlas")), watch or silent
+    header, survey = kept.header(), kept.survey()
+    problem = read_problem(header, problem_from_scenario)
+    if survey is None:
+        raise PeriluneError(
+            "this atlas has no survey yet to be extended", got=str(kept.directory),
+            advice="build it first, or what is missing of it: perilune atlas build ... --resume",
+        )  # fmt: skip
+    region = survey_region(header_region(problem, header), survey)
+    wide = wider(region, axes)
+    if wide != region:
+        refuse_untaken(problem, wide)
+        with kept.claimed("survey") as ours:
+            if not ours or kept.survey() != survey:
+                raise PeriluneError("another builder surveys this atlas at this moment", advice="wait until it is done")
+            survey = _extended(kept, problem, region, wide, survey, method or Indirect(), say)
+            kept.add(survey)
+    return completed(kept, problem, wide, survey, float(header["tolerance"]), executor, say)
+
+
+def _extended(
+    kept: Store, problem: Problem, region: Region, wide: Region, survey: Mapping[str, Any], method: Indirect, say: Watch
+) -> dict[str, Any]:
+    """The line of the wider survey, behind its shards."""
+    surveyed = Survey(problem=problem, region=wide, method=method, watch=say)
+    found = surveyed.run()
+    places, values = wide.corners()
+    charts, unmet = list[tuple[dict[str, Any], NDArray[Any]]](), [list(range(len(one.sheets))) for one in found]
+    for said in survey["charts"]:
+        rows = kept.shard(said["seeds"], seed_type(len(wide.axes), said["unknowns"]))
+        alike = next((i for i, one in enumerate(found) if _equations(said_of(one)) == _equations(said)), None)
+        sheets = sheets_of(said)
+        known = [_corners_of(rows, number) for number in range(len(sheets))]
+        if alike is not None:
+            one = found[alike]
+            for number, sheet in enumerate(sheets):
+                same = [n for n in unmet[alike] if _is(one, n, sheet, places, known[number])]
+                for n in same:
+                    known[number] = {**_reached(places, one.y[n]), **known[number]}
+                    unmet[alike].remove(n)
+                if not same:
+                    known[number] = _carried_on(one, sheet, places, values, known[number])
+        charts.append(({k: v for k, v in said.items() if k != "seeds"}, _rows(known, rows.dtype)))
+    for one, left in zip(found, unmet, strict=True):
+        if left:
+            said = said_of(one)
+            charts.append(({**said, "sheets": [said["sheets"][n] for n in left]}, seeds(places, one.y[left])))
+    before = [*survey.get("before", []), survey["digest"]]
+    lines = [
+        {**said, "seeds": kept.put(f"survey-{len(before)}-{number}.npy", rows)}
+        for number, (said, rows) in enumerate(charts)
+    ]
+    edges = [{"first": axis.first, "at": list(axis.edges)} for axis in wide.axes]
+    notes = [*survey.get("notes", []), *surveyed.notes]
+    return {
+        "kind": "survey", "digest": digest_of([before, edges, lines]), "before": before, "edges": edges,
+        "charts": lines, "notes": list(dict.fromkeys(notes))[:MOST_NOTES],
+    }  # fmt: skip
+
+
+def _equations(said: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What of a chart's line says which equations its extremals solve."""
+    course = course_from(said)
+    return course.keep, course.text, said["unknowns"]
+
+
+def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:
+    mine = rows[rows["sheet"] == sheet]
+    return {tuple(corner): np.array(y) for corner, y in zip(mine["corner"].tolist(), mine["y"], strict=True)}
+
+
+def _reached(places: NDArray[np.int64], y: Matrix) -> Corners:
+    return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
+
+
+def _is(found: Found, number: int, sheet: Sheet, places: NDArray[np.int64], known: Corners) -> bool:
+    """Whether a sheet that was found is one that is known: one extremal in common makes them the same."""
+    other = found.sheets[number]
+    if other.holds != sheet.holds or other.orientation != sheet.orientation:
+        return False
+    there = _reached(places, found.y[number])
+    return any(
+        np.linalg.norm(there[corner] - y) <= _SAME * (1.0 + np.linalg.norm(y))
+        for corner, y in known.items()
+        if corner in there
+    )
+
+
+def _carried_on(found: Found, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners) -> Corners:
+    """A sheet at corners to which it was not carried yet, from corner to neighbouring corner."""
+    reached, canonical = dict(known), values / found.chart.scale
+    numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
+    border = list(known)
+    while border:
+        ahead = list[tuple[int, ...]]()
+        for corner in border:
+            beside = [
+                (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
+                for axis in range(len(corner))
+                for way in (-1, 1)
+            ]
+            beside = [other for other in beside if other in numbers and other not in reached]
+            if beside:
+                targets = canonical[[numbers[other] for other in beside]]
+                start = canonical[numbers[corner]]
+                rows = carried(found.chart, found.borders, sheet, start, reached[corner], targets)
+                new = {other: row for other, row in zip(beside, rows, strict=True) if np.isfinite(row[0])}
+                reached |= new
+                ahead += new
+        border = ahead
+    return reached
+
+
+def _rows(sheets: Sequence[Corners], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """The shard of sheets at corners."""
+    listed = [(number, corner, y) for number, known in enumerate(sheets) for corner, y in sorted(known.items())]
+    rows = np.zeros(len(listed), dtype=dtype)
+    for row, (number, corner, y) in zip(rows, listed, strict=True):
+        row["sheet"], row["corner"], row["y"] = number, corner, y
+    return rows

@@ -1,0 +1,245 @@
+"""Two atlases of one problem made one: of the same region, each a part of it, or of regions that lie side by side.
+
+Nothing is computed. The charts of the second follow those of the first, unless both were made from one survey; where
+both have a part of the region whole, that of the first is taken. Every shard is looked at before it is taken over. The
+header is written last: before that there is no atlas, and the same command goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.building import (
+    MOST_NOTES,
+    brick_name,
+    cell_type,
+    digest_of,
+    header_region,
+    node_type,
+    seed_type,
+    survey_region,
+)
+from perilune.atlas.region import Axis, Region
+from perilune.atlas.store import HEADER, Store, clear
+from perilune.io.export import versions
+from perilune.io.reload import read_problem
+from perilune.problem.problem import Problem
+from perilune.words.asked import demand_path
+from perilune.words.outcome import PeriluneError
+from perilune.words.watch import Watch, silent
+
+_BY_HAND = ("axes", "versions", "format")  # of a header: compared otherwise, or not at all
+
+
+Place = tuple[int, ...]  # numbers of a brick, with its chart before them or without
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One of the two: where it is, its header, survey and region, and its bricks by chart and numbers."""
+
+    kept: Store
+    header: Mapping[str, Any]
+    survey: Mapping[str, Any]
+    region: Region
+    bricks: Mapping[tuple[int, ...], Mapping[str, Any]]
+
+    @cached_property
+    def wholes(self) -> set[Place]:
+        """Places of which no chart lacks a brick that its survey has sheets for."""
+        d, found = len(self.region.axes), set(self.region.bricks)
+        for number, chart in enumerate(self.survey["charts"]):
+            corners = self.kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))["corner"]
+            left_out = {tuple(place) for place in chart.get("without", ())}
+            for place in found - left_out:
+                side = corners - np.array(place)
+                if ((side == 0) | (side == 1)).all(axis=1).any() and (number, *place) not in self.bricks:
+                    found.discard(place)
+        return found
+
+    def moved(self, shift: NDArray[np.int64]) -> _Part:
+        """The same with other numbers of places; the shards of its survey keep theirs."""
+
+        def move(place: Sequence[int]) -> Place:
+            return tuple((np.array(place) + shift).tolist())
+
+        charts = [
+            {**chart, "without": [list(move(place)) for place in chart.get("without", ())]}
+            for chart in self.survey["charts"]
+        ]
+        axes = (replace(axis, first=axis.first + int(by)) for axis, by in zip(self.region.axes, shift, strict=True))
+        bricks = {(number, *move(place)): line for (number, *place), line in self.bricks.items()}
+        found = replace(self, survey={**self.survey, "charts": charts}, region=Region(tuple(axes)), bricks=bricks)
+        found.__dict__["wholes"] = {move(place) for place in self.wholes}
+        return found
+
+
+def merge(
+    first: str | Path,
+    second: str | Path,
+    out: str | Path,
+    *,
+    force: bool = False,
+    watch: Watch = silent,
+    problem_from_scenario: Callable[[str], Problem] | None = None,
+) -> Path:
+    """Make one atlas of two.
+
+    Parameters
+    ----------
+    first, second
+        Directories of atlases of the same problem, over the same parameters, to the same tolerance; they stay as they
+        are.
+    out
+        A new or empty directory, or that of a merge that was stopped.
+    force
+        Whether an atlas that is there may be replaced.
+    watch
+        Receives lines of text.
+    problem_from_scenario
+        As of `perilune.atlas.open`.
+
+    Returns
+    -------
+    Path
+        The directory, for `perilune.atlas.open`. What both lack is built by ``perilune atlas extend`` with no range.
+
+    Raises
+    ------
+    PeriluneError
+        If they are of different problems, or their regions make no one box, or a file of them is damaged.
+    """
+    if problem_from_scenario is None:
+        from perilune.scenario import load_text as problem_from_scenario
+    one, other = (_read(demand_path(place, "an atlas to merge"), problem_from_scenario) for place in (first, second))
+    _refuse_unlike(one, other)
+    one, other, region = _together(one, other)
+    kept = Store(demand_path(out, "the directory of an atlas"))
+    if (kept.directory / HEADER).exists() and not force:
+        raise PeriluneError(
+            "the output directory holds an atlas already", got=str(out), expected="a new or empty directory",
+            advice="choose another directory, or --force (in Python force=True)",
+        )  # fmt: skip
+    if kept.directory.resolve() in (one.kept.directory.resolve(), other.kept.directory.resolve()):
+        raise PeriluneError("two atlases are merged into a third", got=str(out), expected="another directory")
+    header = {
+        **one.header,
+        "axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes],
+        "versions": versions(),
+    }
+    if (kept.directory / HEADER).exists():
+        clear(kept.directory)
+    kept.prepare(header)
+    lines = _lines(kept, one, other, region, watch)
+    kept.write_lines(lines)
+    kept.begin(header)
+    return kept.directory
+
+
+def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _Part:
+    kept = Store(directory)
+    header, survey = kept.header(), kept.survey()
+    if survey is None:
+        raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
+    region = survey_region(header_region(read_problem(header, problem_from_scenario), header), survey)
+    bricks = {(int(line["chart"]), *map(int, line["brick"])): line for line in kept.bricks(survey)}
+    return _Part(kept, header, survey, region, bricks)
+
+
+def _refuse_unlike(one: _Part, other: _Part) -> None:
+    """Refuse atlases of different problems, parameters or tolerances."""
+    keys = [key for key in {**one.header, **other.header} if key not in _BY_HAND]
+    differs = [key for key in keys if one.header.get(key) != other.header.get(key)]
+    if one.region.names != other.region.names:
+        differs.append("axes")
+    if differs:
+        raise PeriluneError(
+            f"these atlases are of different {', '.join(differs)}",
+            got=f"{one.kept.directory} and {other.kept.directory}",
+            expected="the same problem, the same parameters in the same order, the same tolerance",
+        )
+
+
+def _together(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
+    """Both, the lower first, and the region that they make; the bricks of the second are numbered as it has them."""
+    apart = [i for i, (a, b) in enumerate(zip(one.region.axes, other.region.axes, strict=True)) if a.edges != b.edges]
+    if len(apart) == 1:
+        a, b = one.region.axes[apart[0]], other.region.axes[apart[0]]
+        if b.high == a.low:
+            one, other, a, b = other, one, b, a
+        if a.high == b.low:
+            joined = replace(a, edges=(*a.edges, *b.edges[1:]))
+            axes = tuple(joined if i == apart[0] else axis for i, axis in enumerate(one.region.axes))
+            return one, other, Region(axes)
+    if apart:
+        told = "; ".join(_told(one.region.axes[i], other.region.axes[i]) for i in apart)
+        raise PeriluneError(
+            "these two regions do not make one", got=told,
+            expected="the same ranges, but along one axis, along which one ends where the other begins",
+            advice="build the part that is missing, or extend one of them: perilune atlas extend",
+        )  # fmt: skip
+    return one, other, one.region
+
+
+def _told(a: Axis, b: Axis) -> str:
+    if (a.low, a.high) == (b.low, b.high):
+        return f"{a.name} is divided at other values"
+    return f"{a.name} {a.low:g} to {a.high:g} and {b.low:g} to {b.high:g} {a.unit}"
+
+
+def _lines(kept: Store, one: _Part, other: _Part, region: Region, watch: Watch) -> Iterator[dict[str, Any]]:
+    """The lines of the manifest, behind the shards that they name."""
+    d, same = len(region.axes), one.survey["digest"] == other.survey["digest"]
+    shift = np.array([_shift(a, b, c) for a, b, c in zip(one.region.axes, other.region.axes, region.axes, strict=True)])
+    other = other.moved(shift)
+    # A place that one of them has whole is not taken from the other.
+    of_one = set() if same else one.wholes
+    of_other = set() if same else other.wholes - of_one
+    lines, taken = list[dict[str, Any]](), dict[Place, tuple[_Part, Mapping[str, Any]]]()
+    for part, leaves, by in ((one, of_other, 0 * shift), (other, of_one, shift)):
+        behind = 0 if same else len(lines)
+        for (number, *place), line in part.bricks.items():
+            if tuple(place) not in leaves:
+                taken.setdefault((number + behind, *place), (part, line))
+        if len(lines) and same:
+            continue
+        for chart in part.survey["charts"]:
+            rows = np.array(part.kept.shard(chart["seeds"], seed_type(d, chart["unknowns"])))
+            rows["corner"] += by
+            without = sorted({*map(tuple, chart.get("without", ())), *leaves})
+            seeds = kept.put(f"survey-{len(lines)}.npy", rows)
+            lines.append({**chart, "without": [list(place) for place in without], "seeds": seeds})
+    edges = [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
+    notes = list(dict.fromkeys([*one.survey.get("notes", []), *other.survey.get("notes", [])]))[:MOST_NOTES]
+    digest = digest_of([edges, lines])
+    yield {"kind": "survey", "digest": digest, "edges": edges, "charts": lines, "notes": notes}
+    for count, (key, (part, line)) in enumerate(sorted(taken.items(), key=lambda item: item[0]), 1):
+        watch(f"{count} of {len(taken)} bricks")
+        yield _copied(kept, part, line, key, digest, lines[key[0]]["unknowns"])
+
+
+def _shift(a: Axis, b: Axis, joined: Axis) -> int:
+    """What is added to the numbers of the second's bricks along an axis."""
+    begins = 0 if a.edges == b.edges else len(joined.edges) - len(b.edges)
+    return joined.first + begins - b.first
+
+
+def _copied(
+    kept: Store, part: _Part, line: Mapping[str, Any], key: tuple[int, ...], digest: str, unknowns: int
+) -> dict[str, Any]:
+    """The line of a brick of one of the two in the new manifest, behind its shards."""
+    name, d = brick_name(key), len(key) - 1
+    shards = {}
+    for kind, dtype in (("nodes", node_type(d, unknowns)), ("cells", cell_type(d))):
+        file = f"brick-{digest[:8]}-{name}.{kind}.npy"
+        if not kept.has(file, line[kind]):
+            kept.put(file, np.asarray(part.kept.shard(line[kind], dtype)))
+        shards[kind] = {**line[kind], "file": file}
+    return {**line, "name": name, "chart": key[0], "brick": list(key[1:]), "survey": digest, **shards}
