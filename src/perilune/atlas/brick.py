@@ -3,7 +3,8 @@
 A cell is cut in two where Newton's method, from what its corners give at its middle, would need more than one step to
 the tolerance; along the axis along which they are least like a quadratic. New corners begin at what the old ones give
 there. A sheet that does not reach all corners of a cell ends inside it; the cell is cut further, down to a least size,
-and what is left there answers nothing.
+and what is left there answers nothing. A cell that has no corner of a sheet is looked at again when all others are
+done: where some of them have nodes on its border the sheet may go on from there, and the cell is cut after all.
 
 All cells of one wave are computed together, in lanes.
 """
@@ -47,6 +48,7 @@ class Status(IntEnum):
     ENDS = 3  # the sheet ends inside
     NO_ANSWER = 4  # its extremals lie beyond a bound, or gain by leaving one
     BREAKS = 5  # its extremals break the path
+    ABSENT = 6  # the sheet does not come here: no corner has it, and none of the nodes around
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +105,9 @@ class _Nodes:
     def __init__(self) -> None:
         self.known: dict[int, int] = {}
         self.parts: dict[str, list[NDArray]] = {}
-        self._rows: dict[str, NDArray[Any]] = {name: np.empty(0) for name in ("terms", "margin", "sequence", "path")}
+        self._rows: dict[str, NDArray[Any]] = {
+            name: np.empty(0) for name in ("terms", "margin", "sequence", "path", "sheet", "place")
+        }
         self.count = 0
 
     def add(self, keys: Whole, **columns: NDArray) -> None:
@@ -127,6 +131,12 @@ class _Nodes:
     def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
         """A column of nodes."""
         return self._rows[name][numbers]
+
+    def within(self, sheet: int, low: Whole, high: Whole) -> Whole:
+        """The nodes of a sheet in a box or on its border."""
+        place = self._rows["place"][: self.count]
+        inside = (self._rows["sheet"][: self.count] == sheet) & ((place >= low) & (place <= high)).all(axis=1)
+        return np.nonzero(inside)[0]
 
 
 class Brick:
@@ -175,18 +185,34 @@ class Brick:
         count = len(here)
         whole = np.full((count, self.d), WHOLE)
         cells = self._filled(self._cells(here, np.zeros_like(whole), whole))
-        waves, first = list[Cells](), 0
+        waves = list[Cells]()
         while len(cells):
+            first = sum(map(len, waves))
             status, axis = self._judged(cells)
             cut = status == Status.CUT
-            first += len(cells)
-            child = np.where(cut, first + 2 * (np.cumsum(cut) - 1), -1)
+            child = np.where(cut, first + len(cells) + 2 * (np.cumsum(cut) - 1), -1)
             waves.append(replace(cells, status=status, axis=np.where(cut, axis, -1), child=child))
-            self.watch(f"{self.nodes.count} nodes, {first} cells, {2 * np.count_nonzero(cut)} at work")
+            self.watch(f"{self.nodes.count} nodes, {first + len(cells)} cells, {2 * np.count_nonzero(cut)} at work")
             cells = self._halved(_some(cells, cut), axis[cut])
-        columns = {f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)}
+            if not len(cells):
+                waves, cells = self._reached(_joined(waves))
         nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
-        return Cut(nodes=nodes, cells=Cells(**columns))
+        return Cut(nodes=nodes, cells=_joined(waves))
+
+    def _reached(self, done: Cells) -> tuple[list[Cells], Cells]:
+        """What was done, and halves of cells without a corner into which a sheet may go on from nodes around them."""
+        bare = np.nonzero((done.status == Status.ENDS) & (done.corners < 0).all(axis=1))[0]
+        within = [self.nodes.within(int(done.sheet[i]), done.low[i], done.low[i] + done.size[i]) for i in bare]
+        status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
+        known = np.array([len(nodes) > 0 for nodes in within], dtype=bool)
+        status[bare[~known]] = Status.ABSENT
+        again = known & (done.size[bare].max(axis=1, initial=0) > _ENDING)
+        cut = bare[again]
+        axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
+        child[cut] = len(done) + 2 * np.arange(len(cut))
+        done = replace(done, status=status, axis=axis, child=child)
+        near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
+        return [done], self._halved(_some(done, cut), axis[cut], near)
 
     def _judged(self, cells: Cells) -> tuple[Whole, Whole]:
         """What each cell is, and along which axis it would be cut."""
@@ -228,14 +254,14 @@ class Brick:
         path = self.nodes.rows("path", corners)
         return path.max(axis=1) < -np.ptp(path, axis=1) - SLACK
 
-    def _halved(self, cells: Cells, axis: Whole) -> Cells:
-        """Both halves of cells, one after the other."""
+    def _halved(self, cells: Cells, axis: Whole, near: Sequence[Whole] | None = None) -> Cells:
+        """Both halves of cells, one after the other; `near` are nodes to begin with in place of their corners."""
         count = np.arange(len(cells))
         size, far = cells.size.copy(), cells.low.copy()
         size[count, axis] //= 2
         far[count, axis] += size[count, axis]
         low = np.stack([cells.low, far], axis=1).reshape(-1, self.d)
-        return self._filled(self._cells(np.repeat(cells.sheet, 2), low, np.repeat(size, 2, axis=0)), cells)
+        return self._filled(self._cells(np.repeat(cells.sheet, 2), low, np.repeat(size, 2, axis=0)), cells, near)
 
     def _cells(self, sheet: Whole, low: Whole, size: Whole) -> Cells:
         none = np.full(len(sheet), -1)
@@ -243,7 +269,7 @@ class Brick:
             sheet=sheet, low=low, size=size, corners=self._corners(sheet, low, size), axis=none, child=none, status=none
         )
 
-    def _filled(self, cells: Cells, wholes: Cells | None = None) -> Cells:
+    def _filled(self, cells: Cells, wholes: Cells | None = None, near: Sequence[Whole] | None = None) -> Cells:
         """The same with the corners solved for that are not there, from those of their `wholes`, or their own."""
         cell, corner = np.nonzero(cells.corners < 0)
         if not len(cell):
@@ -251,9 +277,14 @@ class Brick:
         places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
         _, once = np.unique(self._keys(cells.sheet[cell], places), return_index=True)
         cell, places = cell[once], places[once]
-        guess, spread = (
-            self._guesses(cells, cell, places) if wholes is None else self._guesses(wholes, cell // 2, places)
-        )
+        if near is not None:
+            guess, spread = self._from(
+                np.array([self._nearest(near[i // 2], at) for i, at in zip(cell, places, strict=True)]), places
+            )
+        elif wholes is not None:
+            guess, spread = self._guesses(wholes, cell // 2, places)
+        else:
+            guess, spread = self._guesses(cells, cell, places)
         self._solved(cells.sheet[cell], places, guess, spread)
         return replace(cells, corners=self._corners(cells.sheet, cells.low, cells.size))
 
@@ -263,16 +294,24 @@ class Brick:
         at = (places - cells.low[cell]) / cells.size[cell]
         away = np.abs(at[:, None] - bits(self.d)[None]).sum(axis=2)
         nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
-        terms = self.nodes.rows("terms", corners[np.arange(len(cell)), nearest])
-        move = (at - bits(self.d)[nearest]) * size
-        guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(self.d))
-        spread = np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
+        guess, spread = self._from(corners[np.arange(len(cell)), nearest], places)
         full = (corners >= 0).all(axis=1)
         if full.any():
             terms = self.nodes.rows("terms", corners[full])
             guess[full] = interpolated(terms, at[full], size[full])[:, :-1]
             spread[full] = np.linalg.norm(np.ptp(terms[:, :, 0, :-1], axis=1), axis=1)
         return guess, spread
+
+    def _from(self, nodes: Whole, places: Whole) -> tuple[Matrix, Vector]:
+        """y at places along the slopes of nodes, and how much it changes on the way."""
+        terms = self.nodes.rows("terms", nodes)
+        move = (places - self.nodes.rows("place", nodes)) * self.step
+        guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(self.d))
+        return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
+
+    def _nearest(self, nodes: Whole, place: Whole) -> int:
+        """Which of some nodes is the nearest to a place."""
+        return int(nodes[np.abs(self.nodes.rows("place", nodes) - place).sum(axis=1).argmin()])
 
     def _solved(self, sheet: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
         """Newton's method at places; what of it belongs to its sheet comes among the nodes."""
@@ -302,6 +341,10 @@ class Brick:
 
     def _keys(self, sheet: Whole, places: Whole) -> Whole:
         return (sheet << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)
+
+
+def _joined(waves: Sequence[Cells]) -> Cells:
+    return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})
 
 
 def _some(cells: Cells, which: NDArray[np.bool_]) -> Cells:

@@ -30,19 +30,16 @@ from perilune.atlas.course import course_from
 from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import Store
-from perilune.atlas.survey import Found, Survey, carried
+from perilune.atlas.survey import Corners, Found, Survey, carried_on, reached_at
 from perilune.families.elsewhere import Submits
 from perilune.io.reload import read_problem
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.words.asked import demand_callable, demand_path
 from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix
 from perilune.words.watch import Watch, silent
 
 _SAME = 1e-6  # relative: extremals of one sheet, found twice
-
-Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
 
 
 def extend(
@@ -118,10 +115,10 @@ def _extended(
             for number, sheet in enumerate(sheets):
                 same = [n for n in unmet[alike] if _is(one, n, sheet, places, known[number])]
                 for n in same:
-                    known[number] = {**_reached(places, one.y[n]), **known[number]}
+                    known[number] = {**reached_at(places, one.y[n]), **known[number]}
                     unmet[alike].remove(n)
                 if not same:
-                    known[number] = _carried_on(one, sheet, places, values, known[number])
+                    known[number] = carried_on(one.chart, one.borders, sheet, places, values, known[number])
         charts.append(({k: v for k, v in said.items() if k != "seeds"}, _rows(known, rows.dtype)))
     for one, left in zip(found, unmet, strict=True):
         if left:
@@ -151,46 +148,17 @@ def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:
     return {tuple(corner): np.array(y) for corner, y in zip(mine["corner"].tolist(), mine["y"], strict=True)}
 
 
-def _reached(places: NDArray[np.int64], y: Matrix) -> Corners:
-    return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
-
-
 def _is(found: Found, number: int, sheet: Sheet, places: NDArray[np.int64], known: Corners) -> bool:
     """Whether a sheet that was found is one that is known: one extremal in common makes them the same."""
     other = found.sheets[number]
     if other.holds != sheet.holds or other.orientation != sheet.orientation:
         return False
-    there = _reached(places, found.y[number])
+    there = reached_at(places, found.y[number])
     return any(
         np.linalg.norm(there[corner] - y) <= _SAME * (1.0 + np.linalg.norm(y))
         for corner, y in known.items()
         if corner in there
     )
-
-
-def _carried_on(found: Found, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners) -> Corners:
-    """A sheet at corners to which it was not carried yet, from corner to neighbouring corner."""
-    reached, canonical = dict(known), values / found.chart.scale
-    numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
-    border = list(known)
-    while border:
-        ahead = list[tuple[int, ...]]()
-        for corner in border:
-            beside = [
-                (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
-                for axis in range(len(corner))
-                for way in (-1, 1)
-            ]
-            beside = [other for other in beside if other in numbers and other not in reached]
-            if beside:
-                targets = canonical[[numbers[other] for other in beside]]
-                start = canonical[numbers[corner]]
-                rows = carried(found.chart, found.borders, sheet, start, reached[corner], targets)
-                new = {other: row for other, row in zip(beside, rows, strict=True) if np.isfinite(row[0])}
-                reached |= new
-                ahead += new
-        border = ahead
-    return reached
 
 
 def _rows(sheets: Sequence[Corners], dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -2,7 +2,7 @@
 
 The problem is solved from nothing at the middle and at the corners of the region. Each extremal that is found there,
 good or bad, begins a sheet, unless it lies on one already; sheets are carried to all corners of bricks by the tangent
-plane and Newton's method, in lanes, the step halved where that fails.
+plane and Newton's method, in lanes, the step halved where that fails, and on from those that were reached to others.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from perilune.problem.problem import Problem
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
+
+Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
 
 _SAME = 1e-7  # relative: an extremal that lies on a sheet already
 _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
@@ -155,7 +157,11 @@ class Survey:
             sheet = replace(sheet, orientation=float(start.orientation[0]))
             if self._known(known, sheet, corners / chart.scale, values, start.y[0]):
                 continue
+            places, _ = self.region.corners()
             y = carried(chart, borders, sheet, values, start.y[0], corners / chart.scale)
+            known_there = carried_on(chart, borders, sheet, places, corners, reached_at(places, y))
+            for i, place in enumerate(places.tolist()):
+                y[i] = known_there.get(tuple(place), y[i])
             self.watch(
                 f"sheet {len(known.sheets) + 1}: {sheet.label}, at {np.isfinite(y[:, 0]).sum()} corners of bricks"
             )
@@ -229,3 +235,35 @@ def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vect
         stride[lanes] *= np.where(good, 2.0, 0.5)
     here[share < 1.0] = np.nan
     return here
+
+
+def reached_at(places: NDArray[np.int64], y: Matrix) -> Corners:
+    """What a sheet is at the corners that it reaches."""
+    return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
+
+
+def carried_on(
+    chart: Chart, borders: Borders, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners
+) -> Corners:
+    """A sheet at corners to which it was not carried yet, from corner to neighbouring corner."""
+    reached, canonical = dict(known), values / chart.scale
+    numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
+    border = list(known)
+    while border:
+        ahead = list[tuple[int, ...]]()
+        for corner in border:
+            beside = [
+                (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
+                for axis in range(len(corner))
+                for way in (-1, 1)
+            ]
+            beside = [other for other in beside if other in numbers and other not in reached]
+            if beside:
+                targets = canonical[[numbers[other] for other in beside]]
+                start = canonical[numbers[corner]]
+                rows = carried(chart, borders, sheet, start, reached[corner], targets)
+                new = {other: row for other, row in zip(beside, rows, strict=True) if np.isfinite(row[0])}
+                reached |= new
+                ahead += new
+        border = ahead
+    return reached
