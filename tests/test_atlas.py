@@ -23,9 +23,10 @@ from hypothesis import given, settings, strategies as st
 import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
-from perilune.atlas.brick import Status
-from perilune.atlas.building import build, node_type
+from perilune.atlas.brick import WHOLE, Status
+from perilune.atlas.building import build, cell_type, node_type
 from perilune.atlas.chart import Chart
+from perilune.atlas.flooding import spilled
 from perilune.atlas.hermite import bits, interpolated
 from perilune.atlas.many import Answered
 from perilune.atlas.query import Atlas, open_atlas
@@ -524,6 +525,60 @@ def test_numbers_that_lead_nowhere_are_damage(copy: Path, column: str, value: in
     (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(PeriluneError, match="damaged"):
         open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
+
+
+# -- where sheets go on and end ----------------------------------------------------------------------------------------
+
+
+def test_sheets_go_on_into_bricks_of_which_they_reach_no_corner(tmp_path: Path) -> None:
+    """The retro burn pays from some Isp on, whatever the thrust; its sheet folds before it ends there."""
+    axes = {"vehicle.thrust": (300.0, 700.0), "retro.specific_impulse": (262.0, 318.0)}
+    atlas = open_atlas(build(cho_landing(), axes, tmp_path / "wide"))
+    points = RNG(7).uniform(atlas.region.low, atlas.region.high, (60, 2))
+    found = atlas.query_many(points)
+    assert found.good.mean() > 0.9
+    assert set(found.answered[~found.good].tolist()) <= {Answered.ENDS, Answered.NONE}
+    for i in np.nonzero(found.good)[0][::4]:
+        given = dict(zip(atlas.region.names, points[i].tolist(), strict=True))
+        assert found.objective[i] == pytest.approx(
+            solve(cho_landing().with_given(**given), level=0).objective, rel=1e-9
+        )
+    status = np.concatenate([brick.cells["status"] for key in atlas.said if (brick := atlas.brick(key[0], key[1:]))])
+    assert {Status.ABSENT, Status.ENDS} <= set(status.tolist())
+
+
+def test_nodes_on_a_common_side_go_on_where_the_neighbour_has_nothing() -> None:
+    """Two bricks side by side along the first axis: of sheet 0 the second knows its upper half, of sheet 1 nothing."""
+
+    def nodes(*rows: tuple[int, tuple[int, int], float]) -> np.ndarray:
+        found = np.zeros(len(rows), dtype=node_type(2, 1))
+        for row, (sheet, place, margin) in zip(found, rows, strict=True):
+            row["sheet"], row["place"], row["margin"] = sheet, place, margin
+        return found
+
+    def cells(*rows: tuple[int, tuple[int, int], tuple[int, int], Status]) -> np.ndarray:
+        found = np.zeros(len(rows), dtype=cell_type(2))
+        for row, (sheet, low, size, status) in zip(found, rows, strict=True):
+            row["sheet"], row["low"], row["size"], row["status"] = sheet, low, size, status
+        return found
+
+    half, side = WHOLE // 2, WHOLE
+    first = nodes((0, (side, 0), 1.0), (0, (side, side), 1.0), (1, (side, half), 1.0), (1, (side, 0), -1.0)), cells()
+    second = (
+        nodes((0, (0, side), 1.0)),
+        cells(
+            (0, (0, 0), (side, side), Status.CUT),
+            (0, (0, 0), (side, half), Status.ABSENT),
+            (0, (0, half), (side, half), Status.ENDS),
+        ),
+    )
+    keys = [(0, 0, 0), (0, 1, 0), (0, 2, 0)]
+    found = dict(spilled(iter(keys), {keys[0]: first, keys[1]: second}, lambda _: [0, 1]))
+    told = {key: [(int(n["sheet"]), *n["place"].tolist()) for n in rows] for key, rows in found.items()}
+    # Not the upper node, where the neighbour has the sheet; not the one beyond its border; nothing goes on from itself.
+    assert told == {keys[0]: [(0, side, side)], keys[1]: [(0, 0, 0), (1, 0, half)]}
+    alone = dict(spilled(iter(keys), {keys[0]: first, keys[1]: second}, lambda _: [1]))
+    assert {key: rows["sheet"].tolist() for key, rows in alone.items()} == {keys[1]: [1]}
 
 
 # -- answers of several arcs -------------------------------------------------------------------------------------------

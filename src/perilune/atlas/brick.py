@@ -29,10 +29,10 @@ from perilune.words.watch import Watch, silent
 WHOLE = 2**12  # lattice steps along an edge of a brick
 _BITS = 13  # of a place along one axis, so that 4 of them and a sheet make one number
 _FINEST = 2**6  # the shortest edge of a cell
-_ENDING = 2**8  # the same where a sheet ends, and of sheets that are no minima
+ENDING = 2**8  # the same where a sheet ends, and of sheets that are no minima
 _KINKED = 2**9  # the same where the switches on the way change
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
-_MOST = 16  # evaluations for a new corner
+_MOST = 9  # evaluations for a new corner
 
 FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
 
@@ -133,9 +133,10 @@ class _Nodes:
         return self._rows[name][numbers]
 
     def within(self, sheet: int, low: Whole, high: Whole) -> Whole:
-        """The nodes of a sheet in a box or on its border."""
+        """The nodes of a sheet in a box or on its border from which it may go on: beyond its own it may turn back."""
         place = self._rows["place"][: self.count]
-        inside = (self._rows["sheet"][: self.count] == sheet) & ((place >= low) & (place <= high)).all(axis=1)
+        inside = (self._rows["sheet"][: self.count] == sheet) & (self._rows["margin"][: self.count] >= 0)
+        inside &= ((place >= low) & (place <= high)).all(axis=1)
         return np.nonzero(inside)[0]
 
 
@@ -172,41 +173,46 @@ class Brick:
         self._minimum = np.array([sheet.minimum for sheet in sheets])
         self.nodes = _Nodes()
 
-    def cut(self, sheet: Whole, corner: Whole, y: Matrix) -> Cut:
+    def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None = None) -> Cut:
         """Compute everything.
 
         Parameters
         ----------
-        sheet, corner, y
-            Extremals at corners of the brick.
+        sheet, place, y
+            Extremals to begin with, and where they are, in lattice steps.
+        before
+            What is known already, without these.
         """
-        self._solved(sheet, bits(self.d)[corner] * WHOLE, y, np.full(len(sheet), np.inf))
-        here = np.unique(sheet)
-        count = len(here)
-        whole = np.full((count, self.d), WHOLE)
-        cells = self._filled(self._cells(here, np.zeros_like(whole), whole))
         waves = list[Cells]()
-        while len(cells):
-            first = sum(map(len, waves))
-            status, axis = self._judged(cells)
-            cut = status == Status.CUT
-            child = np.where(cut, first + len(cells) + 2 * (np.cumsum(cut) - 1), -1)
-            waves.append(replace(cells, status=status, axis=np.where(cut, axis, -1), child=child))
-            self.watch(f"{self.nodes.count} nodes, {first + len(cells)} cells, {2 * np.count_nonzero(cut)} at work")
-            cells = self._halved(_some(cells, cut), axis[cut])
+        if before is not None:
+            self.nodes.add(self._keys(before.nodes["sheet"], before.nodes["place"]), **before.nodes)
+            waves.append(before.cells)
+        self._solved(sheet, place, y, np.full(len(sheet), np.inf))
+        here = np.setdiff1d(sheet, before.cells.sheet if before is not None else ())
+        whole = np.full((len(here), self.d), WHOLE)
+        cells = self._filled(self._cells(here, np.zeros_like(whole), whole))
+        while True:
+            while len(cells):
+                first = sum(map(len, waves))
+                status, axis = self._judged(cells)
+                cut = status == Status.CUT
+                child = np.where(cut, first + len(cells) + 2 * (np.cumsum(cut) - 1), -1)
+                waves.append(replace(cells, status=status, axis=np.where(cut, axis, -1), child=child))
+                self.watch(f"{self.nodes.count} nodes, {first + len(cells)} cells, {2 * np.count_nonzero(cut)} at work")
+                cells = self._halved(_some(cells, cut), axis[cut])
+            waves, cells = self._reached(_joined(waves))
             if not len(cells):
-                waves, cells = self._reached(_joined(waves))
-        nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
-        return Cut(nodes=nodes, cells=_joined(waves))
+                nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
+                return Cut(nodes=nodes, cells=waves[0])
 
     def _reached(self, done: Cells) -> tuple[list[Cells], Cells]:
         """What was done, and halves of cells without a corner into which a sheet may go on from nodes around them."""
-        bare = np.nonzero((done.status == Status.ENDS) & (done.corners < 0).all(axis=1))[0]
+        bare = np.nonzero(np.isin(done.status, (Status.ENDS, Status.ABSENT)) & (done.corners < 0).all(axis=1))[0]
         within = [self.nodes.within(int(done.sheet[i]), done.low[i], done.low[i] + done.size[i]) for i in bare]
         status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
         known = np.array([len(nodes) > 0 for nodes in within], dtype=bool)
-        status[bare[~known]] = Status.ABSENT
-        again = known & (done.size[bare].max(axis=1, initial=0) > _ENDING)
+        status[bare] = np.where(known, Status.ENDS, Status.ABSENT)
+        again = known & (done.size[bare].max(axis=1, initial=0) > ENDING)
         cut = bare[again]
         axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
         child[cut] = len(done) + 2 * np.arange(len(cut))
@@ -227,10 +233,10 @@ class Brick:
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
         kinked = (sequence != sequence[:, :1]).any(axis=1)
-        finest = np.where(self._minimum[cells.sheet], np.where(kinked, _KINKED, _FINEST), _ENDING)
+        finest = np.where(self._minimum[cells.sheet], np.where(kinked, _KINKED, _FINEST), ENDING)
         status[(status == Status.CUT) & (along <= finest)] = Status.MORE_STEPS
         none = (cells.corners < 0).all(axis=1)
-        status[(status == Status.ENDS) & ~none & (along > _ENDING)] = Status.CUT
+        status[(status == Status.ENDS) & ~none & (along > ENDING)] = Status.CUT
         return status, axis
 
     def _tried(self, cells: Cells) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
@@ -347,5 +353,5 @@ def _joined(waves: Sequence[Cells]) -> Cells:
     return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})
 
 
-def _some(cells: Cells, which: NDArray[np.bool_]) -> Cells:
+def _some(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
     return Cells(**{f.name: getattr(cells, f.name)[which] for f in fields(Cells)})

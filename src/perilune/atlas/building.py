@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.brick import WHOLE, Brick
+from perilune.atlas.brick import WHOLE, Brick, Cells, Cut
 from perilune.atlas.chart import Chart
 from perilune.atlas.course import Course, course_from
+from perilune.atlas.flooding import Key, Shards, spilled
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.sheets import Borders, Sheet
@@ -35,6 +36,7 @@ from perilune.words.watch import Watch, silent
 
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
 MOST_NOTES = 100
+_ROUNDS = 8  # of going on from bricks into their neighbours, at most
 _PATIENCE = 0.2  # seconds between looks at what another builder does
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
@@ -77,10 +79,12 @@ class Task:
         All sheets of the chart.
     low, high
         The box [SI].
-    sheet, corner, y
-        Extremals at its corners.
+    sheet, place, y
+        Extremals in it to begin with, and where they are in its lattice.
     tolerance
         Of `build`.
+    before
+        Nodes and cells that are known already.
     """
 
     problem: Problem
@@ -92,9 +96,10 @@ class Task:
     low: Vector
     high: Vector
     sheet: NDArray[np.int64]
-    corner: NDArray[np.int64]
+    place: NDArray[np.int64]
     y: Matrix
     tolerance: float
+    before: tuple[NDArray[Any], NDArray[Any]] | None = None
 
 
 def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -102,7 +107,7 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
     cut = Brick(chart, borders, reflights, task.sheets, low, high, task.tolerance, watch).cut(
-        task.sheet, task.corner, task.y
+        task.sheet, task.place, task.y, None if task.before is None else _cut_of(*task.before)
     )
     d, n = len(low), task.y.shape[1]
     nodes = np.zeros(len(cut.nodes["sheet"]), dtype=node_type(d, n))
@@ -113,6 +118,15 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     for name in cells.dtype.names or ():
         cells[name] = getattr(cut.cells, name)
     return nodes, cells
+
+
+def _cut_of(nodes: NDArray[Any], cells: NDArray[Any]) -> Cut:
+    """What shards say, as `computed` has it."""
+    columns = [name for name in nodes.dtype.names or () if name != "values"]
+    said = {
+        name: np.array(nodes[name], dtype=np.float64 if nodes[name].dtype.kind == "f" else np.int64) for name in columns
+    }
+    return Cut(nodes=said, cells=Cells(**{name: cells[name].astype(np.int64) for name in cells.dtype.names or ()}))
 
 
 @lru_cache(maxsize=4)
@@ -192,24 +206,46 @@ def completed(
     executor: Submits | None,
     say: Watch,
 ) -> Path:
-    """Compute what is missing of the bricks of a survey."""
+    """Compute what is missing of the bricks of a survey, and then of those into which a sheet goes on from others."""
     tasks = dict(_tasks(kept, problem, region, survey, tolerance))
-    there = {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey)}
-    say(f"{len(there)} of {len(tasks)} bricks, {sum(there.values())} nodes")
-    while todo := {name: task for name, task in tasks.items() if name not in there}:
-        for name, arrays in _everywhere(kept, {name: task for name, (_, task) in todo.items()}, executor, say):
+    for number in range(_ROUNDS):
+        _complete(kept, survey, tasks, number, executor, say)
+        if not (tasks := dict(_going_on(kept, problem, region, survey, tolerance, number))):
+            break
+    return kept.directory
+
+
+def _complete(
+    kept: Store, survey: Mapping[str, Any], tasks: Mapping[Key, Task], number: int, executor: Submits | None, say: Watch
+) -> None:
+    """Compute what is missing of one round."""
+    named = {brick_name(key) + (f"~{number}" if number else ""): key for key in tasks}
+    there = _written(kept, survey)
+    say(_told(named, there, number))
+    while todo := {name: tasks[key] for name, key in named.items() if name not in there}:
+        for name, arrays in _everywhere(kept, todo, executor, say):
             prefix = f"brick-{survey['digest'][:8]}-{name}"
             shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
-            (group, *brick), _ = todo[name]
+            group, *brick = named[name]
             line = {"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"], **shards}
-            kept.add(line)
+            kept.add({**line, **({"round": number} if number else {})})
             there[name] = len(arrays["nodes"])
-            say(f"{len(there)} of {len(tasks)} bricks, {sum(there.values())} nodes")
+            say(_told(named, there, number))
         before = len(there)
-        there = {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey)}
-        if len(there) == before < len(tasks):  # what is missing is at work elsewhere; who dies there lets go of it
-            time.sleep(_PATIENCE)
-    return kept.directory
+        there = _written(kept, survey)
+        if len(there) == before and not there.keys() >= named.keys():
+            time.sleep(_PATIENCE)  # what is missing is at work elsewhere; who dies there lets go of it
+
+
+def _written(kept: Store, survey: Mapping[str, Any]) -> dict[str, int]:
+    """How many nodes the bricks have that are there, by name."""
+    return {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey)}
+
+
+def _told(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> str:
+    done = [there[name] for name in named if name in there]
+    again = f", gone on with from their neighbours ({number})" if number else ""
+    return f"{len(done)} of {len(named)} bricks, {sum(done)} nodes{again}"
 
 
 def _everywhere(
@@ -299,36 +335,68 @@ def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
 
 def _tasks(
     kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
-) -> Iterator[tuple[str, tuple[tuple[int, ...], Task]]]:
-    """Every brick in which a sheet is known, by its name: its chart and numbers, and what there is to compute.
-
-    Not those which the chart is told to leave out, as they came from elsewhere with another.
-    """
+) -> Iterator[tuple[Key, Task]]:
+    """Every brick in which a sheet is known, by chart and numbers."""
     d = len(region.axes)
     for number, chart in enumerate(survey["charts"]):
         known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
-        left_out = {tuple(place) for place in chart.get("without", ())}
-        for brick in (place for place in region.bricks if place not in left_out):
+        for brick in _places(region, chart):
             side = known["corner"] - np.array(brick)
             here = ((side == 0) | (side == 1)).all(axis=1)
-            if not here.any():
-                continue
-            low, high = region.box(brick)
-            task = Task(
-                problem=problem,
-                names=region.names,
-                widths=region.high - region.low,
-                course=course_from(chart),
-                times=tuple(chart["times"]),
-                sheets=sheets_of(chart),
-                low=low,
-                high=high,
-                sheet=known["sheet"][here].astype(np.int64),
-                corner=(side[here] << np.arange(d)).sum(axis=1),
-                y=np.array(known["y"][here]),
-                tolerance=tolerance,
-            )
-            yield brick_name((number, *brick)), ((number, *brick), task)
+            if here.any():
+                seeds = known["sheet"][here].astype(np.int64), side[here] * WHOLE, np.array(known["y"][here])
+                yield (number, *brick), _task(problem, region, chart, brick, tolerance, seeds)
+
+
+def _going_on(
+    kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float, rounds: int
+) -> Iterator[tuple[Key, Task]]:
+    """Every brick into which sheets go on from its neighbours, as they were after so many rounds."""
+    d, charts = len(region.axes), survey["charts"]
+    known = dict[Key, Shards]()
+    for key, line in kept.latest(survey, rounds).items():
+        types = node_type(d, charts[key[0]]["unknowns"]), cell_type(d)
+        known[key] = kept.shard(line["nodes"], types[0]), kept.shard(line["cells"], types[1])
+    keys = ((number, *brick) for number, chart in enumerate(charts) for brick in _places(region, chart))
+    minima = [[n for n, sheet in enumerate(sheets_of(chart)) if sheet.minimum] for chart in charts]
+    for key, nodes in spilled(keys, known, minima.__getitem__):
+        seeds = nodes["sheet"].astype(np.int64), nodes["place"].astype(np.int64), nodes["terms"][:, 0, :-1]
+        before = tuple(map(np.array, known[key])) if key in known else None
+        yield key, _task(problem, region, charts[key[0]], key[1:], tolerance, seeds, before)
+
+
+def _places(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
+    """Numbers of the bricks that a chart may have."""
+    without = {tuple(place) for place in chart.get("without", ())}
+    return [brick for brick in region.bricks if brick not in without]
+
+
+def _task(
+    problem: Problem,
+    region: Region,
+    chart: Mapping[str, Any],
+    brick: tuple[int, ...],
+    tolerance: float,
+    seeds: tuple[NDArray[np.int64], NDArray[np.int64], Matrix],
+    before: Any = None,
+) -> Task:
+    low, high = region.box(brick)
+    sheet, place, y = seeds
+    return Task(
+        problem=problem,
+        names=region.names,
+        widths=region.high - region.low,
+        course=course_from(chart),
+        times=tuple(chart["times"]),
+        sheets=sheets_of(chart),
+        low=low,
+        high=high,
+        sheet=sheet,
+        place=place,
+        y=y,
+        tolerance=tolerance,
+        before=before,
+    )
 
 
 def brick_name(key: tuple[int, ...]) -> str:

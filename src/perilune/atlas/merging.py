@@ -149,7 +149,7 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
     if survey is None:
         raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
     region = survey_region(header_region(read_problem(header, problem_from_scenario), header), survey)
-    bricks = {(int(line["chart"]), *map(int, line["brick"])): line for line in kept.bricks(survey)}
+    bricks = kept.latest(survey)
     return _Part(kept, header, survey, region, bricks)
 
 
@@ -242,4 +242,5 @@ def _copied(
         if not kept.has(file, line[kind]):
             kept.put(file, np.asarray(part.kept.shard(line[kind], dtype)))
         shards[kind] = {**line[kind], "file": file}
+    line = {k: v for k, v in line.items() if k != "round"}
     return {**line, "name": name, "chart": key[0], "brick": list(key[1:]), "survey": digest, **shards}

@@ -213,15 +213,17 @@ class Reader:
             self.tolerance = float(header["tolerance"])
         self.damaged: dict[tuple[int, ...], str] = {}
         self._bricks: dict[tuple[int, ...], Brick] = {}
+        self.said: dict[tuple[int, ...], dict[str, Any]] = {}
         self.refresh()
 
     def refresh(self) -> None:
         """Look again at what the manifest says."""
         self.survey = self.store.survey() or {"charts": []}
-        ours = self.store.bricks(self.survey)
+        before = self.said
         with _told_of_damage(MANIFEST):
             self.region = survey_region(self._first, self.survey)
-            self.said = {(int(line["chart"]), *map(int, line["brick"])): line for line in ours}
+            self.said = self.store.latest(self.survey)
+        self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
         self.__dict__.pop("charted", None)
 
     @cached_property

@@ -9,8 +9,10 @@ sheet, and whether a root may be an answer is asked at the point itself.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,26 +93,32 @@ class Borders:
         named = any(isinstance(limit, str) for c in self._ranged for limit in (c.lower, c.upper))
         if problem.ranges is None and not named:
             return lower, upper
-        given = {name: g.value for name, g in problem.given.items()}
-        places = [(i, f.name) for i, f in enumerate(problem.free) if f.name not in chart.names]
-        for lane, row in enumerate((values * chart.scale).tolist()):
+        given, values = {name: g.value for name, g in problem.given.items()}, values * chart.scale
+        if len(values) > 1:
+            try:  # all lanes at once, where what is stated of the ranges can
+                self._state(SimpleNamespace(**{**given, **dict(zip(chart.names, values.T, strict=True))}), lower, upper)
+            except (TypeError, ValueError):
+                pass
+            else:
+                return lower, upper
+        for lane, row in enumerate(values.tolist()):
             p = SimpleNamespace(**{**given, **dict(zip(chart.names, row, strict=True))})
-            if problem.ranges is not None:
-                try:
-                    found = problem.ranges(p, NUMERIC)
-                except PeriluneError:
-                    found = {}
-                for i, name in places:
-                    if name in found:
-                        size = self._free_sizes[i]
-                        low, high = found[name][0] / size, found[name][1] / size
-                        lower[lane, i] = low if np.isfinite(self._lower[i]) else self._lower[i]
-                        upper[lane, i] = high
-            for k, condition in enumerate(self._ranged if named else (), chart.shooting.plan.free):
-                low, high = condition.limits(p)
-                size = problem.size_of(condition)
-                lower[lane, k], upper[lane, k] = low / size, high / size
+            with suppress(PeriluneError):  # nothing is said where the values make no sense
+                self._state(p, lower[lane : lane + 1], upper[lane : lane + 1])
         return lower, upper
+
+    def _state(self, p: Any, lower: Matrix, upper: Matrix) -> None:
+        """Fill in what parameters say of lanes, one or all."""
+        chart, problem = self.chart, self.chart.problem
+        found = problem.ranges(p, NUMERIC) if problem.ranges is not None else {}
+        for i, f in enumerate(problem.free):
+            if f.name in found and f.name not in chart.names:
+                low, high, _ = found[f.name]
+                lower[:, i] = low / self._free_sizes[i] if np.isfinite(self._lower[i]) else self._lower[i]
+                upper[:, i] = high / self._free_sizes[i]
+        for k, condition in enumerate(self._ranged, chart.shooting.plan.free):
+            low, high = condition.limits(p)
+            lower[:, k], upper[:, k] = low / problem.size_of(condition), high / problem.size_of(condition)
 
     def holds(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix, limits: Limits | None = None

@@ -14,6 +14,7 @@ import contextlib
 import hashlib
 import io
 import json
+import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -140,6 +141,11 @@ class Store:
         """The lines of the bricks of a survey, and of those that it extends."""
         mine = [survey.get("digest"), *_before(survey)]
         return [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
+
+    def latest(self, survey: Mapping[str, Any], rounds: float = math.inf) -> dict[tuple[int, ...], dict[str, Any]]:
+        """The last line of each brick by chart and numbers, of so many rounds."""
+        lines = (line for line in self.bricks(survey) if line.get("round", 0) <= rounds)
+        return {(int(line["chart"]), *map(int, line["brick"])): line for line in lines}
 
     def there(self, name: str) -> bool:
         """Whether a brick was written, perhaps by another builder meanwhile."""

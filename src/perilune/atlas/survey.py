@@ -7,7 +7,7 @@ plane and Newton's method, in lanes, the step halved where that fails, and on fr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -245,11 +245,14 @@ def reached_at(places: NDArray[np.int64], y: Matrix) -> Corners:
 def carried_on(
     chart: Chart, borders: Borders, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners
 ) -> Corners:
-    """A sheet at corners to which it was not carried yet, from corner to neighbouring corner."""
+    """A sheet at corners to which it was not carried yet, from corner to neighbouring corner.
+
+    On from where it can be an answer alone: beyond its border it may turn back, and come to the same place with others.
+    """
     reached, canonical = dict(known), values / chart.scale
     numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
     border = list(known)
-    while border:
+    while border := _within(chart, borders, sheet, canonical, numbers, {corner: reached[corner] for corner in border}):
         ahead = list[tuple[int, ...]]()
         for corner in border:
             beside = [
@@ -260,10 +263,26 @@ def carried_on(
             beside = [other for other in beside if other in numbers and other not in reached]
             if beside:
                 targets = canonical[[numbers[other] for other in beside]]
-                start = canonical[numbers[corner]]
-                rows = carried(chart, borders, sheet, start, reached[corner], targets)
+                rows = carried(chart, borders, sheet, canonical[numbers[corner]], reached[corner], targets)
                 new = {other: row for other, row in zip(beside, rows, strict=True) if np.isfinite(row[0])}
                 reached |= new
                 ahead += new
         border = ahead
     return reached
+
+
+def _within(
+    chart: Chart,
+    borders: Borders,
+    sheet: Sheet,
+    canonical: Matrix,
+    numbers: Mapping[tuple[int, ...], int],
+    corners: Corners,
+) -> list[tuple[int, ...]]:
+    """Those of the corners at which a sheet can be an answer."""
+    if not corners:
+        return []
+    values, which = canonical[[numbers[corner] for corner in corners]], np.zeros(len(corners), dtype=np.int64)
+    found = chart.at(values, np.array(list(corners.values())), borders.holds([sheet], which, values))
+    good = borders.margins([sheet], which, found) >= 0
+    return [corner for corner, here in zip(corners, good.tolist(), strict=True) if here]

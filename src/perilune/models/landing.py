@@ -167,8 +167,10 @@ def _typical_end(p: Any, m: Any) -> Sequence[Any]:
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the free parameters; refuses given values that make no sense together."""
     lowest = m.fmin(m.fmin(p.landing_altitude, p.orbit_perilune_altitude), p.orbit_parking_altitude)
-    if not lowest > -p.body_radius:
-        raise PeriluneError("an altitude lies below the centre of the body", expected=f"above {-p.body_radius:g} m")
+    if not np.all(lowest > -p.body_radius):
+        raise PeriluneError(
+            "an altitude lies below the centre of the body", expected=f"above {np.max(-p.body_radius):g} m"
+        )
     speed = perilune_speed(p, m)
     exhausted = p.vehicle_mass * exhaust_speed(p) / p.vehicle_thrust  # all mass gone: the longest burn there can be
     # To stop the whole speed (rocket equation), and to drop the height by a burn down and a burn up.
