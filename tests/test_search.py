@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.methods.coarse import Coarse
+from perilune.methods.indirect import Indirect
 from perilune.methods.smoothing import Smoothing
 from perilune.methods.trials import Trials
 from perilune.shooting.continuum import open_directions
@@ -27,6 +29,18 @@ def test_mirror_images_are_listed_once() -> None:
     turns = np.square(times) / np.pi
     assert turns == pytest.approx(np.round(turns), abs=1e-8)
     assert len(set(np.round(turns))) == len(turns)
+
+
+def test_finer_meshes_are_asked_where_none_has_followed_a_smooth_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not where a condition on states holds the flight, beside which the control wavers on any mesh."""
+    bound = brachistochrone()
+    free = replace(bound, phases=(replace(bound.phases[0], path=None, path_conditions=()),))
+    monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-3)
+    assert len(list(Coarse(Indirect(), free, []).resolved())) == 1
+    monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-15)
+    meshes = [len(found.trajectories[0].time) for found in Coarse(Indirect(), free, []).resolved()]
+    assert len(meshes) == 4 and meshes == sorted(set(meshes))
+    assert len(list(Coarse(Indirect(), bound, []).resolved())) == 1
 
 
 def mass(time: float, **orbits: float) -> float:

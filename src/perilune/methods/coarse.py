@@ -100,11 +100,20 @@ class Coarse:
         known = self.solution
         return known is not None and known.statistics.residual > _FOLLOWED and often_switched(known)
 
+    @property
+    def blurred(self) -> bool:
+        """Whether its answer is one that no condition on states holds, and that the mesh has not followed."""
+        known = self.solution
+        if known is None or known.statistics.residual <= _FOLLOWED:
+            return False
+        phases = range(len(self.problem.phases))
+        return not any(contacts(known, k, name) for k in phases for name in of_states(self.problem, k))
+
     def resolved(self) -> Iterator[Solution]:
-        """Its answer, and of a flight of many arcs that no mesh has followed yet those on finer ones, one by one."""
+        """Its answer, and where no mesh has followed it yet those on finer ones, one by one."""
         if (known := self.solve()) is not None:
             yield known
-        while known is not None and self.finer and self.lost:
+        while known is not None and self.finer and (self.lost or self.blurred):
             with suppress(PeriluneError):
                 self.solution = known = self._run(segments=self.finer.pop(0), iterations=_FINER, guess=known)
                 yield known

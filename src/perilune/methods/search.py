@@ -351,7 +351,7 @@ class Search:
     def _transcription(self) -> Iterator[tuple[Member, str]]:
         """An extremal from a direct solution, in one piece or by multiple shooting.
 
-        Of a flight of many switches by way of smooth controls, or from finer meshes in more pieces.
+        Where the mesh has not followed it from finer ones in more pieces; of many switches by way of smooth controls.
         """
         trials, some, smoothing = self.trials, self.settings.segments, None
         pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
