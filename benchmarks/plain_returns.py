@@ -22,12 +22,12 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.words.maths import NUMERIC
 
-BURNS = 24  # lengths that are tried
+BURNS = 16  # lengths that are tried
 SPENT = 0.98  # of the propellant, at most
-HALVINGS = 48
-NEAR = 1e-9  # rad
+HALVINGS = 40
+NEAR = 1e-7  # rad
 LONGEST_ENTRY = 4000.0  # s
-RELATIVE, ABSOLUTE = 1e-8, 1e-3  # tolerances of the flight
+RELATIVE, ABSOLUTE = 1e-6, 1.0  # tolerances of the flight
 
 
 def landing(problem: Problem, coast: float, pitch: float, yaw: float, angle: float) -> Triple | None:

@@ -105,12 +105,9 @@ def draw(seed: int, number: int) -> Return:
 def _site(rng: np.random.Generator, anywhere: Problem, coast: float, pitch: float, yaw: float) -> Landing:
     """Where a plain return lands, of these or of others that are drawn until one flies."""
     given = anywhere.given
+    angle = float((given.get("interface_angle") or given["interface_angle_upper"]).value)
     for _ in range(TRIES):
-        if "interface_angle" in given:
-            angle = given["interface_angle"].value
-        else:
-            angle = rng.uniform(given["interface_angle_lower"].value, given["interface_angle_upper"].value)
-        position = landing(anywhere, coast, pitch, yaw, float(angle))
+        position = landing(anywhere, coast, pitch, yaw, angle)
         if position is not None:
             latitude = ellipsoid.latitude(position, anywhere.parameters({}), NUMERIC)
             return Landing(longitude=math.atan2(position[1], position[0]), latitude=float(latitude), altitude=SITE)
