@@ -26,7 +26,7 @@ from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
 from perilune.atlas.brick import WHOLE, Status
 from perilune.atlas.building import build, cell_type, node_type
 from perilune.atlas.chart import Chart
-from perilune.atlas.flooding import spilled
+from perilune.atlas.flooding import Key, spilled
 from perilune.atlas.hermite import bits, interpolated
 from perilune.atlas.many import Answered
 from perilune.atlas.query import Atlas, open_atlas
@@ -572,12 +572,13 @@ def test_nodes_on_a_common_side_go_on_where_the_neighbour_has_nothing() -> None:
             (0, (0, half), (side, half), Status.ENDS),
         ),
     )
-    keys = [(0, 0, 0), (0, 1, 0), (0, 2, 0)]
-    found = dict(spilled(iter(keys), {keys[0]: first, keys[1]: second}, lambda _: [0, 1]))
+    keys: list[Key] = [(0, 0, 0), (0, 1, 0), (0, 2, 0)]
+    known = {keys[0]: first, keys[1]: second}
+    found = dict(spilled(keys, lambda key: known.get(key), lambda _: [0, 1]))
     told = {key: [(int(n["sheet"]), *n["place"].tolist()) for n in rows] for key, rows in found.items()}
     # Not the upper node, where the neighbour has the sheet; not the one beyond its border; nothing goes on from itself.
     assert told == {keys[0]: [(0, side, side)], keys[1]: [(0, 0, 0), (1, 0, half)]}
-    alone = dict(spilled(iter(keys), {keys[0]: first, keys[1]: second}, lambda _: [1]))
+    alone = dict(spilled(keys, lambda key: known.get(key), lambda _: [1]))
     assert {key: rows["sheet"].tolist() for key, rows in alone.items()} == {keys[1]: [1]}
 
 

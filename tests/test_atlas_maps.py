@@ -138,7 +138,7 @@ def test_the_command_line_plots(jump: Atlas, tmp_path: Path, capsys: pytest.Capt
     assert run(["atlas", "plot", place, "--points", "9", "--out", out]) == 2
     assert "not empty" in capsys.readouterr().err
     assert run(["atlas", "plot", place, "--points", "5", "--axes", "vehicle.thrust"]) == 0
-    assert "slice over vehicle_thrust, retro_specific_impulse 290 s" in capsys.readouterr().out
+    assert "slice over vehicle.thrust, retro.specific_impulse 290 s" in capsys.readouterr().out
     assert run(["atlas", "plot", place, "--at", "vehicle.thrust=1 km"]) == 2
     assert run(["atlas", "plot", place, "--points", "1"]) == 2
     assert run(["atlas", "plot", str(tmp_path / "nowhere")]) == 2

@@ -19,10 +19,12 @@ from perilune.atlas.brick import WHOLE, Brick, Cells, Cut
 from perilune.atlas.chart import Chart
 from perilune.atlas.course import Course, course_from
 from perilune.atlas.flooding import Key, Shards, spilled
+from perilune.atlas.hermite import bits
+from perilune.atlas.lines import told_of_damage
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.store import Store
+from perilune.atlas.store import HEADER, MANIFEST, Store, clear
 from perilune.atlas.survey import Found, Survey
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.io.export import problem_document, versions
@@ -37,6 +39,7 @@ from perilune.words.watch import Watch, silent
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
 MOST_NOTES = 100
 _ROUNDS = 8  # of going on from bricks into their neighbours, at most
+_AHEAD = 200  # bricks at work, each with a file that is open
 _PATIENCE = 0.2  # seconds between looks at what another builder does
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
@@ -146,6 +149,7 @@ def build(
     tolerance: float = TOLERANCE,
     method: Indirect | None = None,
     watch: Watch | None = None,
+    force: bool = False,
 ) -> Path:
     """Map the extremals of a problem over a region of its parameters.
 
@@ -165,6 +169,8 @@ def build(
         By which the survey solves from nothing, ``Indirect()`` by default.
     watch
         Receives lines of text.
+    force
+        Whether an atlas that is there is replaced, as soon as the survey of the new one is made.
 
     Returns
     -------
@@ -193,7 +199,7 @@ def build(
         "versions": versions(),
         **problem_document(problem),
     }
-    survey = _surveyed(kept, header, problem, region, method or Indirect(), say)
+    survey = _surveyed(kept, header, problem, region, method or Indirect(), say, force)
     return completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
 
 
@@ -207,20 +213,27 @@ def completed(
     say: Watch,
 ) -> Path:
     """Compute what is missing of the bricks of a survey, and then of those into which a sheet goes on from others."""
-    tasks = dict(_tasks(kept, problem, region, survey, tolerance))
+    with told_of_damage(MANIFEST):
+        tasks = dict(_tasks(kept, problem, region, survey, tolerance))
     for number in range(_ROUNDS):
-        _complete(kept, survey, tasks, number, executor, say)
+        _complete(kept, region, survey, tasks, number, executor, say)
         if not (tasks := dict(_going_on(kept, problem, region, survey, tolerance, number))):
             break
     return kept.directory
 
 
 def _complete(
-    kept: Store, survey: Mapping[str, Any], tasks: Mapping[Key, Task], number: int, executor: Submits | None, say: Watch
+    kept: Store,
+    region: Region,
+    survey: Mapping[str, Any],
+    tasks: Mapping[Key, Task],
+    number: int,
+    executor: Submits | None,
+    say: Watch,
 ) -> None:
     """Compute what is missing of one round."""
     named = {brick_name(key) + (f"~{number}" if number else ""): key for key in tasks}
-    there = _written(kept, survey)
+    there = _written(kept, region, survey)
     say(_told(named, there, number))
     while todo := {name: tasks[key] for name, key in named.items() if name not in there}:
         for name, arrays in _everywhere(kept, todo, executor, say):
@@ -232,14 +245,14 @@ def _complete(
             there[name] = len(arrays["nodes"])
             say(_told(named, there, number))
         before = len(there)
-        there = _written(kept, survey)
+        there = _written(kept, region, survey)
         if len(there) == before and not there.keys() >= named.keys():
             time.sleep(_PATIENCE)  # what is missing is at work elsewhere; who dies there lets go of it
 
 
-def _written(kept: Store, survey: Mapping[str, Any]) -> dict[str, int]:
+def _written(kept: Store, region: Region, survey: Mapping[str, Any]) -> dict[str, int]:
     """How many nodes the bricks have that are there, by name."""
-    return {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey)}
+    return {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey, len(region.axes))}
 
 
 def _told(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> str:
@@ -252,35 +265,50 @@ def _everywhere(
     kept: Store, todo: Mapping[str, Task], executor: Submits | None, say: Watch
 ) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
     """Shards of the bricks that can be claimed, as soon as they are there."""
-    with ExitStack() as claims:
+    claims = dict[str, ExitStack]()
 
-        def calls() -> Iterator[tuple[str, Call]]:
-            for name, task in todo.items():
-                if claims.enter_context(kept.claimed(name)) and not kept.there(name):
-                    yield name, (computed, task) if executor is not None else (computed, task, say)
+    def calls() -> Iterator[tuple[str, Call]]:
+        for name, task in todo.items():
+            claim = ExitStack()
+            if claim.enter_context(kept.claimed(name)) and not kept.there(name):
+                claims[name] = claim
+                yield name, (computed, task) if executor is not None else (computed, task, say)
+            else:
+                claim.close()
 
-        for name, found in here(calls()) if executor is None else told_of_loss(answers(executor, calls())):
-            yield name, dict(zip(("nodes", "cells"), found, strict=True))
+    try:
+        found = answers(executor, calls(), _AHEAD) if executor is not None else here(calls())
+        for name, (nodes, cells) in told_of_loss(found):
+            yield name, {"nodes": nodes, "cells": cells}
+            kept.settled(name)  # its line is in the manifest
+            claims.pop(name).close()
+    finally:
+        for claim in claims.values():
+            claim.close()
 
 
 def _surveyed(
-    kept: Store, header: Mapping[str, Any], problem: Problem, region: Region, method: Indirect, say: Watch
+    kept: Store, header: Mapping[str, Any], problem: Problem, region: Region, method: Indirect, say: Watch, anew: bool
 ) -> dict[str, Any]:
-    """The survey's line of the manifest, made where there is none; of a survey that fails nothing is left."""
-    kept.prepare(header)
-    while (known := kept.survey()) is None:
+    """The survey's line of the manifest, made where there is none, or `anew`; of one that fails nothing is left."""
+    kept.prepare(None if anew else header)
+    while anew or (known := kept.survey()) is None:
         with kept.claimed("survey") as ours:
             if not ours:
                 time.sleep(_PATIENCE)
-            elif kept.survey() is None:
+            elif anew or kept.survey() is None:
                 try:
                     survey = Survey(problem=problem, region=region, method=method, watch=say)
                     found = survey.run()
-                    kept.begin(header)
-                    kept.add(_survey(kept, region, found, survey.notes))
                 except BaseException:
                     kept.leave()
                     raise
+                if anew:
+                    clear(kept.directory)
+                    anew = False
+                kept.begin(header)
+                kept.add(_survey(kept, region, found, survey.notes))
+                kept.settled("survey")
     kept.prepare(header)  # another builder may have begun meanwhile
     return known
 
@@ -317,12 +345,14 @@ def digest_of(charts: Any) -> str:
 
 def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
     """The region that a header states."""
-    return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
+    with told_of_damage(HEADER):
+        return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
 
 
 def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
     """The region of a survey: that of the header, unless it states edges of its own."""
-    return stated_region(region, survey["edges"]) if "edges" in survey else region
+    with told_of_damage(MANIFEST):
+        return stated_region(region, survey["edges"]) if "edges" in survey else region
 
 
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
@@ -340,11 +370,15 @@ def _tasks(
     d = len(region.axes)
     for number, chart in enumerate(survey["charts"]):
         known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+        at = dict[tuple[int, ...], list[int]]()
+        for row, corner in enumerate(known["corner"].tolist()):
+            at.setdefault(tuple(corner), []).append(row)
         for brick in _places(region, chart):
-            side = known["corner"] - np.array(brick)
-            here = ((side == 0) | (side == 1)).all(axis=1)
-            if here.any():
-                seeds = known["sheet"][here].astype(np.int64), side[here] * WHOLE, np.array(known["y"][here])
+            beside = [tuple((np.array(brick) + side).tolist()) for side in bits(d)]
+            here = np.sort([row for corner in beside for row in at.get(corner, ())]).astype(np.int64)
+            if len(here):
+                place = (known["corner"][here] - np.array(brick)) * WHOLE
+                seeds = known["sheet"][here].astype(np.int64), place, np.array(known["y"][here])
                 yield (number, *brick), _task(problem, region, chart, brick, tolerance, seeds)
 
 
@@ -353,15 +387,19 @@ def _going_on(
 ) -> Iterator[tuple[Key, Task]]:
     """Every brick into which sheets go on from its neighbours, as they were after so many rounds."""
     d, charts = len(region.axes), survey["charts"]
-    known = dict[Key, Shards]()
-    for key, line in kept.latest(survey, rounds).items():
+    lines = kept.latest(survey, d, rounds)
+
+    def shards(key: Key) -> Shards | None:
+        if (line := lines.get(key)) is None:
+            return None
         types = node_type(d, charts[key[0]]["unknowns"]), cell_type(d)
-        known[key] = kept.shard(line["nodes"], types[0]), kept.shard(line["cells"], types[1])
-    keys = ((number, *brick) for number, chart in enumerate(charts) for brick in _places(region, chart))
+        return kept.shard(line["nodes"], types[0]), kept.shard(line["cells"], types[1])
+
+    keys = [(number, *brick) for number, chart in enumerate(charts) for brick in _places(region, chart)]
     minima = [[n for n, sheet in enumerate(sheets_of(chart)) if sheet.minimum] for chart in charts]
-    for key, nodes in spilled(keys, known, minima.__getitem__):
+    for key, nodes in spilled(keys, shards, minima.__getitem__):
         seeds = nodes["sheet"].astype(np.int64), nodes["place"].astype(np.int64), nodes["terms"][:, 0, :-1]
-        before = tuple(map(np.array, known[key])) if key in known else None
+        before = None if (known := shards(key)) is None else tuple(map(np.array, known))
         yield key, _task(problem, region, charts[key[0]], key[1:], tolerance, seeds, before)
 
 

@@ -27,9 +27,10 @@ from perilune.atlas.building import (
     survey_region,
 )
 from perilune.atlas.course import course_from
+from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import Store
+from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.atlas.survey import Corners, Found, Survey, carried_on, reached_at
 from perilune.families.elsewhere import Submits
 from perilune.io.reload import read_problem
@@ -92,9 +93,12 @@ def extend(
         with kept.claimed("survey") as ours:
             if not ours or kept.survey() != survey:
                 raise PeriluneError("another builder surveys this atlas at this moment", advice="wait until it is done")
-            survey = _extended(kept, problem, region, wide, survey, method or Indirect(), say)
+            with told_of_damage(MANIFEST):
+                survey = _extended(kept, problem, region, wide, survey, method or Indirect(), say)
             kept.add(survey)
-    return completed(kept, problem, wide, survey, float(header["tolerance"]), executor, say)
+    with told_of_damage(HEADER):
+        tolerance = float(header["tolerance"])
+    return completed(kept, problem, wide, survey, tolerance, executor, say)
 
 
 def _extended(

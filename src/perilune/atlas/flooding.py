@@ -6,7 +6,7 @@ neighbour: the nodes which that has on their common side, where this one has not
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ _COARSER = 4  # of the lattice over 4 axes, along a side of which there are thre
 
 
 def spilled(
-    keys: Iterator[Key], known: Mapping[Key, Shards], minima: Callable[[int], list[int]]
+    keys: Sequence[Key], shards: Callable[[Key], Shards | None], minima: Callable[[int], list[int]]
 ) -> Iterator[tuple[Key, Rows]]:
     """Nodes on the sides of bricks that go on into them, with their places as these have them.
 
@@ -30,20 +30,23 @@ def spilled(
     ----------
     keys
         Bricks that there may be.
-    known
+    shards
         Nodes and cells of those that there are.
     minima
         The sheets of a chart that can be answers.
     """
     sides: dict[tuple[Key, int, int], Rows] = {}
-    for key, (nodes, _) in known.items():
+    for key in keys:
+        if (known := shards(key)) is None:
+            continue
+        nodes = known[0]
         # Beyond its border a sheet may turn back, and come to the same place with other extremals.
         can = np.isin(nodes["sheet"], minima(key[0])) & (nodes["margin"] >= 0)
         for axis in range(len(key) - 1):
             for side, way in ((WHOLE, 1), (0, -1)):
                 here = can & (nodes["place"][:, axis] == side)
                 if here.any():
-                    sides[key, axis, way] = _coarse(nodes[here])
+                    sides[key, axis, way] = _coarse(np.array(nodes[here]))
     for key in keys:
         found = list[Rows]()
         for axis in range(len(key) - 1):
@@ -52,8 +55,11 @@ def spilled(
                 if (nodes := sides.get((beside, axis, way))) is not None:
                     moved = nodes.copy()
                     moved["place"][:, axis] = 0 if way == 1 else WHOLE
-                    found.append(moved[_news(moved, known.get(key))])
-        every: Rows = np.concatenate(found) if found else ()
+                    found.append(moved)
+        if not found:
+            continue
+        every: Rows = np.concatenate(found)
+        every = every[_news(every, shards(key))]
         if len(every):
             _, once = np.unique(np.column_stack([every["sheet"], every["place"]]), axis=0, return_index=True)
             yield key, every[once]

@@ -33,6 +33,7 @@ from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
 from perilune.words.asked import demand_path
 from perilune.words.outcome import PeriluneError
+from perilune.words.units import told
 from perilune.words.watch import Watch, silent
 
 _BY_HAND = ("axes", "versions", "format")  # of a header: compared otherwise, or not at all
@@ -134,9 +135,9 @@ def merge(
         "axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes],
         "versions": versions(),
     }
+    kept.prepare(None)
     if (kept.directory / HEADER).exists():
         clear(kept.directory)
-    kept.prepare(header)
     lines = _lines(kept, one, other, region, watch)
     kept.write_lines(lines)
     kept.begin(header)
@@ -149,7 +150,7 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
     if survey is None:
         raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
     region = survey_region(header_region(read_problem(header, problem_from_scenario), header), survey)
-    bricks = kept.latest(survey)
+    bricks = kept.latest(survey, len(region.axes))
     return _Part(kept, header, survey, region, bricks)
 
 
@@ -190,8 +191,9 @@ def _together(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
 
 def _told(a: Axis, b: Axis) -> str:
     if (a.low, a.high) == (b.low, b.high):
-        return f"{a.name} is divided at other values"
-    return f"{a.name} {a.low:g} to {a.high:g} and {b.low:g} to {b.high:g} {a.unit}"
+        return f"{a.key} is divided at other values"
+    ranges = (f"{told(axis.low, axis.unit)} to {told(axis.high, axis.unit)}" for axis in (a, b))
+    return f"{a.key} {' and '.join(ranges)}"
 
 
 def _lines(kept: Store, one: _Part, other: _Part, region: Region, watch: Watch) -> Iterator[dict[str, Any]]:

@@ -172,11 +172,12 @@ class Atlas(Reader):
         names = self.region.names
         for name in told:
             if name not in names:
-                raise unknown_name("axis", name, list(names))
-        if missing := [name for name in names if name not in told]:
+                raise unknown_name("axis", name, [axis.key for axis in self.region.axes])
+        if missing := [axis.key for axis in self.region.axes if axis.name not in told]:
             raise PeriluneError(
-                "a value of every axis is needed", got=f"none of {', '.join(missing)}", expected=", ".join(names)
-            )
+                "a value of every axis is needed", got=f"none of {', '.join(missing)}",
+                expected=", ".join(axis.key for axis in self.region.axes),
+            )  # fmt: skip
         try:
             at = np.array([float(told[name]) for name in names])
         except (TypeError, ValueError):
@@ -184,8 +185,11 @@ class Atlas(Reader):
         if not np.isfinite(at).all():
             raise PeriluneError("the values of axes are finite", got=str(told)[:80])
         if (outside := self.region.outside(at.tolist())) is not None:
+            inside = np.clip(at, self.region.low, self.region.high)
+            there = self.query_many(inside[None]).good[0]
+            near = self.region.told(inside.tolist()) if there else self._nearest(inside)
             raise PeriluneError(
-                "the point lies outside of the atlas", got=outside,
+                "the point lies outside of the atlas", got=outside, expected=f"for instance {near}" if near else "",
                 advice="perilune solve answers anywhere; or build an atlas over a larger region",
             )  # fmt: skip
         return at
@@ -279,7 +283,7 @@ class Atlas(Reader):
             away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
             if away.min() < least:
                 least, row = float(away.min()), values[away.argmin()].tolist()
-                found = ", ".join(f"{a.name} {v:.6g} {a.unit}" for a, v in zip(self.region.axes, row, strict=True))
+                found = self.region.told(row)
         return found
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from perilune.atlas.brick import WHOLE, Status
 from perilune.atlas.building import cell_type, header_region, node_type, sheets_of, survey_region
 from perilune.atlas.chart import Chart
 from perilune.atlas.course import course_from
+from perilune.atlas.lines import told_of_damage
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
@@ -115,8 +115,10 @@ class Charted:
     """One chart of an atlas, as queries need it."""
 
     def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
-        self.sheets, self.unknowns = sheets_of(said), int(said["unknowns"])
+        self.sheets, self.unknowns = sheets_of(said), said["unknowns"]
         self.chart = Chart(problem, region.names, region.high - region.low, course_from(said))
+        if self.unknowns != len(self.chart.places):
+            raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
         self.borders = Borders(self.chart)
         reflights = Reflights(self.chart.free, self.chart.conditions, tuple(map(int, said["times"])))
         self.polish = Polisher(self.chart, self.borders, reflights, self.sheets)
@@ -174,18 +176,6 @@ class Charted:
         )
 
 
-@contextmanager
-def _told_of_damage(name: str) -> Iterator[None]:
-    """What a file of another hand holds in place of what was written, in plain words."""
-    try:
-        yield
-    except (LookupError, TypeError, ValueError, OverflowError, AttributeError) as error:
-        raise PeriluneError(
-            f"the atlas is damaged: {name} says what no atlas does",
-            got=f"{type(error).__name__}: {error}"[:80], expected="the file as it was written",
-        ) from error  # fmt: skip
-
-
 class Reader:
     """An atlas on disk; it may grow meanwhile.
 
@@ -208,8 +198,8 @@ class Reader:
         self.store = Store(directory)
         header = self.store.header()
         self.problem = read_problem(header, problem_from_scenario)
-        with _told_of_damage(HEADER):
-            self._first = header_region(self.problem, header)
+        self._first = header_region(self.problem, header)
+        with told_of_damage(HEADER):
             self.tolerance = float(header["tolerance"])
         self.damaged: dict[tuple[int, ...], str] = {}
         self._bricks: dict[tuple[int, ...], Brick] = {}
@@ -218,18 +208,17 @@ class Reader:
 
     def refresh(self) -> None:
         """Look again at what the manifest says."""
-        self.survey = self.store.survey() or {"charts": []}
-        before = self.said
-        with _told_of_damage(MANIFEST):
-            self.region = survey_region(self._first, self.survey)
-            self.said = self.store.latest(self.survey)
+        survey, before = self.store.survey(), self.said
+        self.survey = survey or {"charts": []}
+        self.region = survey_region(self._first, self.survey)
+        self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
         self.__dict__.pop("charted", None)
 
     @cached_property
     def charted(self) -> list[Charted]:
         """Its charts."""
-        with _told_of_damage(MANIFEST):
+        with told_of_damage(MANIFEST):
             return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
 
     def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.models.kinds import key_of
 from perilune.problem.problem import Problem
 from perilune.words.asked import refused
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
+from perilune.words.units import told
 
 MOST_AXES = 4
 _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
@@ -51,6 +53,15 @@ class Axis:
     def high(self) -> float:
         """Where it ends [SI]."""
         return self.edges[-1]
+
+    @property
+    def key(self) -> str:
+        """What a user calls it: ``vehicle.thrust``."""
+        return key_of(self.name)
+
+    def told(self, value: float) -> str:
+        """A value of it [SI] in words."""
+        return f"{self.key} {told(value, self.unit)}"
 
     @property
     def numbers(self) -> range:
@@ -119,15 +130,16 @@ class Region:
         ]
         return np.column_stack(columns)
 
-    def told(self, values: Sequence[float]) -> str:
+    def told(self, values: Iterable[float]) -> str:
         """A point [SI] in words."""
-        return ", ".join(f"{name} {value:.6g}" for name, value in zip(self.names, values, strict=True))
+        return ", ".join(axis.told(value) for axis, value in zip(self.axes, values, strict=True))
 
     def outside(self, values: Sequence[float]) -> str | None:
         """What of a point lies outside, in words; None for a point of the region."""
         for axis, value in zip(self.axes, values, strict=True):
             if not axis.low <= value <= axis.high:
-                return f"{axis.name} {value:.6g}, which is mapped from {axis.low:.6g} to {axis.high:.6g} {axis.unit}"
+                mapped = f"{told(axis.low, axis.unit)} to {told(axis.high, axis.unit)}"
+                return f"{axis.told(value)}, which is mapped from {mapped}"
         return None
 
 
@@ -159,14 +171,15 @@ def region_of(problem: Problem, axes: Mapping[str, Any]) -> Region:
         if name not in known:
             raise unknown_name("parameter", str(name), known)
         if name in (axis.name for axis in found):
-            raise PeriluneError(f"{name} is an axis twice", expected="each parameter once")
+            raise PeriluneError(f"{key_of(name)} is an axis twice", expected="each parameter once")
         try:
             low, high = (float(v) for v in bounds)
         except (TypeError, ValueError):
-            raise refused(bounds, "(low, high), two numbers in SI", f"the range of {name}") from None
+            raise refused(bounds, "(low, high), two numbers in SI", f"the range of {key_of(name)}") from None
         if not (math.isfinite(high - low) and low < high):
             raise PeriluneError(
-                f"the range of {name} is empty", got=f"{low:g} to {high:g} {problem.unit_of(name)}",
+                f"the range of {key_of(name)} is empty",
+                got=f"{told(low, problem.unit_of(name))} to {told(high, problem.unit_of(name))}",
                 expected="low < high, both finite",
             )  # fmt: skip
         found.append(Axis(name=name, unit=problem.unit_of(name), edges=_equal_parts(low, high, _PARTS[len(axes)])))
@@ -200,16 +213,17 @@ def wider(region: Region, axes: Mapping[str, tuple[float, float]]) -> Region:
     PeriluneError
         If a name is no axis, or a range leaves out some of what is there.
     """
-    told, found = {parameter_name(name): bounds for name, bounds in axes.items()}, list[Axis]()
-    for name in told:
+    stated, found = {parameter_name(name): bounds for name, bounds in axes.items()}, list[Axis]()
+    for name in stated:
         if name not in region.names:
-            raise unknown_name("axis", name, list(region.names))
+            raise unknown_name("axis", name, [axis.key for axis in region.axes])
     for axis in region.axes:
-        low, high = told.get(axis.name, (axis.low, axis.high))
+        low, high = stated.get(axis.name, (axis.low, axis.high))
         if not (math.isfinite(high - low) and low <= axis.low and high >= axis.high):
             raise PeriluneError(
-                f"the range of {axis.name} leaves out some of what is mapped", got=f"{low:g} to {high:g} {axis.unit}",
-                expected=f"at least {axis.low:g} to {axis.high:g} {axis.unit}",
+                f"the range of {axis.key} leaves out some of what is mapped",
+                got=f"{told(low, axis.unit)} to {told(high, axis.unit)}",
+                expected=f"at least {told(axis.low, axis.unit)} to {told(axis.high, axis.unit)}",
                 advice="extend an atlas beyond its ranges, or build another",
             )  # fmt: skip
         below = _parts_of(low, axis.low, axis.edges[1] - axis.edges[0])

@@ -15,6 +15,7 @@ from perilune.atlas.brick import WHOLE
 from perilune.atlas.many import Answered, Answers
 from perilune.atlas.query import Atlas
 from perilune.atlas.region import Axis
+from perilune.models.kinds import key_of
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
 from perilune.words.declared import parameter_name
@@ -108,9 +109,11 @@ def sliced(
     names = [parameter_name(name) for name in axes] or [name for name in region.names if name not in held][:2]
     for name in names:
         if name not in region.names:
-            raise unknown_name("axis", name, list(region.names))
+            raise unknown_name("axis", name, [axis.key for axis in region.axes])
         if name in held or names.count(name) > 1:
-            raise PeriluneError(f"{name} is told twice", expected="an axis either along the slice or at one value")
+            raise PeriluneError(
+                f"{key_of(name)} is told twice", expected="an axis either along the slice or at one value"
+            )
     if len(names) not in (1, 2):
         raise PeriluneError("a slice goes along one axis or two", got=str(len(names)), expected="1 or 2 names")
     if isinstance(points, bool) or not isinstance(points, int) or not 2 <= points <= _MOST:
@@ -137,7 +140,7 @@ def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
     for stated, value in at.items():
         name = parameter_name(stated)
         if name not in region.names:
-            raise unknown_name("axis", stated, list(region.names))
+            raise unknown_name("axis", stated, [axis.key for axis in region.axes])
         try:
             held[name] = float(value)
         except (TypeError, ValueError):

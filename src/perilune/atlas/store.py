@@ -11,6 +11,7 @@ locked; and a reader sees what is in the manifest when it looks.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import io
 import json
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.lines import refuse_no_brick, refuse_no_survey, told_of_damage
 from perilune.io.files import finite, json_text
 from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import tree
@@ -52,23 +54,28 @@ class Store:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+        self._file, self._read, self._made = -1, 0, False
+        self._lines, self._names = list[dict[str, Any]](), set[str]()
 
-    def prepare(self, header: Mapping[str, Any]) -> None:
-        """Make the directory, or see that it is empty, or of the very same atlas.
+    def prepare(self, header: Mapping[str, Any] | None) -> None:
+        """Make the directory, or see that nothing is in it but the very same atlas, or any where `header` is None.
 
         Raises
         ------
         PeriluneError
-            If it is of another, or cannot be written.
+            If there is something else, or it cannot be written.
         """
         try:
+            self._made = self._made or not self.directory.exists()
             self.directory.mkdir(parents=True, exist_ok=True)
-            if not (self.directory / HEADER).exists():
-                if any(not ours(path.name) for path in self.directory.iterdir()):
-                    raise _unusable(self.directory, "files, and no atlas", "a new or empty directory")
-                return
+            there = (self.directory / HEADER).exists()
+            if (header is None or not there) and not all(ours(path.name) for path in self.directory.iterdir()):
+                got = "an atlas and other files" if there else "files, and no atlas"
+                raise _unusable(self.directory, got, "a new or empty directory")
         except OSError as error:
             raise _unusable(self.directory, str(error.strerror), "a directory that you may write") from error
+        if header is None or not there:
+            return
         said, found = json.loads(json.dumps(finite(dict(header)))), self.header()
         differs = [name for name, value in said.items() if name != "versions" and found.get(name) != value]
         if differs:
@@ -81,11 +88,12 @@ class Store:
         self.prepare(header)
 
     def leave(self) -> None:
-        """Remove the directory if nothing was begun in it."""
+        """Leave the directory as it was found, if nothing was begun in it."""
         with contextlib.suppress(OSError):
             if all(path.name.startswith((".claim-", ".writing-")) for path in self.directory.iterdir()):
                 clear(self.directory)
-                self.directory.rmdir()
+                if self._made:
+                    self.directory.rmdir()
 
     def header(self) -> dict[str, Any]:
         """What ``atlas.json`` says.
@@ -110,61 +118,99 @@ class Store:
             )
         return found
 
-    def lines(self) -> Iterator[dict[str, Any]]:
-        """What the manifest says so far, line by line; a last line that is not whole was never written."""
+    def lines(self) -> list[dict[str, Any]]:
+        """What the manifest says so far, line by line; a last line that is not whole was never written.
+
+        Lines are never changed, so each is read once.
+        """
         try:
-            content = (self.directory / MANIFEST).read_bytes()
+            with (self.directory / MANIFEST).open("rb") as opened:
+                if os.fstat(opened.fileno()).st_ino != self._file or opened.seek(0, os.SEEK_END) < self._read:
+                    self._file, self._read = os.fstat(opened.fileno()).st_ino, 0
+                    self._lines.clear()
+                    self._names.clear()
+                opened.seek(self._read)
+                content = opened.read()
         except FileNotFoundError:
-            return
+            return []
         whole = content[: content.rfind(b"\n") + 1]
-        for number, line in enumerate(whole.splitlines(), 1):
+        self._read += len(whole)
+        for line in whole.splitlines():
             try:
-                found = tree(line.decode(), f"line {number} of {MANIFEST}")
+                found = tree(line.decode(), MANIFEST)
             except (UnicodeDecodeError, PeriluneError):
                 continue  # of a writer that was killed in the middle, before another went on
             if isinstance(found, dict):
-                yield found
+                self._lines.append(found)
+                if found.get("kind") == "brick":
+                    self._names.add(str(found.get("name")))
+        return self._lines
 
     def survey(self) -> dict[str, Any] | None:
         """The line of the survey that counts.
 
         That is the first (where two builders made one at once, theirs is the same), or what extended it since: each
         names the surveys ``before`` it, the last of which it extends.
+
+        Raises
+        ------
+        PeriluneError
+            If it is of another hand.
         """
         found = None
         for line in self.lines():
-            if line.get("kind") == "survey" and _before(line)[-1:] == ([] if found is None else [found.get("digest")]):
-                found = line
+            if line.get("kind") == "survey":
+                with told_of_damage(MANIFEST):
+                    refuse_no_survey(line)
+                if line.get("before", [])[-1:] == ([] if found is None else [found["digest"]]):
+                    found = line
         return found
 
-    def bricks(self, survey: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """The lines of the bricks of a survey, and of those that it extends."""
-        mine = [survey.get("digest"), *_before(survey)]
-        return [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
+    def bricks(self, survey: Mapping[str, Any], d: int) -> list[dict[str, Any]]:
+        """The lines of the bricks of a survey of d axes, and of those that it extends; errors of `survey`."""
+        mine, charts = {survey["digest"], *survey.get("before", [])}, len(survey["charts"])
+        found = [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
+        with told_of_damage(MANIFEST):
+            for line in found:
+                refuse_no_brick(line, d, charts)
+        return found
 
-    def latest(self, survey: Mapping[str, Any], rounds: float = math.inf) -> dict[tuple[int, ...], dict[str, Any]]:
-        """The last line of each brick by chart and numbers, of so many rounds."""
-        lines = (line for line in self.bricks(survey) if line.get("round", 0) <= rounds)
-        return {(int(line["chart"]), *map(int, line["brick"])): line for line in lines}
+    def latest(
+        self, survey: Mapping[str, Any], d: int, rounds: float = math.inf
+    ) -> dict[tuple[int, ...], dict[str, Any]]:
+        """The last line of each brick by chart and numbers, of so many rounds; otherwise as `bricks`."""
+        lines = (line for line in self.bricks(survey, d) if line.get("round", 0) <= rounds)
+        return {(line["chart"], *line["brick"]): line for line in lines}
 
     def there(self, name: str) -> bool:
         """Whether a brick was written, perhaps by another builder meanwhile."""
-        return any(line.get("name") == name for line in self.lines() if line.get("kind") == "brick")
+        self.lines()
+        return name in self._names
 
     def add(self, line: Mapping[str, Any]) -> None:
-        """Add a line to the manifest, by one write."""
+        """Add a line to the manifest, by one write.
+
+        Raises
+        ------
+        PeriluneError
+            If there is no space left.
+        """
         content = (json.dumps(finite(dict(line)), allow_nan=False) + "\n").encode()
-        handle = os.open(self.directory / MANIFEST, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         try:
-            size = os.fstat(handle).st_size
-            if size:
-                os.lseek(handle, size - 1, os.SEEK_SET)
-                if os.read(handle, 1) != b"\n":  # a writer was killed in the middle of its line
-                    content = b"\n" + content
-            os.write(handle, content)
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+            handle = os.open(self.directory / MANIFEST, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            try:
+                size = os.fstat(handle).st_size
+                if size:
+                    os.lseek(handle, size - 1, os.SEEK_SET)
+                    if os.read(handle, 1) != b"\n":  # a writer was killed in the middle of its line
+                        content = b"\n" + content
+                if os.write(handle, content) != len(content):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+        except OSError as error:
+            raise _unwritable(MANIFEST, error) from error
 
     def write_lines(self, lines: Iterable[Mapping[str, Any]]) -> None:
         """Write the whole manifest at once, in the place of one that is there."""
@@ -214,7 +260,10 @@ class Store:
         if fcntl is None:
             yield True
             return
-        handle = os.open(self.directory / f".claim-{name}", os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            handle = os.open(self.directory / f".claim-{name}", os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise _unwritable(f".claim-{name}", error) from error
         try:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -224,6 +273,10 @@ class Store:
             yield True
         finally:
             os.close(handle)
+
+    def settled(self, name: str) -> None:
+        """Remove the file by which a brick was claimed; whoever opens another sees that the brick is there."""
+        (self.directory / f".claim-{name}").unlink(missing_ok=True)
 
     def _put(self, name: str, content: bytes) -> None:
         temporary = self.directory / f".writing-{os.getpid()}-{name}"
@@ -236,15 +289,7 @@ class Store:
         except OSError as error:
             with contextlib.suppress(OSError):
                 temporary.unlink()
-            raise PeriluneError(
-                "the atlas cannot be written", got=f"{name}: {error.strerror}", expected="a directory with space left",
-                advice="what is there is kept: make space, and go on with --resume",
-            ) from error  # fmt: skip
-
-
-def _before(survey: Mapping[str, Any]) -> list[Any]:
-    found = survey.get("before", [])
-    return found if isinstance(found, list) else [found]
+            raise _unwritable(name, error) from error
 
 
 def clear(directory: Path) -> None:
@@ -264,6 +309,14 @@ def _unusable(place: Path, got: str, expected: str) -> PeriluneError:
     return PeriluneError(
         f"this atlas cannot be used: {place}", got=got, expected=expected, advice="choose another directory"
     )
+
+
+def _unwritable(name: str, error: OSError) -> PeriluneError:
+    return PeriluneError(
+        "the atlas cannot be written", got=f"{name}: {error.strerror}",
+        expected="a directory that you may write, with space left",
+        advice="what is there is kept: make space, and go on with --resume",
+    )  # fmt: skip
 
 
 def _damaged(name: str, got: str) -> PeriluneError:

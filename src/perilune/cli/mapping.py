@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def _build(typed: Namespace) -> Answer:
     from perilune.atlas.building import TOLERANCE, build
-    from perilune.atlas.store import HEADER, clear
+    from perilune.atlas.store import HEADER
     from perilune.scenario import bounds_of
 
     axes = ranges(typed, bounds_of)
@@ -33,8 +33,6 @@ def _build(typed: Namespace) -> Answer:
             "the output directory holds an atlas already", got=str(typed.out), expected="a new or empty directory",
             advice="--resume to go on with it, --force to begin anew, or another directory",
         )  # fmt: skip
-    if there and typed.force and not typed.resume:
-        clear(typed.out)
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(typed.workers) as executor:
         build(
             problem,
@@ -43,6 +41,7 @@ def _build(typed: Namespace) -> Answer:
             executor,
             tolerance=TOLERANCE if typed.tolerance is None else typed.tolerance,
             watch=watch,
+            force=typed.force and not typed.resume,
         )
     return _described(_opened(typed), built=str(typed.out))
 
@@ -70,7 +69,7 @@ def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[flo
         key, _, text = (part.strip() for part in stated.partition("="))
         name = parameter_name(key)
         if name not in units:
-            raise unknown_name("axis", key, list(units))
+            raise unknown_name("axis", key, [axis.key for axis in atlas.region.axes])
         yield name, bounds_of(key, text, {key: Quantity(unit=units[name], example=f"1 {units[name]}")})
 
 
@@ -140,9 +139,8 @@ def _plot(typed: Namespace) -> Answer:
     drawn = write_maps(shown, typed.out, typed.force) if typed.out is not None else []
     total = len(shown.answers.good)
     lines = [
-        f"slice over {' and '.join(axis.name for axis in shown.axes)}"
-        + "".join(f", {axis.name} {told(shown.at[axis.name], axis.unit)}" for axis in atlas.region.axes
-                  if axis.name in shown.at),
+        f"slice over {' and '.join(axis.key for axis in shown.axes)}"
+        + "".join(f", {axis.told(shown.at[axis.name])}" for axis in atlas.region.axes if axis.name in shown.at),
         *(f"  {100 * count / total:5.1f} %  {text}" for text, count in shown.counts.items()),
         f"written to {typed.out}: {', '.join(drawn)}" if drawn else "--out DIR writes its figures",
     ]  # fmt: skip
@@ -168,7 +166,7 @@ def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
         if not sign:
             raise PeriluneError("--at needs a key and a value", got=stated[:60], expected='--at "vehicle.thrust=440 N"')
         if name not in axes:
-            raise unknown_name("axis", key, list(axes))
+            raise unknown_name("axis", key, [axis.key for axis in axes.values()])
         if name in found:
             raise PeriluneError(f"--at names {key} twice", got=stated[:60], expected="each axis once")
         found[name] = parse_quantity(text, axes[name].unit)
@@ -186,7 +184,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     total = len(atlas.region.bricks) * max(1, len(atlas.charted))
     lines = [
         f"atlas of {atlas.problem.heading}",
-        *(f"  {a.name}: {told(a.low, a.unit)} to {told(a.high, a.unit)}" for a in atlas.region.axes),
+        *(f"  {a.key}: {told(a.low, a.unit)} to {told(a.high, a.unit)}" for a in atlas.region.axes),
         f"{len(atlas.said)} of at most {total} bricks, {nodes} nodes, {size / 2**20:.1f} MiB",
         "sheets",
         *(f"  {label}" for label in sheets),

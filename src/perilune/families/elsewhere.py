@@ -23,13 +23,13 @@ class Submits(Protocol):
         """Begin a call; what is returned has ``result``, ``cancel`` and ``add_done_callback``."""
 
 
-def answers(executor: Submits, calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
-    """What each call returns, with its name, in the order in which they come back."""
+def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD) -> Iterator[tuple[Name, Any]]:
+    """What each call returns, with its name, in the order in which they come back; `ahead` are begun at once."""
     begun: dict[Name, Any] = {}
     back: SimpleQueue[Name] = SimpleQueue()
     try:
         while True:
-            while len(begun) < _AHEAD and (call := next(calls, None)) is not None:
+            while len(begun) < ahead and (call := next(calls, None)) is not None:
                 name, (function, *arguments) = call
                 begun[name] = executor.submit(function, *arguments)
                 begun[name].add_done_callback(lambda _, name=name: back.put(name))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from perilune.models.bodies import BODIES, PLANETS, Body, OblateBody, Planet, UniformGravity
@@ -19,7 +20,7 @@ from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Retro, Throttle, Vehicle
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
-from perilune.words.declared import Key, keys_of, record
+from perilune.words.declared import Key, keys_of, parameter_name, record
 
 PROOF = "proof"  # the section that is no part of the problem
 
@@ -268,3 +269,17 @@ DEORBIT = Kind(
     },
 )
 KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION, DEORBIT)}
+
+
+@cache
+def _keys() -> dict[str, str]:
+    """Keys of all files by the names of the parameters that they state."""
+    stated = [
+        f"{name}.{key}" for kind in KINDS.values() for name, section in kind.sections.items() for key in section.keys
+    ]
+    return {parameter_name(key): key for key in stated}
+
+
+def key_of(parameter: str) -> str:
+    """The key of a file that states a parameter, as ``vehicle.thrust``; its name where it is of another making."""
+    return _keys().get(parameter, parameter)

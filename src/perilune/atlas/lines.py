@@ -1,0 +1,89 @@
+"""What the lines of a manifest may say, so that one of another hand is refused in words before it is used.
+
+Whether what they say is so, the shards tell; these are looked at where they are read (`perilune.atlas.store`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from perilune.problem.extremal import Nature
+from perilune.words.outcome import PeriluneError
+
+_MOST_TIMES = 4096
+_MOST_UNKNOWNS, _MOST_SHEETS, _MOST_CHARTS = 10_000, 10_000, 10_000
+
+
+@contextmanager
+def told_of_damage(name: str) -> Iterator[None]:
+    """What a file of another hand holds in place of what was written, in plain words."""
+    try:
+        yield
+    except PeriluneError:
+        raise
+    except (LookupError, TypeError, ValueError, OverflowError, AttributeError, MemoryError) as error:
+        raise PeriluneError(
+            f"the atlas is damaged: {name} says what no atlas does",
+            got=f"{type(error).__name__}: {error}"[:80], expected="the file as it was written",
+        ) from error  # fmt: skip
+
+
+def refuse_no_survey(line: Mapping[str, Any]) -> None:
+    """ValueError for a survey's line that cannot be one; on which equations a chart stands others read."""
+    _demand(isinstance(line.get("digest"), str) and line["digest"].isalnum(), "a survey's digest")
+    before, notes, edges, charts = (line.get(key, []) for key in ("before", "notes", "edges", "charts"))
+    _demand(_all(before, str), "the surveys before one")
+    _demand(_all(notes, str), "its notes")
+    _demand(_all(edges, dict), "edges of bricks")
+    for axis in edges:
+        _demand(_whole(axis.get("first")) and _all(axis.get("at"), int, float), "edges of bricks")
+    _demand(_all(charts, dict) and 0 < len(charts) <= _MOST_CHARTS, "the charts of a survey")
+    for chart in charts:
+        _demand(_whole(chart.get("unknowns")) and 0 < chart["unknowns"] <= _MOST_UNKNOWNS, "how many unknowns")
+        _demand(_shard(chart.get("seeds")), "the shard of a survey")
+        times = chart.get("times")
+        _demand(_all(times, int) and all(0 < n <= _MOST_TIMES for n in times), "how finely extremals are flown again")
+        without = chart.get("without", [])
+        places = _all(without, list) and all(_whole(number) for place in without for number in place)
+        _demand(places, "places that a chart leaves out")
+        _demand(_all(chart.get("sheets"), dict) and 0 < len(chart["sheets"]) <= _MOST_SHEETS, "the sheets of a chart")
+        for sheet in chart["sheets"]:
+            holds = sheet.get("holds")
+            _demand(isinstance(holds, dict) and set(holds.values()) <= {"lower", "upper"}, "what a sheet holds")
+            _demand(sheet.get("orientation") in (-1, 1), "the side of a fold")
+            _demand(sheet.get("nature") in Nature.__members__, "what extremals of a sheet are")
+
+
+def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
+    """ValueError for a brick's line that cannot be one, of an atlas of d axes and so many charts."""
+    place: Any = line.get("brick")
+    _demand(_all(place, int) and len(place) == d and all(map(_whole, place)), "numbers of a brick")
+    _demand(_whole(line.get("chart")) and 0 <= line["chart"] < charts, "the chart of a brick")
+    _demand(isinstance(line.get("name"), str) and len(line["name"]) <= 80, "the name of a brick")
+    _demand(_whole(line.get("round", 0)) and line.get("round", 0) >= 0, "the round of a brick")
+    _demand(_shard(line.get("nodes")) and _shard(line.get("cells")), "the shards of a brick")
+
+
+def _shard(said: Any) -> bool:
+    return (
+        isinstance(said, dict)
+        and isinstance(said.get("file"), str)
+        and isinstance(said.get("sha256"), str)
+        and all(_whole(said.get(key)) and said[key] >= 0 for key in ("rows", "bytes"))
+    )
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and math.fabs(value) < 2**53
+
+
+def _all(values: Any, *kinds: type) -> bool:
+    return isinstance(values, list) and all(isinstance(v, kinds) and not isinstance(v, bool) for v in values)
+
+
+def _demand(said: bool, what: str) -> None:
+    if not said:
+        raise ValueError(f"{what}: not as a builder writes it")

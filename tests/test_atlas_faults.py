@@ -1,0 +1,238 @@
+"""What goes wrong around an atlas: refused builds, files of another hand, Ctrl-C, no space left."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cho import cho_landing
+from command_line import ENVIRONMENT, HYBRID, snapshot
+from perilune.atlas.building import build
+from perilune.atlas.extending import extend
+from perilune.atlas.merging import merge
+from perilune.atlas.query import open_atlas
+from perilune.atlas.store import HEADER, MANIFEST, Store
+from perilune.cli import run
+from perilune.models.kinds import key_of
+from perilune.words.outcome import PeriluneError
+
+AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
+VARY = ["--vary", "vehicle.thrust=430:450 N", "--vary", "retro.specific_impulse=290:310 s"]
+posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and limits")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(cho_landing(), AXES, tmp_path_factory.mktemp("faults") / "whole")
+
+
+@pytest.fixture
+def copy(built: Path, tmp_path: Path) -> Path:
+    """The same, to be damaged."""
+    return Path(shutil.copytree(built, tmp_path / "copy"))
+
+
+# -- builds that are refused -------------------------------------------------------------------------------------------
+
+
+def test_a_refused_build_leaves_nothing_behind(tmp_path: Path) -> None:
+    weak = {"vehicle.thrust": (1.0, 2.0)}
+    with pytest.raises(PeriluneError, match="nothing to map"):
+        build(cho_landing(), weak, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(PeriluneError, match="nothing to map"):
+        build(cho_landing(), weak, tmp_path / "empty")
+    assert (tmp_path / "empty").is_dir() and not snapshot(tmp_path / "empty")
+
+
+def test_an_atlas_is_replaced_only_by_one_that_can_be_made(copy: Path) -> None:
+    whole = snapshot(copy)
+    with pytest.raises(PeriluneError, match="nothing to map"):
+        build(cho_landing(), {"vehicle.thrust": (1.0, 2.0)}, copy, force=True)
+    with pytest.raises(PeriluneError, match="tolerance"):
+        build(cho_landing(), AXES, copy, tolerance=1.0, force=True)
+    assert {k: v for k, v in snapshot(copy).items() if "claim" not in k} == whole
+    (copy / "letter.txt").write_text("dear")
+    with pytest.raises(PeriluneError, match="other files"):
+        build(cho_landing(), {"vehicle.thrust": (430.0, 440.0)}, copy, force=True)
+    (copy / "letter.txt").unlink()
+    build(cho_landing(), {"vehicle.thrust": (430.0, 440.0)}, copy, force=True)
+    assert open_atlas(copy).region.names == ("vehicle_thrust",) and len(open_atlas(copy).said) == 8
+
+
+# -- files of another hand ---------------------------------------------------------------------------------------------
+
+
+def of_survey(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any]], object]:
+    return lambda line: change(line) if line["kind"] == "survey" else None
+
+
+def of_bricks(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any]], object]:
+    return lambda line: change(line) if line["kind"] == "brick" else None
+
+
+FOREIGN = {
+    "no charts": of_survey(lambda line: line.update(charts=[])),
+    "charts by name": of_survey(lambda line: line.update(charts={})),
+    "a chart that is a number": of_survey(lambda line: line.update(charts=[7])),
+    "notes that are a number": of_survey(lambda line: line.update(notes=7)),
+    "notes of numbers": of_survey(lambda line: line.update(notes=[7])),
+    "very many unknowns": of_survey(lambda line: line["charts"][0].update(unknowns=1e9)),
+    "too many unknowns": of_survey(lambda line: line["charts"][0].update(unknowns=10**9)),
+    "other unknowns": of_survey(lambda line: line["charts"][0].update(unknowns=3)),
+    "a digest that is a number": of_survey(lambda line: line.update(digest=7)),
+    "a digest that is a path": of_survey(lambda line: line.update(digest="../../../x")),
+    "no sheets": of_survey(lambda line: line["charts"][0].update(sheets=[])),
+    "a sheet on no side": of_survey(lambda line: line["charts"][0]["sheets"][0].update(orientation=0.5)),
+    "a sheet of another nature": of_survey(lambda line: line["charts"][0]["sheets"][0].update(nature="GOOD")),
+    "a sheet that holds a list": of_survey(lambda line: line["charts"][0]["sheets"][0].update(holds=[1])),
+    "no seeds": of_survey(lambda line: line["charts"][0].pop("seeds")),
+    "edges that fall": of_survey(lambda line: line.update(edges=2 * [{"first": 0, "at": [3.0, 2.0]}])),
+    "edges of one axis": of_survey(lambda line: line.update(edges=[{"first": 0, "at": [1.0, 2.0]}])),
+    "edges that are texts": of_survey(lambda line: line.update(edges=2 * [{"first": "x", "at": ["1"]}])),
+    "a brick of another chart": of_bricks(lambda line: line.update(chart=5)),
+    "a brick that is a text": of_bricks(lambda line: line.update(brick="00")),
+    "a brick of three numbers": of_bricks(lambda line: line.update(brick=[0, 0, 0])),
+    "a brick without nodes": of_bricks(lambda line: line.pop("nodes")),
+    "nodes that are a list": of_bricks(lambda line: line.update(nodes=[])),
+    "rows that are a text": of_bricks(lambda line: line["nodes"].update(rows="many")),
+}
+
+
+@pytest.mark.parametrize("change", FOREIGN.values(), ids=FOREIGN.keys())
+def test_lines_of_another_hand_are_refused_in_words(
+    change: Callable[[dict[str, Any]], object], copy: Path, built: Path, tmp_path: Path
+) -> None:
+    lines = [json.loads(line) for line in (copy / MANIFEST).read_text().splitlines()]
+    for line in lines:
+        change(line)
+    (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+    def opened() -> None:
+        open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
+
+    for use in (opened, lambda: merge(copy, built, tmp_path / "out"), lambda: extend(copy, {})):
+        with pytest.raises(PeriluneError, match="damaged"):
+            use()
+    assert run(["atlas", "info", str(copy)]) == 2
+
+
+# -- what is said ------------------------------------------------------------------------------------------------------
+
+
+def test_keys_are_those_of_a_file_and_units_are_those_of_people(built: Path, tmp_path: Path) -> None:
+    assert key_of("retro_specific_impulse") == "retro.specific_impulse" and key_of("my_own") == "my_own"
+    atlas = open_atlas(built)
+    with pytest.raises(PeriluneError) as missing:
+        atlas.query(vehicle_thrust=440.0)
+    assert missing.value.got == "none of retro.specific_impulse"
+    with pytest.raises(PeriluneError) as outside:
+        atlas.query(vehicle_thrust=440.0, retro_specific_impulse=320.0)
+    assert outside.value.got == "retro.specific_impulse 320 s, which is mapped from 290 s to 310 s"
+    assert outside.value.expected == "for instance vehicle.thrust 440 N, retro.specific_impulse 310 s"
+    near = {"vehicle_thrust": 440.0, "retro_specific_impulse": 310.0}
+    assert atlas.query(**near).objective < 0  # what is named is there
+
+
+# -- Ctrl-C ------------------------------------------------------------------------------------------------------------
+
+
+@posix
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_ctrl_c_stops_a_build_that_goes_on_later(workers: str, built: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    order = [sys.executable, "-m", "perilune", "atlas", "build", HYBRID, *VARY, "--out", str(out), "--workers", workers]
+    stopped = subprocess.Popen(
+        order, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    until = time.monotonic() + 60
+    while time.monotonic() < until and not (out / MANIFEST).exists() and stopped.poll() is None:
+        time.sleep(0.005)
+    os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does: all processes of the job
+    printed, said = stopped.communicate(timeout=60)
+    assert stopped.returncode == 130 and printed == "" and said == "perilune: stopped by the user\n"
+    kept = {name: content for name, content in snapshot(out).items() if name.endswith(".npy")}
+    assert not [name for name in snapshot(out) if "writing" in name]
+    build(cho_landing(), AXES, out)
+    again = snapshot(out)
+    assert all(again[name] == content for name, content in kept.items())
+    assert len(open_atlas(out).said) == len(open_atlas(built).said) == 16
+    assert not [name for name in again if "claim" in name and "survey" not in name]
+
+
+# -- no space left -----------------------------------------------------------------------------------------------------
+
+LIMITED = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
+from perilune.cli import run
+sys.exit(run(sys.argv[2:]))
+"""
+
+
+@posix
+def test_no_space_left_is_said_and_what_is_there_is_kept(built: Path, tmp_path: Path) -> None:
+    """A limit on the size of files, met in the middle of a line of the manifest."""
+    out, sizes = tmp_path / "full", {path.name: path.stat().st_size for path in built.iterdir()}
+    least = max(size for name, size in sizes.items() if name != MANIFEST)
+    if sizes[MANIFEST] <= least + 200:
+        shutil.copytree(built, out)
+        lines = (out / MANIFEST).read_text().splitlines(keepends=True)
+        padded = json.loads(lines[0])
+        padded["notes"] = ["x" * (least + 200)]
+        (out / MANIFEST).write_text(json.dumps(padded) + "\n" + "".join(lines[1:4]))
+        limit = (out / MANIFEST).stat().st_size + 60
+    else:
+        limit = sizes[MANIFEST] - 700
+    order = [sys.executable, "-c", LIMITED, str(limit), "atlas", "build", HYBRID, *VARY, "--out", str(out), "--resume"]
+    done = subprocess.run(order, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("perilune: the atlas cannot be written") and "space" in done.stderr
+    before = open_atlas(out).said
+    build(cho_landing(), AXES, out)
+    after = open_atlas(out)
+    assert len(after.said) == 16 and all(after.said[key] == line for key, line in before.items())
+
+
+@posix
+def test_no_space_for_a_header_is_said(tmp_path: Path) -> None:
+    order = [sys.executable, "-c", LIMITED, "2000", "atlas", "build", HYBRID, *VARY, "--out", str(tmp_path / "full")]
+    done = subprocess.run(order, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 2 and "the atlas cannot be written" in done.stderr
+    assert not (tmp_path / "full" / HEADER).exists()
+
+
+def test_a_line_that_was_not_written_whole_is_no_line(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.add({"kind": "brick", "name": "a"})
+    with (tmp_path / MANIFEST).open("a") as opened:
+        opened.write('{"kind": "brick", "na')
+    assert [line["name"] for line in store.lines()] == ["a"]
+    store.add({"kind": "brick", "name": "b"})
+    assert [line["name"] for line in store.lines()] == ["a", "b"] == [line["name"] for line in Store(tmp_path).lines()]
+    assert store.there("b") and not store.there("na")
+
+
+def test_many_bricks_open_few_files(built: Path, copy: Path) -> None:
+    """Each brick that is at work is claimed by a file that is open, and no longer."""
+    if not Path("/proc/self/fd").exists():
+        pytest.skip("no list of open files here")
+    (copy / MANIFEST).write_text((copy / MANIFEST).read_text().splitlines(keepends=True)[0])
+    most = list[int]()
+    build(cho_landing(), AXES, copy, watch=lambda _: most.append(len(os.listdir("/proc/self/fd"))))
+    assert max(most) - min(most) <= 2
+    assert np.array_equal(sorted(snapshot(built)), sorted(snapshot(copy)))
