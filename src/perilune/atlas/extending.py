@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.building import (
+from perilune.atlas.building import completed
+from perilune.atlas.columns import (
     MOST_NOTES,
-    completed,
     digest_of,
     header_region,
     said_of,
@@ -28,7 +28,9 @@ from perilune.atlas.building import (
 )
 from perilune.atlas.course import course_from
 from perilune.atlas.lines import told_of_damage
+from perilune.atlas.query import open_atlas
 from perilune.atlas.region import Region, refuse_untaken, wider
+from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.atlas.survey import Corners, Found, Survey, carried_on, reached_at
@@ -50,6 +52,7 @@ def extend(
     *,
     method: Indirect | None = None,
     watch: Watch | None = None,
+    sample: int | None = None,
     problem_from_scenario: Callable[[str], Problem] | None = None,
 ) -> Path:
     """Map more of the same problem, around what there is.
@@ -60,8 +63,8 @@ def extend(
         The directory of an atlas, as `perilune.atlas.build` made it; no node in it is computed again.
     axes
         ``{name: (low, high)}`` in SI of the axes that become wider; ranges that it has already complete it.
-    executor, method, watch
-        As of `perilune.atlas.build`.
+    executor, method, watch, sample
+        As of `perilune.atlas.build`; the sample is drawn of all that there is then.
     problem_from_scenario
         As of `perilune.atlas.open`.
 
@@ -78,6 +81,7 @@ def extend(
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
     demand_callable(watch, "a watch")
+    demand_count(sample)
     kept, say = Store(demand_path(store, "the directory of an atlas")), watch or silent
     header, survey = kept.header(), kept.survey()
     problem = read_problem(header, problem_from_scenario)
@@ -98,7 +102,10 @@ def extend(
             kept.add(survey)
     with told_of_damage(HEADER):
         tolerance = float(header["tolerance"])
-    return completed(kept, problem, wide, survey, tolerance, executor, say)
+    completed(kept, problem, wide, survey, tolerance, executor, say)
+    if sample != 0:
+        sampled(kept, open_atlas(kept.directory, problem_from_scenario), sample, executor, say)
+    return kept.directory
 
 
 def _extended(

@@ -64,7 +64,19 @@ def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
     _demand(_whole(line.get("chart")) and 0 <= line["chart"] < charts, "the chart of a brick")
     _demand(isinstance(line.get("name"), str) and len(line["name"]) <= 80, "the name of a brick")
     _demand(_whole(line.get("round", 0)) and line.get("round", 0) >= 0, "the round of a brick")
+    _demand(_whole(line.get("thin", 0)) and line.get("thin", 0) >= 0, "how many nodes have a thin margin")
     _demand(_shard(line.get("nodes")) and _shard(line.get("cells")), "the shards of a brick")
+
+
+def refuse_no_sample(line: Mapping[str, Any], d: int) -> None:
+    """ValueError for a line of proofs that cannot be one, of an atlas of d axes."""
+    _demand(_whole(line.get("asked")) and line["asked"] >= 0, "how many proofs")
+    for kind in ("drawn", "thin"):
+        _demand(_all(line.get(kind), dict), "certificates")
+        for one in line[kind]:
+            values = one.get("values")
+            _demand(_all(values, int, float) and len(values) == d and _whole(one.get("level")), "a certificate")
+            _demand(_all(one.get("failed"), str), "checks that failed")
 
 
 def _shard(said: Any) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.building import (
+from perilune.atlas.columns import (
     MOST_NOTES,
     brick_name,
     cell_type,

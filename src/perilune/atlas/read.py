@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.brick import WHOLE, Status
-from perilune.atlas.building import cell_type, header_region, node_type, sheets_of, survey_region
 from perilune.atlas.chart import Chart
+from perilune.atlas.columns import cell_type, header_region, node_type, sheets_of, survey_region
 from perilune.atlas.course import course_from
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.polish import Polished, Polisher

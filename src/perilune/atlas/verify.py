@@ -1,8 +1,6 @@
 """Proving an atlas again: every shard by its checksum, and a random sample of its nodes to level 3.
 
-Each node of a brick carries what its second flight showed; the whole proof of a node takes a hundred times as long as
-the node itself. Of n nodes that are drawn at random and all proved, at least a share 0.01^(1/n) of all nodes would be
-proved, at 99 % confidence: with 459, 99 %.
+What a draw says of the rest: `perilune.atlas.sampling`.
 """
 
 from __future__ import annotations
@@ -11,14 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.atlas.building import cell_type, node_type
+from perilune.atlas.columns import cell_type, node_type
 from perilune.atlas.query import Atlas
-from perilune.atlas.reflight import SLACK
-from perilune.solve import prove
-from perilune.words.outcome import Outcome, PeriluneError
+from perilune.atlas.sampling import (
+    assured,
+    certified,
+    drawn_at_random,
+    may_be_answers,
+    proved_text,
+    unproved_text,
+)
+from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
-
-LEVEL, _DOUBT = 3, 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,13 +55,12 @@ class Verified:
     @property
     def share(self) -> float:
         """Of all answers at least so many would be proved, at 99 % confidence; 0 where one of the drawn was not."""
-        return _DOUBT ** (1.0 / self.drawn) if self.drawn and self.proved == self.drawn else 0.0
+        return assured(self.proved, self.drawn)
 
     def __str__(self) -> str:
         lines = [
             f"{self.shards} shards, {len(self.damaged)} damaged; {self.nodes} nodes, {self.answers} of them answers",
-            f"{self.proved} of {self.drawn} answers drawn at random proved to level {LEVEL}"
-            + (f": at least {100 * self.share:.1f} % of all, at 99 % confidence" if self.share else ""),
+            proved_text(self.proved, self.drawn),
         ]
         return "\n".join([*lines, *self.damaged, *self.unproved])
 
@@ -78,11 +79,9 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
     watch
         Receives lines of text.
     """
-    d, damaged, shards, nodes = len(atlas.region.axes), list[str](), 0, 0
-    found = list[np.ndarray]()
+    d, damaged, shards, nodes, good = len(atlas.region.axes), list[str](), 0, 0, 0
     for (number, *_), line in sorted(atlas.said.items()):
         charted = atlas.charted[number]
-        minimum = np.array([sheet.minimum for sheet in charted.sheets])
         for kind, dtype in (("nodes", node_type(d, charted.unknowns)), ("cells", cell_type(d))):
             shards += 1
             watch(f"shard {shards} of {2 * len(atlas.said)}")
@@ -93,23 +92,10 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
                 continue
             if kind == "nodes":
                 nodes += len(rows)
-                good = (rows["margin"] >= 0) & (rows["residual"] <= SLACK) & (rows["path"] >= -SLACK)
-                found.append(np.array(rows["values"][good & minimum[rows["sheet"]]]))
-    values = np.concatenate([np.empty((0, d)), *found])
-    drawn = values[np.random.default_rng(seed).choice(len(values), min(sample, len(values)), replace=False)]
-    unproved = list[str]()
-    for i, row in enumerate(drawn.tolist()):
-        watch(f"proof {i + 1} of {len(drawn)}")
-        told = dict(zip(atlas.region.names, row, strict=True))
-        try:
-            proved = prove(atlas.query(**told), LEVEL)
-        except PeriluneError as error:
-            unproved.append(f"at {told}: {error.what}")
-            continue
-        if proved.outcome is not Outcome.PROVED:
-            failed = ", ".join(check.name for check in proved.verification.failed[:3])
-            unproved.append(f"at {told}: level {proved.verification.level}, not {failed}")
+                good += int(may_be_answers(rows, charted.sheets).sum())
+    found = certified(drawn_at_random(atlas, sample, np.random.default_rng(seed)), None, watch)
+    unproved = tuple(unproved_text(atlas, one) for one in found if not one.proved)
     return Verified(
-        shards=shards, damaged=tuple(damaged), nodes=nodes, answers=len(values), proved=len(drawn) - len(unproved),
-        drawn=len(drawn), unproved=tuple(unproved),
+        shards=shards, damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
+        drawn=len(found), unproved=unproved,
     )  # fmt: skip

@@ -41,6 +41,7 @@ def _build(typed: Namespace) -> Answer:
             executor,
             tolerance=TOLERANCE if typed.tolerance is None else typed.tolerance,
             watch=watch,
+            sample=typed.sample,
             force=typed.force and not typed.resume,
         )
     return _described(_opened(typed), built=str(typed.out))
@@ -55,7 +56,7 @@ def _extend(typed: Namespace) -> Answer:
             raise PeriluneError(f"--vary names {key} twice", expected="each axis once")
         wanted[key] = bounds
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(typed.workers) as executor:
-        extend(typed.directory, wanted, executor, watch=watch)
+        extend(typed.directory, wanted, executor, watch=watch, sample=typed.sample)
     return _described(_opened(typed), built=str(typed.directory))
 
 
@@ -174,7 +175,9 @@ def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
 
 
 def _described(atlas: Atlas, **more: str) -> Answer:
-    """What an atlas is, and how much of it is there."""
+    """What an atlas is, and how much of it is there; with exit code 5 where what was built is not all proved."""
+    from perilune.atlas.sampling import sample_of
+
     axes = [
         {"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in atlas.region.axes
     ]  # fmt: skip
@@ -192,11 +195,18 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     notes = list(atlas.survey.get("notes", []))
     for text in notes:
         note(text)
+    sample = sample_of(atlas)
+    lines += sample.told(atlas)
+    proofs = {
+        "drawn": len(sample.drawn), "proved": sample.proved, "share": sample.share, "thin_nodes": sample.thin_nodes,
+        "thin_drawn": len(sample.thin), "unproved": [asdict(one) for one in sample.unproved],
+    }  # fmt: skip
     document = {
         "problem": atlas.problem.name, "axes": axes, "tolerance": atlas.tolerance, "bricks": len(atlas.said),
-        "nodes": nodes, "bytes": size, "sheets": sheets, "notes": notes, **more,
+        "nodes": nodes, "bytes": size, "sheets": sheets, "proofs": proofs,
+        "notes": notes, **more,
     }  # fmt: skip
-    return Answer(text="\n".join(lines), document=document)
+    return Answer(text="\n".join(lines), document=document, exit_code=5 if more and sample.unproved else 0)
 
 
 def _query_lines(query: Query) -> list[str]:

@@ -1,0 +1,92 @@
+"""What stands in the shards of an atlas, column by column, and in the survey's line of its manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.lines import told_of_damage
+from perilune.atlas.region import Region, region_of, stated_region
+from perilune.atlas.sheets import Sheet
+from perilune.atlas.store import HEADER, MANIFEST
+from perilune.atlas.survey import Found
+from perilune.problem.extremal import Nature
+from perilune.problem.problem import Problem
+
+MOST_NOTES = 100
+
+
+def node_type(d: int, n: int) -> np.dtype[Any]:
+    """Columns of a shard of nodes, of d axes and n unknowns."""
+    return np.dtype(
+        [
+            ("sheet", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)), ("terms", "<f8", (2**d, n + 1)),
+            ("margin", "<f8"), ("length", "<f8"), ("sequence", "<i8"), ("residual", "<f8"), ("path", "<f8"),
+            ("minimum", "<f8"), ("drift", "<f8"),
+        ]
+    )  # fmt: skip
+
+
+def cell_type(d: int) -> np.dtype[Any]:
+    """Columns of a shard of cells."""
+    return np.dtype(
+        [
+            ("sheet", "<i4"), ("low", "<i4", (d,)), ("size", "<i4", (d,)), ("corners", "<i4", (2**d,)), ("axis", "<i4"),
+            ("child", "<i4"), ("status", "<i4"),
+        ]
+    )  # fmt: skip
+
+
+def seed_type(d: int, n: int) -> np.dtype[Any]:
+    """Columns of a shard of the survey: unknowns of a sheet at corners of bricks."""
+    return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("y", "<f8", (n,))])
+
+
+def brick_name(key: tuple[int, ...]) -> str:
+    """Name of a brick of a chart: its numbers, ``m`` before those below zero."""
+    return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)
+
+
+def said_of(found: Found) -> dict[str, Any]:
+    """What a survey's line says of a chart."""
+    sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
+    course = found.chart.course.document()
+    return {**course, "times": list(found.times), "unknowns": found.y.shape[2], "sheets": sheets}
+
+
+def seeds(places: NDArray[np.int64], y: NDArray[np.float64]) -> NDArray[Any]:
+    """The shard of sheets at corners, (sheets, corners, n) with NaN where one does not reach."""
+    sheet, corner = np.nonzero(np.isfinite(y[:, :, 0]))
+    rows = np.zeros(len(sheet), dtype=seed_type(places.shape[1], y.shape[2]))
+    rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], y[sheet, corner]
+    return rows
+
+
+def digest_of(charts: Any) -> str:
+    """By which a survey is known."""
+    return hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
+
+
+def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
+    """The region that a header states."""
+    with told_of_damage(HEADER):
+        return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
+
+
+def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
+    """The region of a survey: that of the header, unless it states edges of its own."""
+    with told_of_damage(MANIFEST):
+        return stated_region(region, survey["edges"]) if "edges" in survey else region
+
+
+def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
+    """The sheets that the survey's line lists for a chart."""
+    return tuple(
+        Sheet(holds=dict(s["holds"]), orientation=float(s["orientation"]), nature=Nature[s["nature"]])
+        for s in chart["sheets"]
+    )

@@ -1,0 +1,172 @@
+"""What there is to compute of an atlas, brick by brick, anywhere and in any order.
+
+First every brick in which the survey knows a sheet; then, round by round, those into which one goes on from others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.brick import WHOLE, Brick, Cells, Cut
+from perilune.atlas.chart import Chart
+from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of
+from perilune.atlas.course import Course, course_from
+from perilune.atlas.flooding import Key, Shards, spilled
+from perilune.atlas.hermite import bits
+from perilune.atlas.reflight import Reflights
+from perilune.atlas.region import Region
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.store import Store
+from perilune.problem.problem import Problem
+from perilune.words.types import Matrix, Vector
+from perilune.words.watch import Watch, silent
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One brick of one chart, as any process can compute it.
+
+    Parameters
+    ----------
+    problem, names, widths, course, times
+        The chart, and how finely it is flown again.
+    sheets
+        All sheets of the chart.
+    low, high
+        The box [SI].
+    sheet, place, y
+        Extremals in it to begin with, and where they are in its lattice.
+    tolerance
+        Of `build`.
+    before
+        Nodes and cells that are known already.
+    """
+
+    problem: Problem
+    names: tuple[str, ...]
+    widths: Vector
+    course: Course
+    times: tuple[int, ...]
+    sheets: tuple[Sheet, ...]
+    low: Vector
+    high: Vector
+    sheet: NDArray[np.int64]
+    place: NDArray[np.int64]
+    y: Matrix
+    tolerance: float
+    before: tuple[NDArray[Any], NDArray[Any]] | None = None
+
+
+def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Nodes and cells of a brick, as their shards have them."""
+    chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
+    low, high = task.low / chart.scale, task.high / chart.scale
+    cut = Brick(chart, borders, reflights, task.sheets, low, high, task.tolerance, watch).cut(
+        task.sheet, task.place, task.y, None if task.before is None else _cut_of(*task.before)
+    )
+    d, n = len(low), task.y.shape[1]
+    nodes = np.zeros(len(cut.nodes["sheet"]), dtype=node_type(d, n))
+    for name, rows in cut.nodes.items():
+        nodes[name] = rows
+    nodes["values"] = (low + cut.nodes["place"] * ((high - low) / WHOLE)) * chart.scale
+    cells = np.zeros(len(cut.cells), dtype=cell_type(d))
+    for name in cells.dtype.names or ():
+        cells[name] = getattr(cut.cells, name)
+    return nodes, cells
+
+
+def _cut_of(nodes: NDArray[Any], cells: NDArray[Any]) -> Cut:
+    """What shards say, as `computed` has it."""
+    columns = [name for name in nodes.dtype.names or () if name != "values"]
+    said = {
+        name: np.array(nodes[name], dtype=np.float64 if nodes[name].dtype.kind == "f" else np.int64) for name in columns
+    }
+    return Cut(nodes=said, cells=Cells(**{name: cells[name].astype(np.int64) for name in cells.dtype.names or ()}))
+
+
+@lru_cache(maxsize=4)
+def _tools(
+    problem: Problem, names: tuple[str, ...], widths: tuple[float, ...], course: Course, times: tuple[int, ...]
+) -> Any:
+    chart = Chart(problem, names, np.array(widths), course)
+    return chart, Borders(chart), Reflights(chart.free, chart.conditions, times)
+
+
+def first_tasks(
+    kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
+) -> Iterator[tuple[Key, Task]]:
+    """Every brick in which a sheet is known, by chart and numbers."""
+    d = len(region.axes)
+    for number, chart in enumerate(survey["charts"]):
+        known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+        at = dict[tuple[int, ...], list[int]]()
+        for row, corner in enumerate(known["corner"].tolist()):
+            at.setdefault(tuple(corner), []).append(row)
+        for brick in _places(region, chart):
+            beside = [tuple((np.array(brick) + side).tolist()) for side in bits(d)]
+            here = np.sort([row for corner in beside for row in at.get(corner, ())]).astype(np.int64)
+            if len(here):
+                place = (known["corner"][here] - np.array(brick)) * WHOLE
+                seeds = known["sheet"][here].astype(np.int64), place, np.array(known["y"][here])
+                yield (number, *brick), _task(problem, region, chart, brick, tolerance, seeds)
+
+
+def tasks_going_on(
+    kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float, rounds: int
+) -> Iterator[tuple[Key, Task]]:
+    """Every brick into which sheets go on from its neighbours, as they were after so many rounds."""
+    d, charts = len(region.axes), survey["charts"]
+    lines = kept.latest(survey, d, rounds)
+
+    def shards(key: Key) -> Shards | None:
+        if (line := lines.get(key)) is None:
+            return None
+        types = node_type(d, charts[key[0]]["unknowns"]), cell_type(d)
+        return kept.shard(line["nodes"], types[0]), kept.shard(line["cells"], types[1])
+
+    keys = [(number, *brick) for number, chart in enumerate(charts) for brick in _places(region, chart)]
+    minima = [[n for n, sheet in enumerate(sheets_of(chart)) if sheet.minimum] for chart in charts]
+    for key, nodes in spilled(keys, shards, minima.__getitem__):
+        seeds = nodes["sheet"].astype(np.int64), nodes["place"].astype(np.int64), nodes["terms"][:, 0, :-1]
+        before = None if (known := shards(key)) is None else tuple(map(np.array, known))
+        yield key, _task(problem, region, charts[key[0]], key[1:], tolerance, seeds, before)
+
+
+def _places(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
+    """Numbers of the bricks that a chart may have."""
+    without = {tuple(place) for place in chart.get("without", ())}
+    return [brick for brick in region.bricks if brick not in without]
+
+
+def _task(
+    problem: Problem,
+    region: Region,
+    chart: Mapping[str, Any],
+    brick: tuple[int, ...],
+    tolerance: float,
+    seeds: tuple[NDArray[np.int64], NDArray[np.int64], Matrix],
+    before: Any = None,
+) -> Task:
+    low, high = region.box(brick)
+    sheet, place, y = seeds
+    return Task(
+        problem=problem,
+        names=region.names,
+        widths=region.high - region.low,
+        course=course_from(chart),
+        times=tuple(chart["times"]),
+        sheets=sheets_of(chart),
+        low=low,
+        high=high,
+        sheet=sheet,
+        place=place,
+        y=y,
+        tolerance=tolerance,
+        before=before,
+    )

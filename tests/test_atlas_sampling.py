@@ -1,0 +1,168 @@
+"""Proofs of answers at nodes, drawn while an atlas is built: how many, of which, and what they say of the rest."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cho import cho_landing
+from command_line import HYBRID, read_json
+from perilune.atlas import sampling
+from perilune.atlas.building import build
+from perilune.atlas.extending import extend
+from perilune.atlas.query import open_atlas
+from perilune.atlas.sampling import Certificate, Sample, assured, drawn_at_random, drawn_thin, may_be_answers, sample_of
+from perilune.atlas.store import MANIFEST
+from perilune.cli import run
+from perilune.solve import prove
+from perilune.words.outcome import PeriluneError
+
+THRUST = {"vehicle.thrust": (430.0, 450.0)}
+AXES = {**THRUST, "retro.specific_impulse": (270.0, 310.0)}
+VARY = ["--vary", "vehicle.thrust=430:450 N"]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(cho_landing(), THRUST, tmp_path_factory.mktemp("sampled") / "whole", sample=3)
+
+
+@pytest.fixture
+def copy(built: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(built, tmp_path / "copy"))
+
+
+def proofs(place: Path) -> list[dict[str, Any]]:
+    lines = [json.loads(line) for line in (place / MANIFEST).read_text().splitlines()]
+    return [line for line in lines if line["kind"] == "sample"]
+
+
+def test_what_is_drawn_are_nodes_and_their_certificates_are_kept(built: Path) -> None:
+    (line,) = proofs(built)
+    atlas, sample = open_atlas(built), sample_of(open_atlas(built))
+    assert line["level"] == 3 and sample.proved == len(sample.drawn) == 3 and not sample.unproved
+    nodes = np.concatenate([np.load(built / one["nodes"]["file"])["values"] for one in atlas.said.values()])
+    for one in sample.drawn:
+        assert one.values in map(tuple, nodes.tolist())
+        again = prove(atlas.query(vehicle_thrust=one.values[0]), 3)  # as anyone may
+        assert again.verification.level == one.level == 3 and one.failed == ()
+    assert len({one.values for one in sample.drawn}) == 3
+
+
+def test_what_a_draw_says_of_all_is_the_binomial_bound() -> None:
+    assert assured(459, 459) == pytest.approx(0.99, abs=1e-4) and assured(458, 459) == assured(0, 0) == 0.0
+    for n in (1, 10, 459):  # with that share of good ones n good ones in a row come once in a hundred draws
+        assert assured(n, n) ** n == pytest.approx(0.01)
+    good = Certificate(values=(1.0,), level=3, failed=())
+    assert Sample(drawn=(good,) * 10).share == assured(10, 10)
+    assert Sample(drawn=(good, replace(good, level=2, failed=("x",)))).share == 0.0
+
+
+def test_more_proofs_are_added_and_none_is_made_twice(copy: Path) -> None:
+    whole = (copy / MANIFEST).read_bytes()
+    build(cho_landing(), THRUST, copy, sample=3)
+    build(cho_landing(), THRUST, copy, sample=1)
+    build(cho_landing(), THRUST, copy)
+    assert (copy / MANIFEST).read_bytes() == whole
+    build(cho_landing(), THRUST, copy, sample=5)
+    assert [line["asked"] for line in proofs(copy)] == [3, 2]
+    assert len(sample_of(open_atlas(copy)).drawn) == 5
+
+
+def test_of_a_wider_atlas_is_drawn_anew(copy: Path) -> None:
+    extend(copy, {"vehicle.thrust": (430.0, 460.0)}, sample=4)
+    sample = sample_of(open_atlas(copy))
+    assert len(sample.drawn) == 4 and [line["asked"] for line in proofs(copy)] == [3, 4]
+
+
+def test_proofs_are_made_elsewhere_too(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        build(cho_landing(), THRUST, tmp_path / "out", pool, sample=2)
+    assert sample_of(open_atlas(tmp_path / "out")).proved == 2
+
+
+def test_draws_go_all_over_and_are_answers(tmp_path: Path) -> None:
+    """Of two sheets, one the worse of the two at many nodes, and one that can be no answer."""
+    atlas = open_atlas(build(cho_landing(), AXES, tmp_path / "two", sample=0))
+    drawn = list(drawn_at_random(atlas, 30, np.random.default_rng(1)))
+    assert len(drawn) == len({at for at, _ in drawn}) == 30
+    places = np.array([at for at, _ in drawn])
+    assert len(np.unique(atlas.region.bricks_of(places), axis=0)) >= 8
+    for at, solution in drawn[::10]:
+        assert (solution.parameters.vehicle_thrust, solution.parameters.retro_specific_impulse) == at
+    thin = list(drawn_thin(atlas, 3, np.random.default_rng(1)))
+    count = 0
+    for key, line in atlas.said.items():
+        nodes, sheets = np.load(atlas.store.directory / line["nodes"]["file"]), atlas.charted[key[0]].sheets
+        found = may_be_answers(nodes, sheets) & (nodes["margin"] < 1e-3)
+        assert line["thin"] == found.sum()
+        count += int(found.sum())
+    assert sample_of(atlas).thin_nodes == count and len(thin) == min(3, count)
+    assert not list(drawn_at_random(atlas, 0, np.random.default_rng(1)))
+
+
+def test_what_is_not_proved_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing that this program can build is known to fail, so the proof is made to."""
+
+    def strict(solution: Any, level: int) -> Any:
+        proved = prove(solution, level)
+        if solution.parameters.vehicle_thrust > 440.0:
+            first, *others = proved.verification.checks
+            wrong = replace(first, value=2.0 * abs(first.limit) + 1.0)
+            return replace(proved, verification=replace(proved.verification, checks=(wrong, *others)))
+        return proved
+
+    monkeypatch.setattr(sampling, "prove", strict)
+    out = str(tmp_path / "out")
+    assert run(["atlas", "build", HYBRID, *VARY, "--out", out, "--sample", "12", "--json"]) == 5
+    told = read_json(capsys.readouterr().out)["proofs"]
+    assert told["drawn"] > told["proved"] > 0 and told["share"] == 0.0
+    assert all(one["values"][0] > 440.0 and one["failed"] for one in told["unproved"])
+    assert run(["atlas", "info", out]) == 0
+    assert "not " in (said := capsys.readouterr().out) and "confidence" not in said
+
+
+def test_the_command_line_says_what_the_sample_says(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["atlas", "info", str(built)]) == 0
+    assert "3 of 3 answers drawn at random proved to level 3: at least 21.5 % of all" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("sample", [-1, 2.5, True, "3"])
+def test_numbers_of_proofs_that_are_none_are_refused(sample: Any, copy: Path) -> None:
+    with pytest.raises(PeriluneError, match="how many answers"):
+        build(cho_landing(), THRUST, copy, sample=sample)
+    with pytest.raises(PeriluneError, match="how many answers"):
+        extend(copy, {}, sample=sample)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda line: line.update(asked="many"),
+        lambda line: line.update(drawn={}),
+        lambda line: line.update(drawn=[7]),
+        lambda line: line["drawn"][0].update(values=["x"]),
+        lambda line: line["drawn"][0].update(values=[1.0, 2.0]),
+        lambda line: line["drawn"][0].update(level=None),
+        lambda line: line["drawn"][0].update(failed="all"),
+        lambda line: line.pop("thin"),
+    ],
+)
+def test_proofs_of_another_hand_are_refused_in_words(change: Callable[[dict[str, Any]], object], copy: Path) -> None:
+    lines = [json.loads(line) for line in (copy / MANIFEST).read_text().splitlines()]
+    change(lines[-1])
+    (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(PeriluneError, match="damaged"):
+        sample_of(open_atlas(copy))
+    assert run(["atlas", "info", str(copy)]) == 2
