@@ -271,6 +271,11 @@ def _atlas(command: Callable[..., _Parser]) -> None:
     actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
     directory = _option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")
     workers = _option("--workers", metavar="N", type=_number(1), default=1, help="Processes side by side. Usually 1.")
+    scheduler = _option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Of a Dask cluster that computes, e.g. tcp://10.0.0.1:8786; pip install 'perilune[cluster]'.",
+    )
     sample = _option(
         "--sample",
         metavar="N",
@@ -297,6 +302,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
             help="Relative error at which one step of Newton's method has to end. Usually 1e-9.",
         ),
         workers,
+        scheduler,
         sample,
         _switch("--resume", "Go on with the atlas that is in --out DIR already."),
         _VERBOSE,
@@ -316,6 +322,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
             help="The wider range of an axis; may be repeated.",
         ),
         workers,
+        scheduler,
         sample,
         _VERBOSE,
         _NO_CACHE,

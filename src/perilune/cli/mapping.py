@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from perilune.cli.answer import Answer
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
-from perilune.cli.sweeping import ranges, varied, workers
+from perilune.cli.sweeping import elsewhere, ranges, varied
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity, told
@@ -33,7 +33,7 @@ def _build(typed: Namespace) -> Answer:
             "the output directory holds an atlas already", got=str(typed.out), expected="a new or empty directory",
             advice="--resume to go on with it, --force to begin anew, or another directory",
         )  # fmt: skip
-    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(typed.workers) as executor:
+    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
         build(
             problem,
             axes,
@@ -55,7 +55,7 @@ def _extend(typed: Namespace) -> Answer:
         if key in wanted:
             raise PeriluneError(f"--vary names {key} twice", expected="each axis once")
         wanted[key] = bounds
-    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(typed.workers) as executor:
+    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
         extend(typed.directory, wanted, executor, watch=watch, sample=typed.sample)
     return _described(_opened(typed), built=str(typed.directory))
 

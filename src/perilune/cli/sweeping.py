@@ -19,6 +19,7 @@ from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from perilune.families.elsewhere import Submits
     from perilune.scenario import Scenario
 
 Kind = TypeVar("Kind")
@@ -86,6 +87,21 @@ def workers(count: int) -> Iterator[Executor | None]:
     # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_leave_interrupts) as pool:
         yield pool
+
+
+@contextmanager
+def elsewhere(order: Namespace) -> Iterator[Submits | None]:
+    """Where it is computed: on the cluster of ``--scheduler``, or in ``--workers`` processes."""
+    if order.scheduler is None:
+        with workers(order.workers) as pool:
+            yield pool
+        return
+    if order.workers > 1:
+        raise PeriluneError("--workers and --scheduler say two places at once", expected="one of the two")
+    from perilune.families.cluster import cluster
+
+    with cluster(order.scheduler) as machines:
+        yield machines
 
 
 def _leave_interrupts() -> None:

@@ -1,0 +1,125 @@
+"""Calls on the machines of a cluster, by Dask distributed, which the extra ``cluster`` installs.
+
+A worker that dies is no loss: its calls go to others, and what they return is the same to the last bit. Only if the
+scheduler is gone, or a call has cost several workers, there is an error.
+
+Source: M. Rocklin, *Dask: parallel computation with blocked algorithms and task scheduling*, Proc. 14th Python in
+Science Conference 2015, 126-132.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError
+from contextlib import contextmanager
+from socket import create_connection
+from typing import Any
+
+from perilune.words.outcome import PeriluneError
+
+_PATIENCE = 10  # seconds, for a scheduler that does not answer
+_ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?(?P<host>[\w.-]{1,253}|\[[0-9a-fA-F:]+\]):(?P<port>\d{1,5})", re.ASCII)
+
+
+class Cluster:
+    """A Dask client as an executor that `perilune.families.elsewhere.answers` takes.
+
+    Parameters
+    ----------
+    client
+        A ``distributed.Client``.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> _Future:
+        """Begin a call; each is its own, also where another has the same arguments."""
+        return _Future(self.client.submit(function, *arguments, pure=False))
+
+
+class _Future:
+    """A call that was begun; a cluster that is lost is told as that of a process pool is."""
+
+    def __init__(self, future: Any) -> None:
+        self._future = future
+
+    def result(self) -> Any:
+        """What the call returned."""
+        from distributed import KilledWorker
+
+        try:
+            return self._future.result()
+        except (KilledWorker, CancelledError) as error:
+            raise BrokenExecutor(str(error)[:200] or "the scheduler is gone") from error
+
+    def cancel(self) -> Any:
+        """Give the call up."""
+        return self._future.cancel()
+
+    def add_done_callback(self, called: Callable[[Any], Any]) -> None:
+        """Call something when it is done."""
+        self._future.add_done_callback(called)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Cluster]:
+    """The cluster of a scheduler, for as long as the block lasts.
+
+    Parameters
+    ----------
+    address
+        Of its scheduler: ``tcp://10.0.0.1:8786``.
+
+    Raises
+    ------
+    PeriluneError
+        If Dask is not installed, or nothing answers at the address.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise PeriluneError(
+            "a scheduler needs Dask distributed, which is not installed", advice="pip install 'perilune[cluster]'"
+        ) from None
+    _refuse_silent(address)
+    try:
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise _silent(address, str(error)) from error
+    with _quiet(), client:
+        yield Cluster(client)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What Dask says of connections that break is said in our words."""
+    levels = [(log := logging.getLogger(name), log.level) for name in ("distributed", "distributed.client")]
+    for log, _ in levels:
+        log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for log, level in levels:
+            log.setLevel(level)
+
+
+def _refuse_silent(address: str) -> None:
+    """Refuse an address at which nobody listens, before a client waits for it and complains in its own words."""
+    found = _ADDRESS.fullmatch(address)
+    if found is None:
+        raise _silent(address, "no such address")
+    try:
+        create_connection((found["host"].strip("[]"), int(found["port"])), timeout=_PATIENCE).close()
+    except (OSError, OverflowError) as error:
+        raise _silent(address, str(error)) from error
+
+
+def _silent(address: str, why: str) -> PeriluneError:
+    return PeriluneError(
+        "no scheduler answers", got=f"{address[:80]}: {why[:120]}",
+        expected="the address of a scheduler that runs: tcp://HOST:PORT",
+        advice="start one with `dask scheduler`, and `dask worker ADDRESS --nthreads 1` on each machine",
+    )  # fmt: skip

@@ -1,0 +1,80 @@
+"""Atlases on a cluster of Dask: the same nodes to the last bit, whatever dies meanwhile; what is refused."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+
+import pytest
+
+from cho import cho_landing
+from command_line import HYBRID
+from perilune.atlas.building import build
+from perilune.atlas.query import open_atlas
+from perilune.atlas.sampling import sample_of
+from perilune.cli import run
+from perilune.families.cluster import cluster
+from perilune.words.outcome import PeriluneError
+
+AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
+VARY = ["--vary", "vehicle.thrust=430:450 N"]
+
+
+def shards(place: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in place.glob("*.npy")}
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="a POSIX signal")
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")  # of Dask itself
+def test_a_worker_that_is_killed_is_no_loss(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    build(cho_landing(), AXES, tmp_path / "here", sample=0)
+    killed = list[int]()
+    quiet = {"dashboard_address": None, "silence_logs": 50}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **quiet) as local:
+
+        def watch(line: object) -> None:
+            if str(line).startswith("3 of 16 bricks") and not killed:
+                killed.append(next(iter(local.workers.values())).process.pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        with cluster(local.scheduler_address) as machines:
+            build(cho_landing(), AXES, tmp_path / "there", machines, watch=watch, sample=1)
+            with pytest.raises(PeriluneError, match="tolerance"):
+                build(cho_landing(), AXES, tmp_path / "there", machines, tolerance=1.0)
+            assert machines.submit(sorted, [2, 1]).result() == [1, 2]
+            with pytest.raises(ZeroDivisionError):
+                machines.submit(divmod, 1, 0).result()
+            waiting = machines.submit(sorted, [3])
+            waiting.cancel()
+            with pytest.raises(BrokenExecutor):
+                waiting.result()
+    assert killed and shards(tmp_path / "here") == shards(tmp_path / "there")
+    assert sample_of(open_atlas(tmp_path / "there")).proved == 1
+
+
+def test_addresses_at_which_nobody_answers_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    order = ["atlas", "build", HYBRID, *VARY, "--out", str(tmp_path / "a"), "--scheduler"]
+    for address in (f"tcp://127.0.0.1:{port}", "nonsense", "tcp://host", "tcp://127.0.0.1:99999", "tcp://no such:1"):
+        assert run([*order, address]) == 2
+        assert "no scheduler answers" in capsys.readouterr().err
+    assert run([*order, "tcp://127.0.0.1:1", "--workers", "2"]) == 2
+    assert "two places" in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()
+
+
+def test_without_the_extra_it_is_said_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    order = ["atlas", "build", HYBRID, *VARY, "--out", str(tmp_path / "a"), "--scheduler", "tcp://127.0.0.1:1"]
+    assert run(order) == 2
+    assert "pip install 'perilune[cluster]'" in capsys.readouterr().err and not (tmp_path / "a").exists()
