@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from perilune.atlas.building import build
+    from perilune.atlas.exporting import export
     from perilune.atlas.extending import extend
     from perilune.atlas.many import Answered, Answers
     from perilune.atlas.merging import merge
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "build": ("building", "build"),
+    "export": ("exporting", "export"),
     "extend": ("extending", "extend"),
     "merge": ("merging", "merge"),
     "open": ("query", "open_atlas"),
@@ -30,7 +32,20 @@ _HOME = {
     "Slice": ("slices", "Slice"),
     "sliced": ("slices", "sliced"),
 }
-__all__ = ["Answered", "Answers", "Atlas", "Mapped", "Query", "Slice", "build", "extend", "merge", "open", "sliced"]
+__all__ = [
+    "Answered",
+    "Answers",
+    "Atlas",
+    "Mapped",
+    "Query",
+    "Slice",
+    "build",
+    "export",
+    "extend",
+    "merge",
+    "open",
+    "sliced",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -374,6 +374,15 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         _NO_CACHE,
         among=actions,
     )
+    command(
+        "atlas export",
+        "Write all nodes of an atlas into one file for other programs.",
+        directory,
+        _option("--format", metavar="FORMAT", default="netcdf", help="netcdf (unless given), or parquet."),
+        _option("--out", metavar="FILE", type=Path, required=True, help="The file."),
+        _FORCE,
+        among=actions,
+    )
     command("atlas info", "Say what an atlas maps, and how much of it is there.", directory, among=actions)
     command(
         "atlas verify",

@@ -1,4 +1,4 @@
-"""The command ``atlas``: build, extend, merge, query, plot, info, verify."""
+"""The command ``atlas``: build, extend, merge, query, plot, export, info, verify."""
 
 from __future__ import annotations
 
@@ -129,6 +129,16 @@ def _query(typed: Namespace) -> Answer:
     )
 
 
+def _export(typed: Namespace) -> Answer:
+    from perilune.atlas.exporting import export
+
+    atlas = _opened(typed)
+    export(atlas, typed.out, typed.format, force=typed.force)
+    nodes, size = sum(line["nodes"]["rows"] for line in atlas.said.values()), typed.out.stat().st_size
+    document = {"written": str(typed.out), "format": typed.format, "nodes": nodes, "bytes": size}
+    return Answer(text=f"written to {typed.out}: {nodes} nodes, {size / 2**20:.1f} MiB", document=document)
+
+
 def _plot(typed: Namespace) -> Answer:
     from perilune.atlas.slices import sliced
     from perilune.report.atlas_maps import write_maps
@@ -183,7 +193,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     ]  # fmt: skip
     nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
     size = sum(int(line[kind]["bytes"]) for line in atlas.said.values() for kind in ("nodes", "cells"))
-    sheets = [sheet.label for charted in atlas.charted for sheet in charted.sheets]
+    sheets = [charted.label(number) for charted in atlas.charted for number in range(len(charted.sheets))]
     total = len(atlas.region.bricks) * max(1, len(atlas.charted))
     lines = [
         f"atlas of {atlas.problem.heading}",
@@ -224,6 +234,7 @@ ACTIONS: Mapping[str, Callable[[Namespace], Answer]] = {
     "merge": _merge,
     "query": _query,
     "plot": _plot,
+    "export": _export,
     "info": _info,
     "verify": _verify,
 }

@@ -1,0 +1,155 @@
+"""Nodes of an atlas for other programs: read back by libraries that did not write them, the same to the last bit."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cho import cho_landing
+from command_line import read_json
+from perilune.atlas import exporting
+from perilune.atlas.building import build
+from perilune.atlas.exporting import export
+from perilune.atlas.merging import merge
+from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas.store import MANIFEST
+from perilune.atlas.table import Table
+from perilune.cli import run
+from perilune.solve import solve
+from perilune.words.outcome import PeriluneError
+
+AXES = {"vehicle.thrust": (430.0, 440.0), "retro.specific_impulse": (290.0, 310.0)}
+NEEDS = "needs the extra 'test'"
+
+
+@pytest.fixture(scope="module")
+def atlas(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
+    return open_atlas(build(cho_landing(), AXES, tmp_path_factory.mktemp("export") / "atlas", sample=2))
+
+
+@pytest.fixture(scope="module")
+def expected(atlas: Atlas) -> dict[str, np.ndarray]:
+    """All columns, brick after brick."""
+    parts = list(Table(atlas).parts())
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def test_the_table_says_what_a_solve_from_nothing_says(atlas: Atlas, expected: dict[str, np.ndarray]) -> None:
+    rows = sum(len(np.load(atlas.store.directory / line["nodes"]["file"])) for line in atlas.said.values())
+    assert {len(values) for values in expected.values()} == {rows} == {Table(atlas).rows}
+    thrust, isp = expected["vehicle_thrust"], expected["retro_specific_impulse"]
+    at = (thrust == 435.0) & (isp == 300.0) & (expected["answer"] == 1)
+    best = np.nonzero(at)[0][expected["objective"][at].argmin()]
+    alone = solve(cho_landing().with_given(vehicle_thrust=435.0, retro_specific_impulse=300.0), level=0)
+    assert expected["objective"][best] == pytest.approx(alone.objective, rel=1e-10)
+    for name, value in alone.free.items():
+        assert expected[name][best] == pytest.approx(value, rel=1e-9)
+    step = 0.01
+    ends = [
+        solve(cho_landing().with_given(vehicle_thrust=435.0 + way * step, retro_specific_impulse=300.0), level=0)
+        for way in (-1, 1)
+    ]
+    slope = (ends[1].objective - ends[0].objective) / (2 * step)
+    assert expected["slope_vehicle_thrust"][best] == pytest.approx(slope, rel=1e-6)
+    assert "at its lower bound" in Table(atlas).sheets[int(expected["sheet"][expected["retro_delta_v"] == 0.0][0])]
+    assert {column.name: column.unit for column in Table(atlas).columns}["slope_vehicle_thrust"] == "s^2/m"
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of a library compiled for another NumPy
+def test_netcdf_is_read_by_another_library(atlas: Atlas, expected: dict[str, np.ndarray], tmp_path: Path) -> None:
+    reader = pytest.importorskip("netCDF4", reason=NEEDS)
+    file = export(atlas, tmp_path / "nodes.nc", "netcdf")
+    with reader.Dataset(file) as found:
+        found.set_auto_mask(False)
+        assert set(found.variables) == set(expected)
+        for name, values in expected.items():
+            np.testing.assert_array_equal(found[name][:], values)
+            assert found[name].dtype == values.dtype
+        assert found["objective"].units == "kg" and found["vehicle_thrust"].units == "N"
+        assert "perilune" in found.source and "lander" in found.title and "2 of 2" in found.proofs
+        assert json.loads(found.axes)["vehicle_thrust"] == [430.0, 440.0, "N"]
+        assert json.loads(found.sheets) == Table(atlas).sheets
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::DeprecationWarning")
+def test_xarray_opens_it(atlas: Atlas, expected: dict[str, np.ndarray], tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray", reason=NEEDS)
+    with xarray.open_dataset(export(atlas, tmp_path / "nodes.nc", "netcdf"), engine="scipy") as found:
+        assert found["terms"].dims == ("node", "term", "unknown") and found["margin"].attrs["units"] == "1"
+        best = found.where(found["answer"] == 1, drop=True)
+        assert float(best["objective"].min()) == expected["objective"][expected["answer"] == 1].min()
+
+
+def test_parquet_is_read_by_another_library(atlas: Atlas, expected: dict[str, np.ndarray], tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="needs the extra 'export'")
+    duckdb = pytest.importorskip("duckdb", reason=NEEDS)
+    file = export(atlas, tmp_path / "nodes.parquet", "parquet")
+    names = ", ".join(expected)
+    rows = duckdb.sql(f"SELECT {names} FROM read_parquet('{file}')").fetchall()
+    for (name, values), found in zip(expected.items(), zip(*rows, strict=True), strict=True):
+        np.testing.assert_array_equal(np.array(found, dtype=values.dtype), values, err_msg=name)
+    about = duckdb.sql(f"SELECT key, value FROM parquet_kv_metadata('{file}')").fetchall()
+    told = json.loads({bytes(key): bytes(value) for key, value in about}[b"perilune"])
+    assert json.loads(told["sheets"]) == Table(atlas).sheets and told["tolerance"] == "1e-09"
+
+
+def test_charts_of_another_making_stand_beside_each_other(atlas: Atlas, tmp_path: Path) -> None:
+    high = build(cho_landing(), {**AXES, "vehicle.thrust": (440.0, 445.0)}, tmp_path / "high", sample=0)
+    both = open_atlas(merge(atlas.store.directory, high, tmp_path / "both"))
+    parts = list(Table(both).parts())
+    sheet, chart = (np.concatenate([part[name] for part in parts]) for name in ("sheet", "chart"))
+    assert set(chart) == {0, 1} and sheet[chart == 1].min() == len(both.charted[0].sheets)
+
+
+def test_exports_that_cannot_be_made_are_refused(atlas: Atlas, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "nodes.nc"
+    with pytest.raises(PeriluneError, match="no format"):
+        export(atlas, file, "hdf5")
+    with pytest.raises(PeriluneError, match="an atlas to export"):
+        export("map", file, "netcdf")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(PeriluneError, match="cannot be written"):
+        export(atlas, tmp_path / "nowhere" / "nodes.nc", "netcdf")
+    export(atlas, file, "netcdf")
+    before = file.read_bytes()
+    with pytest.raises(PeriluneError, match="there already"):
+        export(atlas, file, "netcdf")
+    export(atlas, file, "netcdf", force=True)
+    assert file.read_bytes() == before and os.listdir(tmp_path) == ["nodes.nc"]
+    monkeypatch.setattr(exporting, "_LARGEST", 1000)
+    with pytest.raises(PeriluneError, match="too large"):
+        export(atlas, file, "netcdf", force=True)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(PeriluneError, match="pyarrow") as missing:
+        export(atlas, tmp_path / "nodes.parquet", "parquet")
+    assert "pip install 'perilune[export]'" in missing.value.advice
+    assert file.read_bytes() == before and os.listdir(tmp_path) == ["nodes.nc"]
+
+
+def test_damage_is_named_and_nothing_is_written(atlas: Atlas, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(atlas.store.directory, tmp_path / "copy"))
+    damaged = copy / next(iter(atlas.said.values()))["nodes"]["file"]
+    damaged.write_bytes(damaged.read_bytes()[:-1] + b"x")
+    with pytest.raises(PeriluneError, match=damaged.name):
+        export(open_atlas(copy), tmp_path / "nodes.nc", "netcdf")
+    lines = (copy / MANIFEST).read_text().splitlines(keepends=True)
+    (copy / MANIFEST).write_text(lines[0])
+    with pytest.raises(PeriluneError, match="nothing to export"):
+        export(open_atlas(copy), tmp_path / "nodes.nc", "netcdf")
+    assert os.listdir(tmp_path) == ["copy"]
+
+
+def test_the_command_line_exports(atlas: Atlas, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place, file = str(atlas.store.directory), tmp_path / "nodes.nc"
+    assert run(["atlas", "export", place, "--out", str(file), "--json"]) == 0
+    assert read_json(capsys.readouterr().out)["bytes"] == file.stat().st_size
+    assert run(["atlas", "export", place, "--out", str(file)]) == 2
+    assert run(["atlas", "export", place, "--out", str(file), "--force"]) == 0
+    assert run(["atlas", "export", place, "--out", str(file), "--force", "--format", "zarr"]) == 2
+    assert run(["atlas", "export", place]) == 2
+    assert run(["atlas", "export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
