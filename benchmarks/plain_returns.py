@@ -1,6 +1,7 @@
 """Returns that nobody optimised: thrust in one direction beside the flight until its way down is steep enough.
 
-From ignition on the thrust keeps a pitch below and a yaw beside the direction against the velocity. It ends when the
+From ignition on the thrust keeps a yaw beside the direction against the velocity, and a pitch below it, which may grow
+evenly. It ends when the
 coast that follows comes to the interface at a path angle; from there the vehicle falls. SciPy flies it through the
 equations of the problem, and nothing is sought but the length of the burn.
 """
@@ -30,7 +31,9 @@ LONGEST_ENTRY = 4000.0  # s
 RELATIVE, ABSOLUTE = 1e-6, 1.0  # tolerances of the flight
 
 
-def landing(problem: Problem, coast: float, pitch: float, yaw: float, angle: float) -> Triple | None:
+def landing(
+    problem: Problem, coast: float, pitch: float, yaw: float, angle: float, turning: float = 0.0
+) -> Triple | None:
     """Position [m] beside the body where the return of the shortest such burn lands; None where there is none.
 
     Parameters
@@ -43,12 +46,14 @@ def landing(problem: Problem, coast: float, pitch: float, yaw: float, angle: flo
         Of the thrust [rad], below the direction against the inertial velocity and to the left of it.
     angle
         At the interface, beside the body [rad].
+    turning
+        By how much the pitch grows with each radian of the way round the body.
     """
     p, phases = problem.parameters({}), {phase.name: phase for phase in problem.phases}
     state = np.array(problem.start(p, NUMERIC), dtype=float)
     if "coast" in phases:
         state, _ = _flown(phases["coast"], state, coast, p)
-    ignited, thrust = state, _beside(pitch, yaw, p)
+    ignited, thrust = state, _beside(state, pitch, yaw, turning, p)
 
     def down(length: float) -> tuple[Any, float]:
         """Where the flight with a burn comes to the interface, and by how much it is too flat there."""
@@ -77,11 +82,13 @@ def landing(problem: Problem, coast: float, pitch: float, yaw: float, angle: flo
     return where(entry.state_record(*ended)) if low and slow else None
 
 
-def _beside(pitch: float, yaw: float, p: SimpleNamespace) -> Callable[[Any], Any]:
-    """Direction of the thrust at a state."""
+def _beside(ignited: Any, first: float, yaw: float, turning: float, p: SimpleNamespace) -> Callable[[float, Any], Any]:
+    """Direction of the thrust at a time [s] from ignition and a state."""
+    radius = float(np.linalg.norm(ignited[:3]))
+    rate = turning * math.sqrt(p.body_gravitational_parameter / radius**3)
 
-    def thrust(state: Any) -> Any:
-        position = np.array(state[:3])
+    def thrust(t: float, state: Any) -> Any:
+        pitch, position = first + rate * t, np.array(state[:3])
         velocity = np.array(state[3:6]) + p.body_rotation_rate * np.array([-position[1], position[0], 0.0])
         ahead = velocity / np.linalg.norm(velocity)
         left = np.cross(position, velocity)
@@ -97,7 +104,7 @@ def _flown(
     state: Any,
     longest: float,
     p: SimpleNamespace,
-    control: Callable[[Any], Any] = lambda _: (),
+    control: Callable[[float, Any], Any] = lambda *_: (),
     lowest: float = -math.inf,
     highest: float = math.inf,
 ) -> tuple[Any, bool]:
@@ -112,8 +119,8 @@ def _flown(
     down.terminal = up.terminal = True  # type: ignore[attr-defined]
     down.direction, up.direction = -1.0, 1.0  # type: ignore[attr-defined]
 
-    def rates(_: float, y: Any) -> Any:
-        return phase.rates(y, control(y), p)
+    def rates(t: float, y: Any) -> Any:
+        return phase.rates(y, control(t, y), p)
 
     flown = solve_ivp(rates, (0.0, longest), state, method="DOP853", events=(down, up), rtol=RELATIVE, atol=ABSOLUTE)
     return flown.y[:, -1], bool(len(flown.t_events[0]))

@@ -3,7 +3,8 @@
 Altitude 250-800 km, inclination 28-98 deg, thrust 0.1-2 m/s^2 of the initial mass, exhaust speed 3000 m/s, 30 % of
 propellant, ballistic coefficient 30-500 kg/m^2, path angle at the interface -3 to -1.2 deg, given or the flattest that
 is allowed. The site is in reach: it is where a plain return lands (`plain_returns.py`), of thrust up to a right angle
-above or below, and up to 45 deg beside, the direction against the velocity; drawn again until there is one. By turns
+above or below, and up to 45 deg beside, the direction against the velocity; drawn again until there is one, and where
+there seems to be none with a pitch that turns as fast as the orbit at most. By turns
 least flight time and least propellant; ignition at a place, or free on a revolution; exponential air and that of 1976.
 Each is solved without a guess and proved:
 
@@ -48,7 +49,7 @@ SITE = 10e3  # m
 EXPONENTIAL = Atmosphere(model="exponential", density=1.225, scale_height=7200.0)
 STANDARD = Atmosphere(model="us1976")
 PITCH, YAW = math.radians(90.0), math.radians(45.0)  # of the thrust of plain returns, at most
-TRIES = 400  # directions of it
+STEADY, TRIES = 100, 800  # directions of it: that keep a pitch, and in all
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,9 @@ def _site(rng: np.random.Generator, anywhere: Problem, coast: float, pitch: floa
     """Where a plain return lands, of these or of others that are drawn until one flies."""
     given = anywhere.given
     angle = float((given.get("interface_angle") or given["interface_angle_upper"]).value)
-    for _ in range(TRIES):
-        position = landing(anywhere, coast, pitch, yaw, angle)
+    for tried in range(TRIES):
+        turning = rng.uniform(-1.0, 1.0) if tried >= STEADY else 0.0
+        position = landing(anywhere, coast, pitch, yaw, angle, turning)
         if position is not None:
             latitude = ellipsoid.latitude(position, anywhere.parameters({}), NUMERIC)
             return Landing(longitude=math.atan2(position[1], position[0]), latitude=float(latitude), altitude=SITE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from perilune.models.deorbit.records import (
     Separation,
     Transition,
 )
+from perilune.models.deorbit.times import impulsive
 from perilune.scenario import load_file
 from perilune.solve import verify
 from perilune.words.watch import silent
@@ -78,29 +80,49 @@ def test_costates_of_a_fall_follow_from_its_end(tmp_path: Path) -> None:
         }
 
 
-def test_a_rough_coast_ends_at_the_pass_that_comes_nearest_to_the_site() -> None:
-    """The end of a rough flight that begins a coast later is a site: the rough flight from t = 0 waits for it."""
-    stated = {
-        "vehicle": Returner(mass=1000.0, thrust=300.0, exhaust_velocity=3000.0, dry_mass=700.0, drag_area=3.0),
-        "interface": Interface(altitude=120e3, angle=math.radians(-1.8)),
-        "transition": Transition(longest_coast=4000.0),
-        "air": Atmosphere(model="us1976"),
-        "manoeuvre": Manoeuvre(longitude=0.3, latitude=0.4, going="ascending"),
-    }
-    radius = EARTH.radius + 300e3
-    period = 2 * math.pi * math.sqrt(radius**3 / EARTH.gravitational_parameter)
-    orbit = Orbit(radius=radius, inclination=1.0, longest_coast=3.0 * period)
-    anywhere = deorbit_entry(orbit_=orbit, site=Landing(altitude=10e3), **stated)
-    typical = {f.name: f.typical for f in anywhere.free}
+COASTING: dict[str, Any] = {
+    "vehicle": Returner(mass=1000.0, thrust=300.0, exhaust_velocity=3000.0, dry_mass=700.0, drag_area=3.0),
+    "interface": Interface(altitude=120e3, angle=math.radians(-1.8)),
+    "transition": Transition(longest_coast=4000.0),
+    "air": Atmosphere(model="us1976"),
+    "manoeuvre": Manoeuvre(longitude=0.3, latitude=0.4, going="ascending"),
+}
+LOW = Orbit(radius=EARTH.radius + 300e3, inclination=1.0)
+PERIOD = 2 * math.pi * math.sqrt((EARTH.radius + 300e3) ** 3 / EARTH.gravitational_parameter)
+
+
+@pytest.mark.parametrize(
+    ("turns", "longest"), [(0.02, 3.0), (0.6, 3.0), (0.97, 3.0), (1.95, 3.0), (2.5, 3.0), (0.97, 1.0), (1.06, 1.0)]
+)
+def test_a_rough_coast_ends_at_the_pass_that_comes_nearest_to_the_site(turns: float, longest: float) -> None:
+    """Where a rough flight ends that begins so many turns later: that from t = 0 waits for it, or flies on to it."""
+    anywhere = deorbit_entry(orbit_=replace(LOW, longest_coast=3.0 * PERIOD), site=Landing(altitude=10e3), **COASTING)
     assert anywhere.rough_flight is not None
-    for turns in (0.02, 0.6, 0.97, 1.95, 2.5):
-        began = {**typical, "coast_time": turns * period}
-        end = anywhere.rough_flight(anywhere.parameters(began))[-1][-1, :3]
-        end = end / np.linalg.norm(end)
-        site = Landing(longitude=math.atan2(end[1], end[0]), latitude=math.asin(end[2]), altitude=10e3)
-        there = deorbit_entry(orbit_=orbit, site=site, **stated)
-        coast = next(f.typical for f in there.free if f.name == "coast_time")
-        assert coast == pytest.approx(turns * period, abs=0.01 * period)
+    known = {f.name: f.typical for f in anywhere.free}
+    end = anywhere.rough_flight(anywhere.parameters({**known, "coast_time": turns * PERIOD}))[-1][-1, :3]
+    site = Landing(
+        longitude=math.atan2(end[1], end[0]), latitude=math.asin(end[2] / np.linalg.norm(end)), altitude=10e3
+    )
+    there = deorbit_entry(orbit_=replace(LOW, longest_coast=longest * PERIOD), site=site, **COASTING)
+    rough = {f.name: f.typical for f in there.free}
+    coast, drift = rough["coast_time"], rough["drift_time"] - known["drift_time"]
+    assert coast == pytest.approx(min(turns, longest) * PERIOD, abs=0.025 * PERIOD)
+    assert drift == pytest.approx(max(turns - longest, 0.0) * PERIOD, abs=0.01 * PERIOD)
+
+
+def test_a_rough_burn_of_low_thrust_comes_down_at_the_angle_that_is_stated() -> None:
+    """Longer by a fifth than the velocity change of an impulse, as it goes round a part of the body."""
+    low = {**COASTING, "vehicle": replace(COASTING["vehicle"], thrust=100.0)}
+    low |= {"interface": Interface(altitude=120e3, angle=math.radians(-2.8))}
+    radius = EARTH.radius + 713e3
+    problem = deorbit_entry(orbit_=replace(LOW, radius=radius), site=Landing(altitude=10e3), **low)
+    rough = {f.name: f.typical for f in problem.free}
+    assert problem.rough_flight is not None
+    x = problem.rough_flight(problem.parameters(rough))[1][-1]
+    angle = math.asin(x[:3] @ x[3:6] / np.linalg.norm(x[:3]) / np.linalg.norm(x[3:6]))
+    assert math.degrees(angle) == pytest.approx(-2.8, abs=0.15)
+    change = impulsive(radius, EARTH.radius + 120e3, math.radians(-2.8), EARTH.gravitational_parameter).velocity_change
+    assert rough["burn_time"] > 1.15 * 1000.0 * 3000.0 / 100.0 * (1 - math.exp(-change / 3000.0))
 
 
 def test_propellant_is_that_of_the_whole_vehicle_whatever_enters_the_air() -> None:

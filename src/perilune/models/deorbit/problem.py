@@ -222,8 +222,10 @@ def _ranges(
         "parachute_time": 10 * typical.get("parachute_time", 0.0),
     }
     least = {"coast_time": SHORTEST, "drift_time": SHORTEST}
+    inside = {"coast_time": 0.98}  # of its longest: by how late it begins a flight knows its site
     return {
-        name: (least.get(name, 0.0), longest[name], min(value, 0.9 * longest[name])) for name, value in typical.items()
+        name: (least.get(name, 0.0), longest[name], min(value, inside.get(name, 0.9) * longest[name]))
+        for name, value in typical.items()
     }
 
 

@@ -31,6 +31,10 @@ from perilune.words.types import Matrix, Physics, Vector
 
 _NEAR = 0.01  # of the distance: an end of the flight in the plane that is an end at the interface
 _SHORTER = 0.1  # of a turn: by so much the way to a site may be shorter than the typical one
+_LONG_BURN = 0.3  # rad, of the orbit: no longer is a burn like an impulse
+_BURNS, _LONGER, _ALIKE = 8, 1.3, 0.03  # lengths that are tried, from one to the next, and an angle that is met
+_LEAST_DRIFT, _WAITS = 0.04, 0.05  # of the way down; of a picture, for so long it may stay at its end
+_EASIER = 0.05  # so many radians to the side are as hard as one along the way
 _TURNS = 50  # of a long coast, the passes after which are looked at
 
 
@@ -125,11 +129,35 @@ def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
     if not drifts:
         return Down(velocity_change=change, burn=whole, whole=whole, swept=mean * whole)
     burn = min(burn, 0.8 * whole)
-    last = descent(p, angle, coast, burn, 2 * whole)[0] if whole < LONGEST_COAST else np.zeros(5)
-    if abs(last[1] / gate - 1) < _NEAR:
-        whole, swept = float(last[0]) - coast, float(last[2]) - mean * coast
-        return Down(velocity_change=change, burn=burn, whole=whole, swept=swept)
+    if whole < LONGEST_COAST:
+        burn, last = _steep_enough(p, angle, coast, burn, whole)
+        if last is not None:
+            whole, swept = float(last[0]) - coast, float(last[2]) - mean * coast
+            return Down(velocity_change=change, burn=burn, whole=whole, swept=swept)
     return Down(velocity_change=change, burn=burn, whole=whole, swept=mean * whole)
+
+
+def _steep_enough(p: Any, angle: float, coast: float, burn: float, whole: float) -> tuple[float, Matrix | None]:
+    """How long a burn against the velocity leads down at the typical angle, about, and the end of its descent.
+
+    An impulse of the same velocity change leads down more steeply than a burn that goes round a part of the body.
+    """
+    gate, wanted = p.body_radius + p.interface_altitude, typical_angle(p)
+    short, long, best = 0.0, math.inf, None
+    for _ in range(_BURNS if burn * mean_rate(p, angle) > _LONG_BURN else 1):
+        last = descent(p, angle, coast, burn, 2 * whole)[0]
+        flat = True
+        if abs(last[1] / gate - 1) < _NEAR:
+            best, steep = (
+                (min(burn, float(last[0]) - coast), last),
+                math.atan2(last[3], last[4] - carried(p, gate)) / wanted,
+            )
+            if abs(steep - 1) < _ALIKE or last[0] < coast + burn:
+                break
+            flat = steep < 1
+        short, long = (burn, long) if flat else (short, burn)
+        burn = 0.5 * (short + long) if long < math.inf else _LONGER * burn
+    return best or (burn, None)
 
 
 def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, drifts: bool) -> dict[str, float]:
@@ -139,7 +167,7 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
     down = way_down(p, angle, drifts=drifts, coast=times.get("coast_time", 0.0))
     times["burn_time"] = down.burn
     if drifts:
-        times["drift_time"] = max(down.whole - down.burn, 0.1 * down.whole)
+        times["drift_time"] = max(down.whole - down.burn, _LEAST_DRIFT * down.whole)
     if air is None:
         return times
     entry = fall(p, air)
@@ -152,15 +180,15 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
         more = _to_the_site(p, angle, node, whole, swept, longest)
         if coasts:
             times["coast_time"] = min(more, longest)
-        else:
-            times["drift_time" if drifts else "burn_time"] += more
+        times["drift_time" if drifts else "burn_time"] += max(more - longest, 0.0)
     return times
 
 
 def _to_the_site(p: Any, angle: float, node: float, whole: float, swept: float, longest: float) -> float:
     """How much later [s] than at once a flight begins that lasts `whole` and sweeps an angle, to end at the site.
 
-    At the first pass; of the passes within the `longest` coast at that which comes nearest to the site.
+    At the first pass; of those within the `longest` coast, about, at that which comes nearest to the site: a way that
+    is not as long as the typical one is easier to fly than one to the side.
     """
     (up, ahead), mean = plane(angle, node, p, NUMERIC), mean_rate(p, angle)
     aside, found = cross(up, ahead), list[tuple[float, float]]()
@@ -171,8 +199,8 @@ def _to_the_site(p: Any, angle: float, node: float, whole: float, swept: float, 
             site, _, _ = local_axes(p.site_longitude + turned, p.site_latitude, NUMERIC)
             away = math.atan2(dot(site, ahead), dot(site, up)) - swept
             more = (away - 2 * math.pi * (math.floor(away / (2 * math.pi) + _SHORTER) - turn)) / mean
-        if not found or more <= longest:
-            found.append((abs(dot(site, aside)), max(more, 0.0)))
+        beyond = max(more - longest, -more, 0.0) * mean
+        found.append((abs(dot(site, aside)) + _EASIER * beyond, max(more, 0.0)))
     return min(found)[1]
 
 
@@ -184,7 +212,7 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     parts = [lengths.get(name, 0.0) for name in ("coast", "burn", "drift")]
     long = sum(parts) > LONGEST_COAST
     last, at = descent(p, angle, *((0.0, 0.0, 1.0) if long else parts))
-    flies = not long and last[0] >= (1 - _NEAR) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
+    flies = not long and last[0] >= (1 - _WAITS) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
     found, time, mass = list[Matrix](), 0.0, p.vehicle_mass
     weighed = throttled(p) and hasattr(p, "separation_mass")
     turned = 0.0
