@@ -288,3 +288,8 @@ def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -
     assert solution.verification.passed and solution.statistics.rung == "random costates"
     assert solution.objective == pytest.approx(1697.381, abs=1e-3)
     assert solution.free.get("drift_time", 1e-3) == 1e-3
+    if drifts:  # the direct method leaves it by some thousandths of a second
+        trials = Trials(problem, silent)
+        y, index = np.array(solution.unknowns), problem.free_names.index("drift_time")
+        y[trials.conditions.free_at.start + index] += 3e-3 / problem.scales.time
+        assert held_in(trials, solution, y)[index] == 1.0

@@ -14,7 +14,7 @@ from perilune.words.types import Matrix, Vector
 
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
-_ON_BOUND = 1e-6  # canonical distance at which a guess means a bound, as the direct method stays that far inside
+_ON_BOUND = 1e-5  # canonical distance at which a guess means a bound, as the direct method stays up to that far inside
 _VANISHING = 1e-3  # of the longest that a phase may last
 SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
 
