@@ -28,6 +28,7 @@ from perilune.models.deorbit.records import (
     Transition,
 )
 from perilune.models.deorbit.times import impulsive
+from perilune.problem.extremal import Nature
 from perilune.scenario import load_file
 from perilune.solve import verify
 from perilune.words.watch import silent
@@ -293,3 +294,28 @@ def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -
         y, index = np.array(solution.unknowns), problem.free_names.index("drift_time")
         y[trials.conditions.free_at.start + index] += 3e-3 / problem.scales.time
         assert held_in(trials, solution, y)[index] == 1.0
+
+
+def test_an_extremal_that_is_no_minimum_leads_on_to_the_direct_method() -> None:
+    """Random costates find one extremal alone, whose second variation is negative: 208 kg more are left."""
+    problem = deorbit_entry(
+        Returner(
+            mass=5372.35, thrust=3768.415, exhaust_velocity=3000.0, dry_mass=3760.645, ballistic_coefficient=469.5
+        ),
+        Orbit(radius=7042169.5, inclination=1.0227133, longest_coast=5881.264),
+        Interface(altitude=120e3, angle_lower=math.radians(-3.5), angle_upper=math.radians(-1.75)),
+        EARTH,
+        manoeuvre=Manoeuvre(longitude=0.341998778, latitude=0.148204695, going="descending"),
+        transition=Transition(longest_coast=4000.0),
+        air=Atmosphere(model="exponential", density=1.225, scale_height=7200.0),
+        site=Landing(longitude=-2.611376568, latitude=0.533727884, altitude=10e3),
+        minimise="propellant",
+    )
+    solution = pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    assert -solution.objective == pytest.approx(5026.62, abs=0.05)
+    best, other = solution.extremals[:2]
+    assert best.nature is Nature.BEST
+    assert other.nature is Nature.UNPROVED and -other.objective == pytest.approx(4818.7, abs=0.5)
+    direct = pl.solve(problem, pl.Pseudospectral(polish=False), level=0)
+    assert direct.objective == pytest.approx(solution.objective, rel=1e-5)

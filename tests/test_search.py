@@ -34,11 +34,11 @@ def test_mirror_images_are_listed_once() -> None:
 def test_finer_meshes_are_asked_where_none_has_followed_a_smooth_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not where a condition on states holds the flight, beside which the control wavers on any mesh."""
     bound = brachistochrone()
-    free = replace(bound, phases=(replace(bound.phases[0], path=None, path_conditions=()),))
+    far_below = bound.with_given(offset=5.0)
     monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-3)
-    assert len(list(Coarse(Indirect(), free, []).resolved())) == 1
+    assert len(list(Coarse(Indirect(), far_below, []).resolved())) == 1
     monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-15)
-    meshes = [len(found.trajectories[0].time) for found in Coarse(Indirect(), free, []).resolved()]
+    meshes = [len(found.trajectories[0].time) for found in Coarse(Indirect(), far_below, []).resolved()]
     assert len(meshes) == 4 and meshes == sorted(set(meshes))
     assert len(list(Coarse(Indirect(), bound, []).resolved())) == 1
 

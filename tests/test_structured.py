@@ -16,6 +16,7 @@ from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.solution import Curve, Solution
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file
+from perilune.structures.read import broken
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,
@@ -205,6 +206,14 @@ def test_a_ceiling_that_is_missed_by_little_is_not_touched() -> None:
     lower = pl.solve(bryson_denham(1 / 5 - 1.5e-8), level=0)
     wrong = replace(lower, problem=bryson_denham(1 / 5))
     assert "swing-1_met" in {c.name for c in pl.verify(wrong, level=2).failed}
+
+
+def test_a_phase_of_no_length_breaks_nothing_by_rounding() -> None:
+    """In a millisecond before its end at a limit a height falls by 20 cm, and ends some micrometres below it."""
+    t = np.linspace(0.0, 1e-3, 50)
+    assert not list(broken(t, 0.2 * (1 - t / 1e-3) - 3e-6, 6.4e6))
+    assert list(broken(t, 0.2 * (1 - t / 1e-3) - 0.1, 6.4e6)) == [(t[27], 1e-3, 1e-3)]
+    assert len(list(broken(t, 0.2 * (1 - t / 1e-3) - 3e-6, 1.0))) == 1
 
 
 def test_what_is_broken_just_before_its_touch_is_ridden() -> None:

@@ -17,6 +17,8 @@ from perilune.words.asked import demand, demand_callable, demand_level, refused
 from perilune.words.outcome import Outcome
 from perilune.words.watch import Watch
 
+SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3
+
 if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.proof.resolved import Resolve
@@ -68,7 +70,17 @@ def solve(
     demand_callable(watch, "a watch")
     demand_tolerance(tolerance)
     refuse_impossible(preflight(problem))
-    return prove(_answered(usable(method), problem, guess, watch), level, tolerance)
+    solution = prove(_answered(usable(method), problem, guess, watch), level, tolerance)
+    if guess is None and isinstance(usable(method), Indirect) and _no_minimum(solution):
+        further = cast("Indirect", usable(method)).beyond(problem, solution, watch)
+        if further is not None and (better := prove(further, level, tolerance)).verification.level >= 3:
+            return better
+    return solution
+
+
+def _no_minimum(solution: Solution) -> bool:
+    """Whether its second variation tells of a better arc close by."""
+    return solution.verification.level == 2 and any(c.name in SECOND_VARIATION for c in solution.verification.failed)
 
 
 def _answered(method: Method, problem: Problem, guess: Solution | None, watch: Watch | None) -> Solution:

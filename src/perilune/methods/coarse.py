@@ -106,8 +106,9 @@ class Coarse:
         known = self.solution
         if known is None or known.statistics.residual <= _FOLLOWED:
             return False
-        phases = range(len(self.problem.phases))
-        return not any(contacts(known, k, name) for k in phases for name in of_states(self.problem, k))
+        least = _NO_LENGTH * sum(flown.duration for flown in known.trajectories)
+        lengths = [k for k, flown in enumerate(known.trajectories) if flown.duration >= least]
+        return not any(list(contacts(known, k, name)) for k in lengths for name in of_states(self.problem, k))
 
     def resolved(self) -> Iterator[Solution]:
         """Its answer, and where no mesh has followed it yet those on finer ones, one by one."""

@@ -8,8 +8,10 @@ Rungs, in order; the last two are tried only where those before failed:
    carried to the whole one (`perilune.methods.durations`), and those with smoothed controls where there are several,
    unless most of the random directions led to a single one;
 3. *direct transcription*: a coarse pseudospectral solution and the costates that its multipliers give;
-4. *multiple shooting* from the same, for arcs too unstable to fly in one piece; of a flight of many switches that no
-   coarse mesh follows by way of *smoothed controls* (`perilune.methods.smoothing`), and from finer meshes.
+4. *multiple shooting* from the same, for arcs too unstable to fly in one piece; where no coarse mesh follows the flight
+   from finer ones, and of many switches by way of *smoothed controls* (`perilune.methods.smoothing`).
+
+Where the proof says that the answer is no minimum, `beyond` asks the direct method for a better one.
 
 A free parameter between finite bounds (the retro burn) is held at first; then the whole family along it is followed
 and every extremal on it found (`perilune.shooting.extremals`).
@@ -20,14 +22,14 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-from perilune.methods.ladder import STRUCTURE, Ladder
+from perilune.methods.ladder import STRUCTURE, TRANSCRIBED, Ladder
 from perilune.methods.search import Search
 from perilune.problem.guess import fitting_guess
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.continuation import Member
-from perilune.words.outcome import InfeasibleError, NotConvergedError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 
 
@@ -112,6 +114,27 @@ class Indirect(Ladder):
                 others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
                 return replace(found, extremals=(*found.extremals, *others))
         return solution
+
+    def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
+        """What the direct method leads to from nothing, where that is better than an extremal that is no minimum."""
+        search = Search(self, problem, watch or silent)
+        rough = search.coarse.solve()
+        if rough is None or not rough.objective < solution.objective:
+            return None
+        search.watch("the extremal is no minimum: from the direct method's answer")
+        try:
+            found = self.run(problem, rough, watch)
+        except PeriluneError:
+            return None
+        if not found.objective < solution.objective:
+            return None
+        others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
+        tried = (*solution.statistics.tried, *search.tried, *found.statistics.tried)
+        return replace(
+            found,
+            extremals=(*(replace(e, nature=e.nature.unguided) for e in found.extremals), *others),
+            statistics=replace(found.statistics, rung=TRANSCRIBED, tried=tried),
+        )
 
     def _structured(self, search: Search, rough: Solution, *, guessed: bool = False) -> Solution | None:
         from perilune.methods.structured import Polish

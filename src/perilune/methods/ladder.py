@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 
 STRUCTURE = "structure"  # ends the rung of an answer that touches or rides along conditions on states
+TRANSCRIBED = "direct transcription"  # the same, from the direct method's answer in one piece
 
 
 @dataclass(frozen=True, kw_only=True)

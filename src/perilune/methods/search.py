@@ -20,7 +20,7 @@ from perilune.methods.coarse import Coarse, touched
 from perilune.methods.durations import Lengthened, given_durations
 from perilune.methods.flown import may_be_cut, mended
 from perilune.methods.judge import Breach, Judge
-from perilune.methods.ladder import Ladder
+from perilune.methods.ladder import TRANSCRIBED, Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
 from perilune.methods.smoothing import Smoothing
 from perilune.methods.starts import (
@@ -364,7 +364,7 @@ class Search:
             for segments in counts:
                 if not may_be_cut(trials.conditions, segments):
                     continue
-                rung = "direct transcription" if segments == 1 else "multiple shooting"
+                rung = TRANSCRIBED if segments == 1 else "multiple shooting"
                 root = trials.by_pieces(rough, y, choice, segments, trials.others)
                 if root.converged:
                     yield Member(value=value, root=root), rung

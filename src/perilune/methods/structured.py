@@ -48,7 +48,7 @@ from perilune.structures.read import (
 )
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, renumbered, restate
-from perilune.structures.structure import Condition, Structure, conditions_of
+from perilune.structures.structure import Condition, Structure, conditions_of, margins
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
@@ -252,7 +252,8 @@ class Polish:
         """The contacts and those that are missing: where a condition is broken."""
         found = list(found)
         for name in of_states(self.problem, k):
-            for begin, end, at in broken(*way.room_along(k, name)):
+            size = self.problem.size_of(margins(self.problem, k)[name][0])
+            for begin, end, at in broken(*way.room_along(k, name), size):
                 reach = _BESIDE * (end - begin)
                 near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
                 condition = conditions_of(self.problem, k, (name,))[name]

@@ -40,6 +40,7 @@ NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at
 BULGE = 8.0  # times what S falls below 0 it may rise above on an arc that is ridden; 1 to 6 were met
 POINTS = 2000  # of a phase, beside the nodes of its tables
 ROUNDING = 1e-8  # of what S goes through: less below 0 is not broken
+EXACTLY = 1e-9  # of the size of S, to which an answer is judged
 WIDER, STAYS = 4.0, 0.6  # a wider level; ridden where the flight stays for such a share of the time below the wider one
 
 
@@ -199,9 +200,12 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
             yield Contact(name=name, begin=at, end=at, ridden=False)
 
 
-def broken(t: Vector, room: Vector) -> Iterator[tuple[float, float, float]]:
-    """Where a condition is broken by more than rounding, from S at times: from when to when, and when the most [s]."""
-    for first, last in _groups(room < -ROUNDING * float(np.ptp(room))):
+def broken(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float, float]]:
+    """Where a condition is broken by more than rounding, from S at times: from when to when, and when the most [s].
+
+    Of a phase that goes through little of S, as one of no length, rounding is that of the `size` of S.
+    """
+    for first, last in _groups(room < -max(ROUNDING * float(np.ptp(room)), EXACTLY * size)):
         yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
 
 
