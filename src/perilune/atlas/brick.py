@@ -250,7 +250,7 @@ class Brick:
         second = self.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
         same = second.orientation == self.orientations[cells.sheet]
         passed: NDArray[np.bool_] = flown & same & (second.length <= self.tolerance)
-        margin = self.borders.margins(self.sheets, cells.sheet, second)
+        margin = self.borders.margins_of(self.sheets, cells.sheet, second)
         beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
@@ -336,7 +336,7 @@ class Brick:
             sheet=sheet,
             place=places,
             terms=self.chart.terms(some, holds),
-            margin=self.borders.margins(self.sheets, sheet, some),
+            margin=self.borders.margins_of(self.sheets, sheet, some),
             length=some.length,
             **{name: getattr(flown, name) for name in FLOWN},
         )

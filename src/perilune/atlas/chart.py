@@ -103,14 +103,14 @@ class Chart:
         self.widths = np.asarray(widths, dtype=float) / self.scale
 
     @cached_property
-    def _indices(self) -> list[int]:
+    def varied_at(self) -> list[int]:
         """Of the parameters among the free ones."""
         return [self.free.free_names.index(name) for name in self.names]
 
     @cached_property
     def _held_at(self) -> NDArray[np.int64]:
         """Their places among the unknowns that Newton moves."""
-        return self.shooting.plan.at_free + np.array(self._indices)
+        return self.shooting.plan.at_free + np.array(self.varied_at)
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
@@ -131,14 +131,14 @@ class Chart:
     def _rows(self) -> NDArray[np.int64]:
         """Of their stationarity among the residuals that are left."""
         plan = self.shooting.plan
-        return plan.rows.searchsorted(self.conditions.stationarity_at.start + np.array(self._indices))
+        return plan.rows.searchsorted(self.conditions.stationarity_at.start + np.array(self.varied_at))
 
     def choice(self, values: Matrix, holds: Matrix) -> Matrix:
         """What is held in each lane: the parameters at their values, and `holds` (masks, values) of all others."""
         held = self.shooting.plan.held
         choice = np.array(np.broadcast_to(holds, (len(values), 2 * held)))
-        choice[:, self._indices] = 1.0
-        choice[:, held + np.array(self._indices)] = values
+        choice[:, self.varied_at] = 1.0
+        choice[:, held + np.array(self.varied_at)] = values
         return choice
 
     def whole(self, values: Matrix, y: Matrix) -> Matrix:
@@ -168,30 +168,32 @@ class Chart:
         """What there is at points that need be no roots."""
         return self.told_of(values, self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds)))
 
+    @staticmethod
+    def orientation(inverse: NDArray[np.float64]) -> Vector:
+        """Sign of det J, from J^-1."""
+        with np.errstate(all="ignore"):
+            return np.linalg.slogdet(inverse)[0]
+
     def told_of(self, values: Matrix, roots: Roots) -> Extremals:
         """What roots at values of the parameters, or points that need be none, say."""
         plan, columns, rows = roots.plan, roots.plan.columns, roots.rows
         inverse = rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
-        with np.errstate(all="ignore"):
-            orientation = np.linalg.slogdet(inverse)[0]
         extra = rows[:, columns.extras]
         return Extremals(
             values=values,
             y=roots.y[:, self.active],
             slopes=inverse[:, self.places[:, None], self._rows[None]].transpose(0, 2, 1),
             cost=extra[:, -1],
-            cost_slopes=extra[:, self._indices],
-            orientation=orientation,
+            cost_slopes=extra[:, self.varied_at],
+            orientation=self.orientation(inverse),
             converged=roots.converged & np.isfinite(rows).all(axis=1),
             length=rows[:, 2] / (1.0 + rows[:, 3]),
             stepped=(roots.y[:, plan.active] + rows[:, columns.step])[:, self.places],
             roots=roots,
         )
 
-    def steps(self, at: Extremals, residuals: Matrix) -> Matrix:
-        """J^-1 h, with J as it was found and residuals h, (lanes, n)."""
-        columns = at.roots.plan.columns
-        inverse = at.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
+    def steps(self, inverse: NDArray[np.float64], residuals: Matrix) -> Matrix:
+        """J^-1 h of residuals h, (lanes, n)."""
         return np.matmul(inverse, residuals[:, self.shooting.plan.rows, None])[:, :, 0]
 
     def terms(self, found: Extremals, holds: Matrix) -> NDArray[np.float64]:

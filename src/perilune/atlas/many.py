@@ -163,7 +163,7 @@ class _Work:
         self.bound[kept], self.steps[kept] = polished.bound[better], polished.steps[better]
         self.sheet[kept], self.away[kept] = offer.first + offer.sheet, polished.away[better]
         self.free[kept] = charted.free(polished.y[better])
-        self.slopes[kept] = polished.found.cost_slopes[better] * problem.objective_size / chart.scale
+        self.slopes[kept] = polished.slopes[better] * problem.objective_size / chart.scale
         self.of_arcs[kept] = charted.of_arcs
         return polished
 

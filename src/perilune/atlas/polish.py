@@ -18,14 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.chart import Chart, Extremals
+from perilune.atlas.chart import Chart
 from perilune.atlas.reflight import SLACK, Reflights, Reflown
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.words.types import Matrix, Vector
 
-_DONE = 1e-7  # relative: a step that leaves its own square
+_DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the second flight tells
 _MOST = 6  # steps
 _SHRINKS = 0.25  # by so much at least from step to step
+_CLOSE = 1e-10  # relative: farther from the extremal y makes another step
 _FLOWN = 1e-6  # canonical, by which the second flight of what breaks the path may miss its ends
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
 
@@ -36,12 +37,12 @@ class Polished:
 
     Attributes
     ----------
-    found
-        The last evaluation, at the iterate before `y`.
     y
         All unknowns of the chart behind the last step, (lanes, size).
-    cost
-        J there, canonical.
+    choice
+        What they hold.
+    cost, slopes
+        J there, and dJ/dp of the axes, canonical, as the second flight has them.
     reached
         Whether Newton's method converged to an extremal of the sheet.
     answers
@@ -58,15 +59,14 @@ class Polished:
     breaking
         Whether it is an extremal of its sheet but for breaking the path: a flight that keeps that may still be better
         than other sheets.
-    margin
-        By how much it is an answer of its sheet, canonical.
     flown
         Its second flight.
     """
 
-    found: Extremals
     y: Matrix
+    choice: Matrix
     cost: Vector
+    slopes: Matrix
     reached: NDArray[np.bool_]
     answers: NDArray[np.bool_]
     doubtful: NDArray[np.bool_]
@@ -74,7 +74,6 @@ class Polished:
     steps: NDArray[np.int64]
     bound: Vector
     away: Vector
-    margin: Vector
     flown: Reflown
 
 
@@ -84,7 +83,7 @@ class Polisher:
     def __init__(self, chart: Chart, borders: Borders, reflights: Reflights, sheets: Sequence[Sheet]) -> None:
         self.chart, self.borders, self.reflights, self.sheets = chart, borders, reflights, sheets
         self.orientations = np.array([sheet.orientation for sheet in sheets])
-        self._p = chart.p[None]
+        self._p, self._multipliers = chart.p[None], [nu for _, nu in chart.conditions.ranges]
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
         """Polish.
@@ -112,32 +111,40 @@ class Polisher:
             if not going.any():
                 break
             y[going[:, None] & plan.moved] += roots.rows[going, plan.columns.step].ravel()
-        found = chart.told_of(values, roots)
-        reached = shrinking & (length <= _DONE) & (found.orientation == self.orientations[which])
+        inverse = roots.rows[:, plan.columns.inverse].reshape(-1, plan.columns.n, plan.columns.n)
+        reached = shrinking & (length <= _DONE) & (chart.orientation(inverse) == self.orientations[which])
         y[reached[:, None] & plan.moved] += roots.rows[reached, plan.columns.step].ravel()
-        held = choice[:, : plan.held] > 0
-        free = y[:, chart.conditions.free_at]  # Newton's step leaves the last bit of what is held
-        np.copyto(free, choice[:, plan.held : plan.held + plan.free], where=held[:, : plan.free])
+        held, first = choice[:, : plan.free] > 0, chart.conditions.free_at
+        np.copyto(y[:, first], choice[:, plan.held : plan.held + plan.free], where=held)  # its last bit is Newton's
         flown = self.reflights(y, self._p, choice)
-        if (poor := np.nonzero(reached & flown.nearly)[0]).size:  # what it misses says where to
-            y[poor[:, None], plan.active] -= chart.steps(found.of(poor), flown.residuals[poor])
+        own = y[:, chart.active]
+        scale = 1.0 + np.sqrt((own * own).sum(axis=1))
+        bound = self._bound(inverse, flown, scale)
+        if (poor := np.nonzero(reached & (flown.nearly | (bound > _CLOSE)))[0]).size:  # what it misses says where to
+            y[poor[:, None], plan.active] -= chart.steps(inverse[poor], flown.residuals[poor])
             flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
-        margin = self.borders.margins(self.sheets, which, found, limits)
-        inside = margin >= -SLACK
-        answers = reached & inside & flown.good
+            bound = self._bound(inverse, flown, scale)
+        at, rises = np.hstack([y[:, first], flown.ranges]), np.hstack([flown.rates, -y[:, self._multipliers]])
+        inside = self.borders.margins(self.sheets, which, y, at, rises, choice, limits) >= -SLACK
+        answers = reached & inside & flown.good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
-        scale = 1.0 + np.linalg.norm(found.y, axis=1)
+        away = y[:, chart.active] - guess
         return Polished(
-            found=found,
             y=y,
+            choice=choice,
             cost=flown.cost,
+            slopes=flown.rates[:, chart.varied_at],
             reached=reached,
             answers=answers,
             doubtful=~answers & ~(reached & ~inside) & ~breaking,
             breaking=breaking,
             steps=steps,
-            bound=2.0 * np.linalg.norm(chart.steps(found, flown.residuals), axis=1) / scale,
-            away=np.linalg.norm(y[:, chart.active] - guess, axis=1) / scale,
-            margin=margin,
+            bound=bound,
+            away=np.sqrt((away * away).sum(axis=1)) / scale,
             flown=flown,
         )
+
+    def _bound(self, inverse: NDArray[np.float64], flown: Reflown, scale: Vector) -> Vector:
+        """How far y can be from the extremal, by Kantorovich's theorem."""
+        left = self.chart.steps(inverse, flown.residuals)
+        return 2.0 * np.sqrt((left * left).sum(axis=1)) / scale

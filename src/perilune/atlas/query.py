@@ -94,7 +94,7 @@ class _Offer:
 
     @property
     def label(self) -> str:
-        return self.charted.label(self.number)
+        return self.charted.labels[self.number]
 
 
 class Atlas(Reader):
@@ -229,7 +229,7 @@ class Atlas(Reader):
         roots = [Found(root=charted.root(own), minimum=True) for charted, own in beside if own is not None]
         steps = int(polished.steps[0])
         answer = best.charted.solution(problem, roots, Statistics(rung="atlas", iterations=steps, arcs=steps + 1))
-        slopes = polished.found.cost_slopes[0] * self.problem.objective_size / best.charted.chart.scale
+        slopes = polished.slopes[0] * self.problem.objective_size / best.charted.chart.scale
         flown = polished.flown
         query = Query(
             sheet=best.label,

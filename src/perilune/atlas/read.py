@@ -135,9 +135,10 @@ class Charted:
         """Whether its extremals are made of several arcs."""
         return self.chart.course.structure is not None
 
-    def label(self, number: int) -> str:
-        """What tells a sheet, in words."""
-        return "; ".join(filter(None, (self.chart.course.text, self.sheets[number].label)))
+    @cached_property
+    def labels(self) -> list[str]:
+        """What tells each sheet, in words."""
+        return ["; ".join(filter(None, (self.chart.course.text, sheet.label))) for sheet in self.sheets]
 
     def free(self, y: Matrix) -> Matrix:
         """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
@@ -163,7 +164,6 @@ class Charted:
 
     def root(self, polished: Polished) -> Root:
         """A polished extremal as a root of the problem itself, where the axes are given."""
-        roots = polished.found.roots
         return Root(
             y=self.own_unknowns(polished.y)[0],
             residual=polished.flown.residual[:1],
@@ -171,7 +171,7 @@ class Charted:
             slopes=np.zeros(len(self._free)),
             ranges=np.zeros(0),
             cost=float(polished.cost[0]),
-            choice=roots.choice[0, self._own_choice],
+            choice=polished.choice[0, self._own_choice],
             converged=True,
         )
 

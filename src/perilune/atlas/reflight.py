@@ -54,6 +54,10 @@ class Reflown:
         By how much H changes along a phase.
     cost
         J.
+    rates
+        dJ/dq of each free parameter along the family of extremals, held or not, (lanes, k).
+    ranges
+        Value of each end condition that is a range, (lanes, r).
     arcs
         (phase, lanes, modes that they go through in it) of all phases and lanes.
     """
@@ -63,6 +67,8 @@ class Reflown:
     minimum: Vector
     drift: Vector
     cost: Vector
+    rates: Matrix
+    ranges: Matrix
     arcs: tuple[tuple[int, Lanes, tuple[int, ...]], ...]
 
     @property
@@ -93,7 +99,7 @@ class Reflown:
 
     def replace(self, lanes: Lanes, by: Reflown) -> None:
         """Put other flights of the same arcs in the place of some."""
-        for name in ("residuals", "path", "minimum", "drift", "cost"):
+        for name in ("residuals", "path", "minimum", "drift", "cost", "rates", "ranges"):
             getattr(self, name)[lanes] = getattr(by, name)
 
 
@@ -168,6 +174,11 @@ class Reflights:
         return found
 
     @cached_property
+    def _ranges(self) -> list[int]:
+        """Rows of the end conditions that are ranges."""
+        return [row for row, _ in self.conditions.ranges]
+
+    @cached_property
     def _residual(self) -> Kept:
         return Kept(self.conditions.residual)
 
@@ -206,22 +217,26 @@ class Reflights:
             legs.append(leg)
             ends.append(before := leg.end)
         residual, cost = self._residual(y, np.hstack(ends), p)
-        for k, leg in enumerate(legs):
-            if leg.through is None:
-                continue
-            at, half = conditions.costate_at[k], conditions.phases[k].half
-            rows = slice(conditions.transversality_at + at.start, conditions.transversality_at + at.stop)
-            ends[k][:, half:] = -residual[:, rows]  # the costates that the conditions at the end ask for
+        if settled := [(k, leg.begin, leg.through) for k, leg in enumerate(legs) if leg.through is not None]:
+            rows = [_rows_of(conditions, k) for k, _, _ in settled]
+            for (k, _, _), own in zip(settled, rows, strict=True):
+                ends[k][:, conditions.phases[k].half :] = -residual[:, own]  # the costates that its end asks for
             residual, cost = self._residual(y, np.hstack(ends), p)
-            residual[:, rows] = y[:, at] - np.einsum("lij,li->lj", leg.through, ends[k][:, half:])
-            values = [self._values[k](z, p)[0] for z in (np.hstack([leg.begin, y[:, at]]), ends[k])]
-            drift = np.fmax(drift, np.abs(values[1] - values[0])[:, 0])
-        held, values = np.split(choice, 2, axis=1)
+            for (k, begin, through), own in zip(settled, rows, strict=True):
+                lam, half = y[:, conditions.costate_at[k]], conditions.phases[k].half
+                residual[:, own] = lam - np.einsum("lij,li->lj", through, ends[k][:, half:])
+                values = [self._values[k](z, p)[0] for z in (np.hstack([begin, lam]), ends[k])]
+                drift = np.fmax(drift, np.abs(values[1] - values[0])[:, 0])
+        rates, ranges = residual[:, conditions.stationarity_at].copy(), residual[:, self._ranges]
+        held, values = choice[:, : choice.shape[1] // 2], choice[:, choice.shape[1] // 2 :]
         residual[:, conditions.stationarity_at] *= held[:, : free.shape[1]] == 0
         for i, (row, nu) in enumerate(conditions.ranges, free.shape[1]):  # one that is not held has no multiplier
             residual[:, row] = np.where(held[:, i] > 0, residual[:, row] - values[:, i], y[:, nu])
         arcs = tuple((k, *arc) for k, leg in enumerate(legs) for arc in leg.arcs)
-        return Reflown(residuals=residual, path=path, minimum=minimum, drift=drift, cost=cost[:, 0], arcs=arcs)
+        return Reflown(
+            residuals=residual, path=path, minimum=minimum, drift=drift, cost=cost[:, 0], rates=rates, ranges=ranges,
+            arcs=arcs,
+        )  # fmt: skip
 
     def fine_enough(self, y: Matrix, p: Matrix) -> tuple[int, ...]:
         """How many times `STEPS` each phase needs, so that twice as many end at the same; for extremals, (lanes, n)."""
@@ -295,3 +310,9 @@ class Reflights:
                 step = step_along(*stated, extremal, mode)
             self._marches[k, mode] = Kept(step, times=STEPS)
         return self._marches[k, mode]
+
+
+def _rows_of(conditions: Conditions, k: int) -> slice:
+    """Of the residual: the transversality conditions of a phase."""
+    at, first = conditions.costate_at[k], conditions.transversality_at
+    return slice(first + at.start, first + at.stop)

@@ -137,22 +137,45 @@ class Borders:
                 out[here, held + i] = (lower if side == "lower" else upper)[here, i]
         return out
 
+    def margins_of(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
+        """`margins` of extremals, or of points that need be none."""
+        at, rises = self.chart.shooting.held_values(found.roots)
+        return self.margins(sheets, which, found.roots.y, at, rises, found.roots.choice, self.at(found.values))
+
     def margins(
-        self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
+        self,
+        sheets: Sequence[Sheet],
+        which: NDArray[np.int64],
+        y: Matrix,
+        at: Matrix,
+        rises: Matrix,
+        choice: Matrix,
+        limits: Limits,
     ) -> Vector:
         """How far each lane is from where its sheet ends to be an answer; below zero beyond it. Canonical.
 
         Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior, and of what is
         touched by how much J would fall if it gave way.
+
+        Parameters
+        ----------
+        sheets, which
+            All sheets, and the number of each lane's.
+        y, choice
+            All unknowns, and what is held of them.
+        at, rises
+            Values of what can be held, and dJ/d(value), as `Shooting.held_values` has them.
+        limits
+            Bounds of these.
         """
-        at, rises = self.chart.shooting.held_values(found.roots)
-        lower, upper = limits or self.at(found.values)
-        masks = found.roots.choice[:, : self.chart.shooting.plan.held] > 0
+        lower, upper = limits
+        masks = choice[:, : self.chart.shooting.plan.held] > 0
         with np.errstate(invalid="ignore"):
             inside = np.minimum(at - lower, upper - at)
         inside = np.where(masks | np.isnan(inside), np.inf, inside)
         margin = inside.min(axis=1, initial=np.inf)
-        margin = np.minimum(margin, -found.roots.y[:, self._touched].max(axis=1, initial=-np.inf))
+        if self._touched:
+            margin = np.minimum(margin, -y[:, self._touched].max(axis=1, initial=-np.inf))
         for number, sheet in enumerate(sheets):
             here = which == number
             for name, side in sheet.holds.items():

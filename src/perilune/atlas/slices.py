@@ -127,7 +127,7 @@ def sliced(
     answers = atlas.query_many(whole)
     why, reasons = _reasons(atlas.problem, dict(zip(region.names, whole.T, strict=True)), answers)
     size, nodes = _cells(atlas, whole, answers, [region.names.index(name) for name in names])
-    sheets = tuple(charted.label(n) for charted in atlas.charted for n in range(len(charted.sheets)))
+    sheets = tuple(charted.labels[n] for charted in atlas.charted for n in range(len(charted.sheets)))
     return Slice(
         problem=atlas.problem, axes=along, at=others, values=values, answers=answers, sheets=sheets, why=why,
         reasons=reasons, size=size, nodes=nodes,

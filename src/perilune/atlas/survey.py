@@ -284,5 +284,5 @@ def _within(
         return []
     values, which = canonical[[numbers[corner] for corner in corners]], np.zeros(len(corners), dtype=np.int64)
     found = chart.at(values, np.array(list(corners.values())), borders.holds([sheet], which, values))
-    good = borders.margins([sheet], which, found) >= 0
+    good = borders.margins_of([sheet], which, found) >= 0
     return [corner for corner, here in zip(corners, good.tolist(), strict=True) if here]

@@ -95,7 +95,7 @@ class Table:
     @property
     def sheets(self) -> list[str]:
         """Labels of all sheets, by their number."""
-        return [charted.label(number) for charted in self.atlas.charted for number in range(len(charted.sheets))]
+        return [label for charted in self.atlas.charted for label in charted.labels]
 
     @property
     def provenance(self) -> dict[str, str]:

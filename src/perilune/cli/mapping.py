@@ -193,7 +193,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     ]  # fmt: skip
     nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
     size = sum(int(line[kind]["bytes"]) for line in atlas.said.values() for kind in ("nodes", "cells"))
-    sheets = [charted.label(number) for charted in atlas.charted for number in range(len(charted.sheets))]
+    sheets = [label for charted in atlas.charted for label in charted.labels]
     total = len(atlas.region.bricks) * max(1, len(atlas.charted))
     lines = [
         f"atlas of {atlas.problem.heading}",
