@@ -19,7 +19,7 @@ import pytest
 
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, snapshot
-from perilune.atlas import building
+from perilune.atlas import building, read
 from perilune.atlas.extending import extend
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
@@ -238,3 +238,25 @@ def test_many_bricks_open_few_files(built: Path, copy: Path) -> None:
     build(cho_landing(), AXES, copy, watch=lambda _: most.append(len(os.listdir("/proc/self/fd"))))
     assert max(most) - min(most) <= 2
     assert np.array_equal(sorted(snapshot(built)), sorted(snapshot(copy)))
+
+
+def test_many_small_bricks_make_the_same_answers(built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More bricks than are kept open, and sheets that go on from one into the next."""
+    many = open_atlas(build(cho_landing(), {**AXES, "vehicle.thrust": (350.0, 450.0)}, tmp_path / "many", bricks=7))
+    assert len(many.said) == 49
+    monkeypatch.setattr(read, "_MOST_OPEN", 3)
+    points = np.random.default_rng(5).uniform(many.region.low, many.region.high, (200, 2))
+    points[:, 0] = np.maximum(points[:, 0], 430.0)
+    found, few = many.query_many(points), open_atlas(built).query_many(points)
+    assert found.good.all() and len(many._bricks) <= 3
+    np.testing.assert_allclose(found.objective, few.objective, rtol=1e-10)
+    whole = snapshot(tmp_path / "many")
+    build(cho_landing(), {**AXES, "vehicle.thrust": (350.0, 450.0)}, tmp_path / "many")  # they stay
+    assert snapshot(tmp_path / "many") == whole
+
+
+@pytest.mark.parametrize("bricks", [0, -1, 2.5, True, "4", 10**4])
+def test_numbers_of_bricks_that_are_none_are_refused(bricks: Any, tmp_path: Path) -> None:
+    with pytest.raises(PeriluneError, match="bricks"):
+        build(cho_landing(), AXES, tmp_path / "out", bricks=bricks)
+    assert not (tmp_path / "out").exists()

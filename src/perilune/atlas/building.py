@@ -50,6 +50,7 @@ def build(
     tolerance: float = TOLERANCE,
     method: Indirect | None = None,
     watch: Watch | None = None,
+    bricks: int | None = None,
     sample: int | None = None,
     force: bool = False,
 ) -> Path:
@@ -71,6 +72,9 @@ def build(
         By which the survey solves from nothing, ``Indirect()`` by default.
     watch
         Receives lines of text.
+    bricks
+        How many there are along each axis, for as many as that can be computed at once; 8 of one axis, 4 along each of
+        two, 2 of more, if it is not told. Those of an atlas that is there stay.
     sample
         How many answers at nodes drawn at random are proved to level 3 at the end, and as many of those with a thin
         margin (`perilune.atlas.sampling`); by default one for a hundred nodes and at most ten.
@@ -89,7 +93,7 @@ def build(
     """
     demand(problem, Problem, "a problem to map")
     demand_callable(watch, "a watch")
-    region, say = region_of(problem, axes), watch or silent
+    region, say = region_of(problem, axes, bricks), watch or silent
     if not (isinstance(tolerance, float) and _TIGHTEST <= tolerance <= _LOOSEST):
         raise PeriluneError(
             "the tolerance of an atlas is out of range", got=repr(tolerance)[:40],
@@ -225,8 +229,9 @@ def _surveyed(
 def _survey(kept: Store, region: Region, found: Sequence[Found], notes: Sequence[str]) -> dict[str, Any]:
     """Its line, behind its shards."""
     places, _ = region.corners()
-    charts = []
+    charts, edges = [], [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     for number, one in enumerate(found):
         rows = seeds(places, one.y)
         charts.append({**said_of(one), "seeds": kept.put(f"survey-{number}.npy", rows)})
-    return {"kind": "survey", "digest": digest_of(charts), "charts": charts, "notes": list(notes)[:MOST_NOTES]}
+    said = {"edges": edges, "charts": charts, "notes": list(notes)[:MOST_NOTES]}
+    return {"kind": "survey", "digest": digest_of([edges, charts]), **said}

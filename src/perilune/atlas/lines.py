@@ -5,16 +5,33 @@ Whether what they say is so, the shards tell; these are looked at where they are
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from perilune.io.reading import tree
 from perilune.problem.extremal import Nature
 from perilune.words.outcome import PeriluneError
 
 _MOST_TIMES = 4096
 _MOST_UNKNOWNS, _MOST_SHEETS, _MOST_CHARTS = 10_000, 10_000, 10_000
+
+
+def read_line(line: bytes) -> dict[str, Any] | None:
+    """What a line says; None of one that is none, of a writer that was killed in the middle before another went on.
+
+    There is a line for each brick, and `refuse_no_brick` looks at all that is used of it: these are read without the
+    care that other documents need, eight times as fast.
+    """
+    try:
+        found = json.loads(line)
+        if not (isinstance(found, dict) and found.get("kind") == "brick"):
+            found = tree(line.decode(), "a line of a manifest")
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 @contextmanager
@@ -62,7 +79,8 @@ def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
     place: Any = line.get("brick")
     _demand(_all(place, int) and len(place) == d and all(map(_whole, place)), "numbers of a brick")
     _demand(_whole(line.get("chart")) and 0 <= line["chart"] < charts, "the chart of a brick")
-    _demand(isinstance(line.get("name"), str) and len(line["name"]) <= 80, "the name of a brick")
+    name = line.get("name")
+    _demand(isinstance(name, str) and len(name) <= 80 and name.isascii() and name.isprintable(), "the name of a brick")
     _demand(_whole(line.get("round", 0)) and line.get("round", 0) >= 0, "the round of a brick")
     _demand(_whole(line.get("thin", 0)) and line.get("thin", 0) >= 0, "how many nodes have a thin margin")
     _demand(_shard(line.get("nodes")) and _shard(line.get("cells")), "the shards of a brick")

@@ -34,6 +34,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 SERVING = (Status.ONE_STEP, Status.MORE_STEPS)
+_MOST_OPEN = 10_000  # bricks, each of two files that are mapped; systems allow 65530 maps
 _MOST_SEEN = 4096  # cells of a brick that are kept at hand
 
 Whole = NDArray[np.int64]
@@ -236,6 +237,8 @@ class Reader:
             except PeriluneError as error:
                 self.damaged[key] = error.what
                 return None
+            if len(self._bricks) >= _MOST_OPEN:
+                self._bricks.pop(next(iter(self._bricks)))
             self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
         return self._bricks[key]
 

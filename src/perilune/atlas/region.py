@@ -22,6 +22,7 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.units import told
 
 MOST_AXES = 4
+_MOST_BRICKS = 10**6
 _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
 
 
@@ -143,7 +144,7 @@ class Region:
         return None
 
 
-def region_of(problem: Problem, axes: Mapping[str, Any]) -> Region:
+def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = None) -> Region:
     """The region that is asked for.
 
     Parameters
@@ -152,6 +153,8 @@ def region_of(problem: Problem, axes: Mapping[str, Any]) -> Region:
         Whose parameters vary.
     axes
         ``{name: (low, high)}`` in SI; a dot in a name may stand for an underscore.
+    bricks
+        How many there are along each axis; of one axis 8, along each of two 4, of more 2, if it is not told.
 
     Raises
     ------
@@ -164,6 +167,14 @@ def region_of(problem: Problem, axes: Mapping[str, Any]) -> Region:
         raise PeriluneError(
             "an atlas has too many axes", got=str(len(axes)), expected=f"at most {MOST_AXES}",
             advice="vary fewer parameters, and build an atlas for each value of the others",
+        )  # fmt: skip
+    if bricks is not None and (isinstance(bricks, bool) or not isinstance(bricks, int) or bricks < 1):
+        raise refused(bricks, "a whole number from 1, or None", "how many bricks there are along an axis")
+    parts = bricks or _PARTS[len(axes)]
+    if parts ** len(axes) > _MOST_BRICKS:
+        raise PeriluneError(
+            "the region has too many bricks", got=f"{parts} along each of {len(axes)} axes",
+            expected=f"at most {_MOST_BRICKS}",
         )  # fmt: skip
     found, known = list[Axis](), sorted({*problem.given, *problem.free_names})
     for stated, bounds in axes.items():
@@ -182,7 +193,7 @@ def region_of(problem: Problem, axes: Mapping[str, Any]) -> Region:
                 got=f"{told(low, problem.unit_of(name))} to {told(high, problem.unit_of(name))}",
                 expected="low < high, both finite",
             )  # fmt: skip
-        found.append(Axis(name=name, unit=problem.unit_of(name), edges=_equal_parts(low, high, _PARTS[len(axes)])))
+        found.append(Axis(name=name, unit=problem.unit_of(name), edges=_equal_parts(low, high, parts)))
     region = Region(tuple(found))
     refuse_untaken(problem, region)
     return region

@@ -198,7 +198,7 @@ def _proof(solution: Solution) -> Verification:
 
 def sampled(kept: Store, atlas: Atlas, count: int | None, executor: Submits | None, watch: Watch) -> Sample:
     """The sample of an atlas that is complete, drawn as far as it was not yet; it is kept in the manifest."""
-    nodes = sum(line["nodes"]["rows"] for line in atlas.said.values())
+    nodes = _nodes(atlas)
     count = min(USUAL, 1 + nodes // _ONE_OF) if count is None else count
     asked = sum(line["asked"] for line in sample_lines(atlas))
     with kept.claimed("sample") as ours:
@@ -206,7 +206,7 @@ def sampled(kept: Store, atlas: Atlas, count: int | None, executor: Submits | No
             rng = np.random.default_rng()  # another each time, so that nobody can choose what is looked at
             drawn = certified(drawn_at_random(atlas, count - asked, rng), executor, watch)
             thin = certified(drawn_thin(atlas, count - asked, rng), executor, watch)
-            said = {"survey": atlas.survey["digest"], "bricks": len(atlas.said), "asked": count - asked, "level": LEVEL}
+            said = {"survey": atlas.survey["digest"], "nodes": nodes, "asked": count - asked, "level": LEVEL}
             proofs = {"drawn": [vars(one) for one in drawn], "thin": [vars(one) for one in thin]}
             kept.add({"kind": "sample", **said, **proofs})
         if ours:
@@ -216,12 +216,16 @@ def sampled(kept: Store, atlas: Atlas, count: int | None, executor: Submits | No
 
 def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:
     """The lines of what was drawn of the atlas as it is now."""
-    digest, bricks = atlas.survey.get("digest"), len(atlas.said)
+    digest, nodes = atlas.survey.get("digest"), _nodes(atlas)
     found = [line for line in atlas.store.lines() if line.get("kind") == "sample"]
     with told_of_damage(MANIFEST):
         for line in found:
             refuse_no_sample(line, len(atlas.region.axes))
-    return [line for line in found if line.get("survey") == digest and line.get("bricks") == bricks]
+    return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
+
+
+def _nodes(atlas: Atlas) -> int:
+    return sum(line["nodes"]["rows"] for line in atlas.said.values())
 
 
 def sample_of(atlas: Atlas) -> Sample:

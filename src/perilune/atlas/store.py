@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.lines import refuse_no_brick, refuse_no_survey, told_of_damage
+from perilune.atlas.lines import read_line, refuse_no_brick, refuse_no_survey, told_of_damage
 from perilune.io.files import finite, json_text
 from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import tree
@@ -39,7 +39,7 @@ except ImportError:  # Windows: two builders may compute the same brick there
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
 FORMAT = {"name": "perilune-atlas", "version": 1}
-_OURS = re.compile(r"(brick|survey)-[\w.-]{1,80}\.npy", re.ASCII)
+_OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
 _AGAIN = "build the atlas anew, or what is missing of it: perilune atlas build ... --resume"
 
 
@@ -136,11 +136,7 @@ class Store:
         whole = content[: content.rfind(b"\n") + 1]
         self._read += len(whole)
         for line in whole.splitlines():
-            try:
-                found = tree(line.decode(), MANIFEST)
-            except (UnicodeDecodeError, PeriluneError):
-                continue  # of a writer that was killed in the middle, before another went on
-            if isinstance(found, dict):
+            if (found := read_line(line)) is not None:
                 self._lines.append(found)
                 if found.get("kind") == "brick":
                     self._names.add(str(found.get("name")))

@@ -301,6 +301,12 @@ def _atlas(command: Callable[..., _Parser]) -> None:
             type=_real,
             help="Relative error at which one step of Newton's method has to end. Usually 1e-9.",
         ),
+        _option(
+            "--bricks",
+            metavar="N",
+            type=_number(1),
+            help="Along each axis, which are computed side by side. Usually 8 of one axis, 4 of two, 2 of more.",
+        ),
         workers,
         scheduler,
         sample,

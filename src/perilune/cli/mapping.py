@@ -41,6 +41,7 @@ def _build(typed: Namespace) -> Answer:
             executor,
             tolerance=TOLERANCE if typed.tolerance is None else typed.tolerance,
             watch=watch,
+            bricks=typed.bricks,
             sample=typed.sample,
             force=typed.force and not typed.resume,
         )
