@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -23,7 +24,7 @@ from perilune.atlas import building, read
 from perilune.atlas.extending import extend
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
-from perilune.atlas.store import HEADER, MANIFEST, Store
+from perilune.atlas.store import MANIFEST, Store
 from perilune.cli import run
 from perilune.models.kinds import key_of
 from perilune.words.outcome import PeriluneError
@@ -155,7 +156,8 @@ def test_keys_are_those_of_a_file_and_units_are_those_of_people(built: Path, tmp
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_ctrl_c_stops_a_build_that_goes_on_later(workers: str, built: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    order = [sys.executable, "-m", "perilune", "atlas", "build", HYBRID, *VARY, "--out", str(out), "--workers", workers]
+    order = [sys.executable, "-m", "perilune", "atlas", "build", HYBRID, *VARY, "--out", str(out)]
+    order += ["--workers", workers, "--sample", "50"]  # so that it is at work for a while
     stopped = subprocess.Popen(
         order, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
@@ -210,12 +212,18 @@ def test_no_space_left_is_said_and_what_is_there_is_kept(built: Path, tmp_path: 
     assert len(after.said) == 16 and all(after.said[key] == line for key, line in before.items())
 
 
-@posix
-def test_no_space_for_a_header_is_said(tmp_path: Path) -> None:
-    order = [sys.executable, "-c", LIMITED, "2000", "atlas", "build", HYBRID, *VARY, "--out", str(tmp_path / "full")]
-    done = subprocess.run(order, env=ENVIRONMENT, capture_output=True, text=True)
-    assert done.returncode == 2 and "the atlas cannot be written" in done.stderr
-    assert not (tmp_path / "full" / HEADER).exists()
+def test_no_space_for_a_header_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    store = Store(tmp_path / "full")
+    store.prepare({})
+    for write in (lambda: store.begin({}), lambda: store.add({}), lambda: store.put("survey-0.npy", np.zeros(3))):
+        with pytest.raises(PeriluneError, match="cannot be written") as said:
+            write()
+        assert "No space left" in said.value.got and "--resume" in said.value.advice
+    assert [path.name for path in (tmp_path / "full").iterdir()] == [MANIFEST]
 
 
 def test_a_line_that_was_not_written_whole_is_no_line(tmp_path: Path) -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -82,12 +80,6 @@ def test_of_a_wider_atlas_is_drawn_anew(copy: Path) -> None:
     extend(copy, {"vehicle.thrust": (430.0, 460.0)}, sample=4)
     sample = sample_of(open_atlas(copy))
     assert len(sample.drawn) == 4 and [line["asked"] for line in proofs(copy)] == [3, 4]
-
-
-def test_proofs_are_made_elsewhere_too(tmp_path: Path) -> None:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        build(cho_landing(), THRUST, tmp_path / "out", pool, sample=2)
-    assert sample_of(open_atlas(tmp_path / "out")).proved == 2
 
 
 def test_draws_go_all_over_and_are_answers(tmp_path: Path) -> None:
