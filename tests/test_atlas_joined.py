@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +21,8 @@ from perilune.atlas import building, extending
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.region import region_of, wider
-from perilune.atlas.store import HEADER, MANIFEST
+from perilune.atlas.store import HEADER, MANIFEST, Store
+from perilune.atlas.survey import Found
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.solve import solve
@@ -129,8 +131,6 @@ def test_sheets_that_are_new_reach_into_what_was_there(low: Path, monkeypatch: p
     seeds = np.load(low / survey["charts"][0]["seeds"]["file"])
     seeds = seeds[seeds["sheet"] == kept]
     seeds["sheet"] = 0
-    from perilune.atlas.store import Store
-
     store = Store(low)
     chart = {**survey["charts"][0], "sheets": [survey["charts"][0]["sheets"][kept]]}
     chart["seeds"] = store.put("survey-0.npy", seeds)
@@ -145,13 +145,11 @@ def test_sheets_that_are_new_reach_into_what_was_there(low: Path, monkeypatch: p
     assert_right(atlas, {"vehicle.thrust": (430.0, 445.0), **ISP})
 
 
-def test_a_sheet_that_is_not_found_again_is_carried_on(low: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kept", [0, 1])
+def test_sheets_that_are_not_found_again_are_carried_on(kept: int, low: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Forgetful(extending.Survey):
-        def run(self):
-            from dataclasses import replace
-
-            (found,) = super().run()
-            return [replace(found, sheets=found.sheets[:1], y=found.y[:1])]
+        def run(self) -> list[Found]:
+            return [replace(one, sheets=one.sheets[:1], y=one.y[:1]) for one in super().run()[:kept]]
 
     monkeypatch.setattr(extending, "Survey", Forgetful)
     extend(low, {"vehicle.thrust": (425.0, 440.0)})

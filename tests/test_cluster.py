@@ -1,4 +1,4 @@
-"""Atlases on a cluster of Dask: the same nodes to the last bit, whatever dies meanwhile; what is refused."""
+"""Atlases in threads and on a Dask cluster: the same nodes to the last bit, whatever dies meanwhile; what is refused."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import signal
 import socket
 import sys
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -54,6 +54,14 @@ def test_a_worker_that_is_killed_is_no_loss(tmp_path: Path) -> None:
             with pytest.raises(BrokenExecutor):
                 waiting.result()
     assert killed and shards(tmp_path / "here") == shards(tmp_path / "there")
+    assert sample_of(open_atlas(tmp_path / "there")).proved == 1
+
+
+def test_threads_make_the_same_nodes(tmp_path: Path) -> None:
+    build(cho_landing(), AXES, tmp_path / "here", sample=0)
+    with ThreadPoolExecutor(3) as pool:
+        build(cho_landing(), AXES, tmp_path / "there", pool, sample=1)
+    assert shards(tmp_path / "here") == shards(tmp_path / "there")
     assert sample_of(open_atlas(tmp_path / "there")).proved == 1
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.building import completed
+from perilune.atlas.chart import Chart
 from perilune.atlas.columns import (
     MOST_NOTES,
     digest_of,
@@ -31,7 +32,7 @@ from perilune.atlas.lines import told_of_damage
 from perilune.atlas.query import open_atlas
 from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
-from perilune.atlas.sheets import Sheet
+from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.atlas.survey import Corners, Found, Survey, carried_on, reached_at
 from perilune.families.elsewhere import Submits
@@ -118,18 +119,19 @@ def _extended(
     charts, unmet = list[tuple[dict[str, Any], NDArray[Any]]](), [list(range(len(one.sheets))) for one in found]
     for said in survey["charts"]:
         rows = kept.shard(said["seeds"], seed_type(len(wide.axes), said["unknowns"]))
-        alike = next((i for i, one in enumerate(found) if _equations(said_of(one)) == _equations(said)), None)
+        alike = next((i for i, one in enumerate(found) if _equations(said_of(one)) == _equations(said)), -1)
+        left = unmet[alike] if alike >= 0 else []
         sheets = sheets_of(said)
         known = [_corners_of(rows, number) for number in range(len(sheets))]
-        if alike is not None:
-            one = found[alike]
-            for number, sheet in enumerate(sheets):
-                same = [n for n in unmet[alike] if _is(one, n, sheet, places, known[number])]
-                for n in same:
-                    known[number] = {**reached_at(places, one.y[n]), **known[number]}
-                    unmet[alike].remove(n)
-                if not same:
-                    known[number] = carried_on(one.chart, one.borders, sheet, places, values, known[number])
+        chart = Chart(problem, wide.names, wide.high - wide.low, course_from(said))
+        borders = Borders(chart)
+        for number, sheet in enumerate(sheets):
+            same = [n for n in left if _is(found[alike], n, sheet, places, known[number])]
+            for n in same:
+                known[number] = {**reached_at(places, found[alike].y[n]), **known[number]}
+                left.remove(n)
+            if not same:
+                known[number] = carried_on(chart, borders, sheet, places, values, known[number])
         charts.append(({k: v for k, v in said.items() if k != "seeds"}, _rows(known, rows.dtype)))
     for one, left in zip(found, unmet, strict=True):
         if left:

@@ -29,6 +29,14 @@ _FLOWN = {
 }
 
 
+_OTHERS = {"objective", "chart", "sheet", "answer", "sequence", "terms", *_FLOWN}
+
+
+def _own(parameter: str) -> str:
+    """Name of the column of a parameter, which may be called as another column is."""
+    return f"parameter_{parameter}" if parameter in _OTHERS or parameter.startswith("slope_") else parameter
+
+
 @dataclass(frozen=True, kw_only=True)
 class Column:
     """One column.
@@ -66,7 +74,7 @@ class Table:
         free = [name for name in problem.free_names if name not in region.names]
         self._free = [problem.free_names.index(name) for name in free]
         self.columns = (
-            *(Column(name=a.name, unit=a.unit, about=f"{a.key}, an axis of the atlas") for a in region.axes),
+            *(Column(name=_own(a.name), unit=a.unit, about=f"{a.key}, an axis of the atlas") for a in region.axes),
             Column(name="objective", unit=problem.objective_unit, about="J"),
             *(
                 Column(
@@ -74,7 +82,7 @@ class Table:
                 )
                 for a in region.axes
             ),
-            *(Column(name=name, unit=problem.unit_of(name), about="free parameter") for name in free),
+            *(Column(name=_own(name), unit=problem.unit_of(name), about="free parameter") for name in free),
             Column(name="chart", unit="1", about="number of the chart", kind="<i4"),
             Column(name="sheet", unit="1", about="number of the sheet, counted through all charts", kind="<i4"),
             Column(name="answer", unit="1", about="1 where the node may be an answer, else 0", kind="<i4"),
