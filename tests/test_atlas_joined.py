@@ -145,10 +145,14 @@ def test_sheets_that_are_new_reach_into_what_was_there(low: Path, monkeypatch: p
     assert_right(atlas, {"vehicle.thrust": (430.0, 445.0), **ISP})
 
 
-@pytest.mark.parametrize("kept", [0, 1])
-def test_sheets_that_are_not_found_again_are_carried_on(kept: int, low: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kept", [None, 0, 1])
+def test_sheets_that_are_not_found_again_are_carried_on(
+    kept: int | None, low: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Forgetful(extending.Survey):
         def run(self) -> list[Found]:
+            if kept is None:
+                raise PeriluneError("there is nothing to map")
             return [replace(one, sheets=one.sheets[:1], y=one.y[:1]) for one in super().run()[:kept]]
 
     monkeypatch.setattr(extending, "Survey", Forgetful)

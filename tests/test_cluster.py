@@ -1,4 +1,4 @@
-"""Atlases in threads and on a Dask cluster: the same nodes to the last bit, whatever dies meanwhile; what is refused."""
+"""Atlases in threads and on a Dask cluster: the same nodes to the last bit, whatever dies; what is refused."""
 
 from __future__ import annotations
 

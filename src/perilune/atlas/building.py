@@ -14,13 +14,13 @@ from perilune.atlas.columns import (
     MOST_NOTES,
     brick_name,
     digest_of,
+    header_axes,
     said_of,
     seeds,
     survey_region,
 )
 from perilune.atlas.flooding import Key
 from perilune.atlas.lines import told_of_damage
-from perilune.atlas.query import open_atlas
 from perilune.atlas.region import Region, region_of
 from perilune.atlas.sampling import demand_count, sampled, thin_ones
 from perilune.atlas.store import MANIFEST, Store, clear
@@ -103,16 +103,10 @@ def build(
     if chosen := {axis.name: axis.low for axis in region.axes if axis.name in problem.free_names}:
         problem = problem.with_given(**chosen)  # an axis is told, not chosen
     kept = Store(demand_path(store, "the directory of an atlas"))
-    header = {
-        "axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes],
-        "tolerance": tolerance,
-        "versions": versions(),
-        **problem_document(problem),
-    }
+    header = {**header_axes(region), "tolerance": tolerance, "versions": versions(), **problem_document(problem)}
     survey = _surveyed(kept, header, problem, region, method or Indirect(), say, force)
     completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
-    if sample != 0:
-        sampled(kept, open_atlas(kept.directory), sample, executor, say)
+    sampled(kept, sample, executor, say)
     return kept.directory
 
 

@@ -72,6 +72,11 @@ def digest_of(charts: Any) -> str:
     return hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
 
 
+def header_axes(region: Region) -> dict[str, Any]:
+    """What a header says of the axes of a region."""
+    return {"axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes]}
+
+
 def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
     """The region that a header states."""
     with told_of_damage(HEADER):

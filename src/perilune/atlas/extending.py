@@ -9,6 +9,7 @@ is the wider one, and before that nothing has changed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,6 @@ from perilune.atlas.columns import (
 )
 from perilune.atlas.course import course_from
 from perilune.atlas.lines import told_of_damage
-from perilune.atlas.query import open_atlas
 from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Borders, Sheet
@@ -104,8 +104,7 @@ def extend(
     with told_of_damage(HEADER):
         tolerance = float(header["tolerance"])
     completed(kept, problem, wide, survey, tolerance, executor, say)
-    if sample != 0:
-        sampled(kept, open_atlas(kept.directory, problem_from_scenario), sample, executor, say)
+    sampled(kept, sample, executor, say, problem_from_scenario)
     return kept.directory
 
 
@@ -113,8 +112,9 @@ def _extended(
     kept: Store, problem: Problem, region: Region, wide: Region, survey: Mapping[str, Any], method: Indirect, say: Watch
 ) -> dict[str, Any]:
     """The line of the wider survey, behind its shards."""
-    surveyed = Survey(problem=problem, region=wide, method=method, watch=say)
-    found = surveyed.run()
+    surveyed, found = Survey(problem=problem, region=wide, method=method, watch=say), list[Found]()
+    with suppress(PeriluneError):  # nothing at the points that were tried: what is known is carried on all the same
+        found = surveyed.run()
     places, values = wide.corners()
     charts, unmet = list[tuple[dict[str, Any], NDArray[Any]]](), [list(range(len(one.sheets))) for one in found]
     for said in survey["charts"]:

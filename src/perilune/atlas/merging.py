@@ -21,6 +21,7 @@ from perilune.atlas.columns import (
     brick_name,
     cell_type,
     digest_of,
+    header_axes,
     header_region,
     node_type,
     seed_type,
@@ -130,11 +131,7 @@ def merge(
         )  # fmt: skip
     if kept.directory.resolve() in (one.kept.directory.resolve(), other.kept.directory.resolve()):
         raise PeriluneError("two atlases are merged into a third", got=str(out), expected="another directory")
-    header = {
-        **one.header,
-        "axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes],
-        "versions": versions(),
-    }
+    header = {**one.header, **header_axes(region), "versions": versions()}
     kept.prepare(None)
     if (kept.directory / HEADER).exists():
         clear(kept.directory)

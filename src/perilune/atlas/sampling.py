@@ -11,7 +11,7 @@ wrong there would seldom be met by a draw among all.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.lines import refuse_no_sample, told_of_damage
-from perilune.atlas.query import Atlas, Mapped
+from perilune.atlas.query import Atlas, Mapped, open_atlas
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import MANIFEST, Store
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Verification
 from perilune.solve import prove
@@ -196,12 +197,21 @@ def _proof(solution: Solution) -> Verification:
     return prove(solution, LEVEL).verification
 
 
-def sampled(kept: Store, atlas: Atlas, count: int | None, executor: Submits | None, watch: Watch) -> Sample:
-    """The sample of an atlas that is complete, drawn as far as it was not yet; it is kept in the manifest."""
+def sampled(
+    kept: Store,
+    count: int | None,
+    executor: Submits | None,
+    watch: Watch,
+    problem_from_scenario: Callable[[str], Problem] | None = None,
+) -> None:
+    """Draw the sample of an atlas that is complete, as far as it was not yet; it is kept in the manifest."""
+    if count == 0:
+        return
+    atlas = open_atlas(kept.directory, problem_from_scenario)
     nodes = _nodes(atlas)
     count = min(USUAL, 1 + nodes // _ONE_OF) if count is None else count
-    asked = sum(line["asked"] for line in sample_lines(atlas))
     with kept.claimed("sample") as ours:
+        asked = sum(line["asked"] for line in sample_lines(atlas))
         if ours and count > asked and atlas.said:
             rng = np.random.default_rng()  # another each time, so that nobody can choose what is looked at
             drawn = certified(drawn_at_random(atlas, count - asked, rng), executor, watch)
@@ -211,7 +221,6 @@ def sampled(kept: Store, atlas: Atlas, count: int | None, executor: Submits | No
             kept.add({"kind": "sample", **said, **proofs})
         if ours:
             kept.settled("sample")
-    return sample_of(atlas)
 
 
 def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:

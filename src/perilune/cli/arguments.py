@@ -271,6 +271,10 @@ def _atlas(command: Callable[..., _Parser]) -> None:
     actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
     directory = _option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")
     workers = _option("--workers", metavar="N", type=_number(1), default=1, help="Processes side by side. Usually 1.")
+
+    def at(about: str) -> _Option:
+        return _option("--at", metavar="KEY=VALUE", action="append", default=[], help=about)
+
     scheduler = _option(
         "--scheduler",
         metavar="ADDRESS",
@@ -348,13 +352,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         "atlas query",
         "Answer at one point of an atlas.",
         directory,
-        _option(
-            "--at",
-            metavar="KEY=VALUE",
-            action="append",
-            default=[],
-            help='Of every axis, e.g. "vehicle.thrust=440 N".',
-        ),
+        at('Of every axis, e.g. "vehicle.thrust=440 N".'),
         _OUT,
         _option("--prove", metavar="LEVEL", type=_number(0, 3), default=0, help="Prove the answer, to level 1 to 3."),
         _VERBOSE,
@@ -367,13 +365,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         "Draw a slice of an atlas: cost, free parameters, sheets and refusals, nodes, errors.",
         directory,
         _option("--axes", metavar="A,B", help="Along which axes, one or two; the first two if left out."),
-        _option(
-            "--at",
-            metavar="KEY=VALUE",
-            action="append",
-            default=[],
-            help="Of the other axes; in the middle of their ranges if left out.",
-        ),
+        at("Of the other axes; in the middle of their ranges if left out."),
         _option("--points", metavar="N", type=_number(2, 2000), default=101, help="Along each axis. Usually 101."),
         _OUT,
         _FORCE,
