@@ -227,8 +227,12 @@ class Brick:
         if complete.any():
             passed, beyond, axis[complete] = self._tried(_some(cells, complete))
             here = np.nonzero(complete)[0]
-            status[here[passed]] = np.where(self._breaks(cells.corners[here[passed]]), Status.BREAKS, Status.ONE_STEP)
+            status[here[passed]] = Status.ONE_STEP
             status[here[passed & beyond]] = Status.NO_ANSWER
+            # What is clear at all corners is not looked at more closely; but not of the first, which know little.
+            clear = here[passed | (cells.size[here] < WHOLE).all(axis=1)]
+            status[clear[self._clearly_below("path", cells.corners[clear])]] = Status.BREAKS
+            status[clear[self._clearly_below("margin", cells.corners[clear])]] = Status.NO_ANSWER
         along = np.take_along_axis(cells.size, axis[:, None], axis=1)[:, 0]
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
@@ -255,10 +259,10 @@ class Brick:
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
 
-    def _breaks(self, corners: Whole) -> NDArray[np.bool_]:
-        """Whether extremals break the path at all corners of cells, by more than they differ in that."""
-        path = self.nodes.rows("path", corners)
-        return path.max(axis=1) < -np.ptp(path, axis=1) - SLACK
+    def _clearly_below(self, name: str, corners: Whole) -> NDArray[np.bool_]:
+        """Whether what should not be below zero is so at all corners of cells, by more than it differs there."""
+        rows = self.nodes.rows(name, corners)
+        return rows.max(axis=1) < -3.0 * np.ptp(rows, axis=1) - SLACK
 
     def _halved(self, cells: Cells, axis: Whole, near: Sequence[Whole] | None = None) -> Cells:
         """Both halves of cells, one after the other; `near` are nodes to begin with in place of their corners."""
