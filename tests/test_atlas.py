@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import json
 import os
 import shutil
@@ -132,6 +133,21 @@ def test_sensitivities_are_exact(chart: Chart) -> None:
             if k != i:
                 mixed = (ahead.slopes - behind.slopes)[0, k] / (2 * step[i])
                 np.testing.assert_allclose(terms[1 << i | 1 << k, :-1], mixed, atol=1e-3 * np.abs(mixed).max() + 1e-6)
+
+
+def test_a_parameter_far_from_its_canonical_unit_is_told_by_its_share_of_a_size() -> None:
+    problem = cho_landing()
+    best, names = solve(problem, level=0), ("body_gravitational_parameter", "vehicle_thrust")
+    slopes = []
+    for width in (1e-7 * problem.given[names[0]].value, problem.given[names[0]].value):
+        chart = Chart(problem, names, np.array([width, 300.0]))
+        values = np.array([[problem.given[name].value for name in names]]) / chart.scale
+        y = chart.told(np.array(best.extremals[0].unknowns))[None]
+        here = chart.solve(values, y, np.zeros(2 * chart.shooting.plan.held))
+        assert here.converged[0]
+        slopes.append(here.cost_slopes[0] / chart.scale)
+    assert chart.scale[0] != pytest.approx(width)  # a range of about 1 needs none
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-9)
 
 
 def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart: Chart) -> None:
@@ -611,3 +627,13 @@ def test_an_answer_that_breaks_the_path_is_none_where_nothing_that_keeps_it_is_k
     with pytest.raises(PeriluneError, match="no answer here"):
         atlas.query(ceiling=0.22)
     assert atlas.query_many(np.array([[0.22], [0.29]])).answered.tolist() == [Answered.ENDS, Answered.YES]
+
+
+def test_the_maps_of_the_examples_are_stated_rightly() -> None:
+    spec = importlib.util.spec_from_file_location("maps", ROOT / "examples" / "maps" / "build.py")
+    assert spec is not None and spec.loader is not None
+    maps = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(maps)
+    assert set(maps.MAPS) == {"hybrid", "precision", "capsule"}
+    for scenario, axes in maps.MAPS.values():
+        assert len(region_of(load_file(scenario).problem, axes).axes) == len(axes)

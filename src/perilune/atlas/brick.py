@@ -32,6 +32,7 @@ _FINEST = 2**6  # the shortest edge of a cell
 ENDING = 2**8  # the same where a sheet ends, and of sheets that are no minima
 _KINKED = 2**9  # the same where the switches on the way change
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
+_CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
 _MOST = 9  # evaluations for a new corner
 
 FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
@@ -260,9 +261,11 @@ class Brick:
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
 
     def _clearly_below(self, name: str, corners: Whole) -> NDArray[np.bool_]:
-        """Whether what should not be below zero is so at all corners of cells, by more than it differs there."""
+        """Whether what should not be below zero is so at all corners of cells, by far more than it differs there."""
         rows = self.nodes.rows(name, corners)
-        return rows.max(axis=1) < -3.0 * np.ptp(rows, axis=1) - SLACK
+        most, least = rows.max(axis=1), rows.min(axis=1)
+        with np.errstate(invalid="ignore"):  # where nothing limits them
+            return most < -_CLEARLY * (most - least) - SLACK
 
     def _halved(self, cells: Cells, axis: Whole, near: Sequence[Whole] | None = None) -> Cells:
         """Both halves of cells, one after the other; `near` are nodes to begin with in place of their corners."""

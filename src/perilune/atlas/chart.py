@@ -1,6 +1,6 @@
 """Extremals as functions of parameters: Newton's method in lanes, each at its own values, and exact derivatives.
 
-A parameter that varies is a free one that is held (`perilune.problem.neighbours.varied`). So its value is a lane's own,
+A parameter that varies is a free one that is held (`perilune.problem.varied`). So its value is a lane's own,
 its column of the inverse Jacobian is dY/dp, and its row of the stationarity conditions dJ/dp along the family of
 extremals. Derivatives by several parameters are differences of these, at points beside the extremal on its tangent
 plane.
@@ -20,8 +20,8 @@ from perilune.atlas.course import PLAIN, Course
 from perilune.atlas.hermite import bits
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import Conditions, derive
-from perilune.problem.neighbours import varied
 from perilune.problem.problem import Problem
+from perilune.problem.varied import sizes_of, varied
 from perilune.shooting.function import Roots, Shooting
 from perilune.shooting.newton import FINEST
 from perilune.words.types import Matrix, Vector
@@ -95,11 +95,12 @@ class Chart:
     def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, course: Course = PLAIN) -> None:
         self.user, self.names, self.course = problem, tuple(names), course
         self.problem = course.restated(problem)
-        self.free = varied(self.problem, names)
+        sizes = sizes_of(self.problem, names, np.asarray(widths, dtype=float).tolist())
+        self.free = varied(self.problem, names, sizes)
         self.conditions: Conditions = derive(self.free, course.keep)
         self.p = extremal_parameters(self.free)
         self.shooting = Shooting(self.conditions)
-        self.scale = np.array([problem.scales.of(problem.unit_of(name)) for name in names])
+        self.scale = np.array([sizes.get(name, problem.scales.of(problem.unit_of(name))) for name in names])
         self.widths = np.asarray(widths, dtype=float) / self.scale
 
     @cached_property

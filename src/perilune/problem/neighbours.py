@@ -1,8 +1,5 @@
 """Neighbours of a problem: with its start moved, or free parameters held. They need no derivation of their own.
 
-A problem whose given parameters are to vary has one of its own, with these free and held (`varied`): extremals of it
-come with their derivatives by what varies.
-
 A moved start is one more given parameter ``offset_<state>`` for each state, so a neighbour is a problem like any other.
 What is derived from a problem counts with such offsets from the beginning (`unmoved`, `offsets`), and with any set of
 free parameters held: all neighbours share what was derived and compiled for the problem itself.
@@ -109,14 +106,6 @@ def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
     """The same with other values [SI] of given parameters, which do not enter its structure."""
     given = {name: Given(value=value, unit=problem.given[name].unit) for name, value in values.items()}
     return problem.changed(given=MappingProxyType({**problem.given, **given}), structure=problem.structure)
-
-
-def varied(problem: Problem, names: Sequence[str]) -> Problem:
-    """The problem with these parameters free without bounds; others that are free keep their place before them."""
-    given = {name: g for name, g in problem.given.items() if name not in names}
-    new = (Free(name=n, unit=g.unit, typical=g.value) for n in names if (g := problem.given.get(n)) is not None)
-    free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
-    return problem.changed(given=MappingProxyType(given), free=(*free, *new), ranges=None, form=None)
 
 
 def is_neighbour(problem: Problem) -> bool:

@@ -229,7 +229,7 @@ class Problem:
     @cached_property
     def expressed(self) -> Problem:
         """The same problem with its functions as expressions."""
-        return self._stated_by(self.form.expressions)
+        return self.stated_by(self.form.expressions)
 
     @cached_property
     def canonical(self) -> Problem:
@@ -237,9 +237,9 @@ class Problem:
 
         Homogeneous physics has one text in all units: the problem itself, unless something has a scale of its own.
         """
-        return self._stated_by(canonical_expressions(self)) if self._own_scales else self
+        return self.stated_by(canonical_expressions(self)) if self._own_scales else self
 
-    def _stated_by(self, found: Mapping[Any, Expression]) -> Problem:
+    def stated_by(self, found: Mapping[Any, Expression]) -> Problem:
         """A problem of the same form with these functions by their key."""
         phases = tuple(
             replace(phase, **{name: found.get((k, name)) for name in PHASE_FUNCTIONS})
