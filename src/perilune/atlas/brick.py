@@ -33,7 +33,7 @@ ENDING = 2**8  # the same where a sheet ends, and of sheets that are no minima
 _KINKED = 2**9  # the same where the switches on the way change
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
 _CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
-_MOST = 9  # evaluations for a new corner
+_MOST = 16  # evaluations for a new corner
 
 FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
 
@@ -233,7 +233,6 @@ class Brick:
             # What is clear at all corners is not looked at more closely; but not of the first, which know little.
             clear = here[passed | (cells.size[here] < WHOLE).all(axis=1)]
             status[clear[self._clearly_below("path", cells.corners[clear])]] = Status.BREAKS
-            status[clear[self._clearly_below("margin", cells.corners[clear])]] = Status.NO_ANSWER
         along = np.take_along_axis(cells.size, axis[:, None], axis=1)[:, 0]
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
