@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import mmap
+import platform
 from collections.abc import Iterable
 from functools import cache
 from typing import Any
@@ -10,6 +12,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from perilune.words.outcome import PeriluneError
+
+_PIECES = 1 << 23, 1 << 12, 1 << 14, 1 << 16, 1 << 20  # bytes: sections of all sizes
+_TOGETHER = 2**31 - 2**27
 
 
 def available() -> bool:
@@ -43,14 +48,33 @@ def processor() -> tuple[str, str, str]:
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features.flatten()
 
 
-@cache
 def versions() -> tuple[str, ...]:
-    """Return what else the code depends on: the versions of CasADi, llvmlite and LLVM."""
+    """Return what else the code depends on: the versions of CasADi, llvmlite and LLVM, and where it may be loaded."""
+    return (*_versions(), *([] if _near() else ["anywhere"]))
+
+
+@cache
+def _versions() -> tuple[str, ...]:
     import casadi as ca
     import llvmlite
     import llvmlite.binding as llvm
 
     return ca.CasadiMeta.version(), llvmlite.__version__, ".".join(map(str, llvm.llvm_version_info))
+
+
+def _near() -> bool:
+    """Whether memory that is asked for now lies together: LLVM aborts where code is 2 GB from its constants.
+
+    In a process that holds more than that the system puts small pieces into gaps, far from larger ones. Code for
+    anywhere is slower by a quarter, and made only then.
+    """
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return True
+    pieces = [mmap.mmap(-1, size) for size in _PIECES]
+    places = [ctypes.addressof(ctypes.c_char.from_buffer(piece)) for piece in pieces]
+    for piece in pieces:
+        piece.close()
+    return max(places) - min(places) < _TOGETHER
 
 
 def _machine() -> Any:
@@ -61,7 +85,9 @@ def _machine() -> Any:
     llvm.initialize_native_asmprinter()
     triple, name, features = processor()
     target = llvm.Target.from_triple(triple)
-    return target.create_target_machine(cpu=name, features=features, opt=2, reloc="pic", codemodel="small", jit=True)
+    return target.create_target_machine(
+        cpu=name, features=features, opt=2, reloc="pic", codemodel="small" if _near() else "large", jit=True
+    )
 
 
 def compile_ir(text: str) -> bytes:
