@@ -1,4 +1,7 @@
-"""Nodes of an atlas for other programs: read back by libraries that did not write them, the same to the last bit."""
+"""Nodes of an atlas for other programs: read back by libraries that did not write them, the same to the last bit.
+
+Last by its name: these libraries scatter the memory of a process, in which machine code is then made for anywhere.
+"""
 
 from __future__ import annotations
 
