@@ -241,11 +241,11 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
     Both are beyond what limits follow, and it is flown back. Another costate is still none.
     """
 
-    def to(site: Landing) -> pl.Problem:
+    def to(site: Landing, degrees: float = -0.85) -> pl.Problem:
         problem = deorbit_entry(
             Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, dry_mass=350.0, ballistic_coefficient=345.0),
             Orbit(radius=6878.14e3, inclination=math.radians(50)),
-            Interface(altitude=120e3, angle=math.radians(-0.85)),
+            Interface(altitude=120e3, angle=math.radians(degrees)),
             EARTH,
             manoeuvre=Manoeuvre(longitude=math.radians(16), latitude=math.radians(39.5), going="descending"),
             minimise="propellant",
@@ -256,7 +256,9 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
         *above, entry = problem.phases  # so near to leaving, the direct method does not find it with the condition
         return problem.changed(phases=(*above, replace(entry, path=None, path_conditions=())), form=None)
 
-    anywhere = pl.solve(to(Landing(altitude=10e3)), level=0)
+    anywhere = pl.solve(to(Landing(altitude=10e3), -1.3), level=0)
+    for degrees in (-1.0, -0.88, -0.85):  # from nothing it is found on some machines alone
+        anywhere = pl.solve(to(Landing(altitude=10e3), degrees), guess=anywhere, level=0)
     place = {name: anywhere.results[f"landing_{name}"].value for name in ("longitude", "latitude")}
     place["longitude"] += 0.02
     solution = pl.solve(to(Landing(altitude=10e3, **place)), guess=anywhere, level=2)
