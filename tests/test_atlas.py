@@ -26,7 +26,7 @@ import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
 from perilune.atlas import building
-from perilune.atlas.brick import WHOLE, Status
+from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import cell_type, node_type
 from perilune.atlas.flooding import Key, spilled
@@ -36,15 +36,18 @@ from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import Brick
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import region_of
+from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.kernels import compile_map
+from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 from problems.constrained import bryson_denham, bryson_denham_truth
+from problems.folded import cusp, cusp_cost
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 #: Across the Isp of 277.867 s at which the retro burn stops paying, Cho et al. 2015, Figs 9 and 10.
@@ -494,7 +497,7 @@ def test_a_sheet_without_a_corner_of_a_cell_is_not_passed_over(atlas: Atlas) -> 
     kept = np.nonzero(whole.cells["sheet"] != sheet)[0]
     others = np.array(whole.cells[kept])
     others["child"] = np.where(others["child"] >= 0, 3 + np.searchsorted(kept, others["child"]), -1)
-    ours = np.repeat(np.array(whole.cells[whole.roots[sheet]])[None], 3)
+    ours = np.repeat(np.array(whole.cells[dict(whole.minima)[sheet]])[None], 3)
     ours["axis"], ours["child"], ours["status"] = (0, -1, -1), (1, -1, -1), (Status.CUT, Status.ENDS, Status.ENDS)
     ours["size"][1:, 0] //= 2
     ours["low"][2, 0] = ours["size"][2, 0]
@@ -579,6 +582,7 @@ def test_nodes_on_a_common_side_go_on_where_the_neighbour_has_nothing() -> None:
         found = np.zeros(len(rows), dtype=cell_type(2))
         for row, (sheet, low, size, status) in zip(found, rows, strict=True):
             row["sheet"], row["low"], row["size"], row["status"] = sheet, low, size, status
+            row["corners"] = -1
         return found
 
     half, side = WHOLE // 2, WHOLE
@@ -593,12 +597,43 @@ def test_nodes_on_a_common_side_go_on_where_the_neighbour_has_nothing() -> None:
     )
     keys: list[Key] = [(0, 0, 0), (0, 1, 0), (0, 2, 0)]
     known = {keys[0]: first, keys[1]: second}
-    found = dict(spilled(keys, lambda key: known.get(key), lambda _: [0, 1]))
+    sheets = [Sheet(holds={}, orientation=way, nature=Nature.LOCAL_OPTIMUM) for way in (1.0, -1.0)]
+    found = dict(spilled(keys, known.get, lambda _: sheets))
     told = {key: [(int(n["sheet"]), *n["place"].tolist()) for n in rows] for key, rows in found.items()}
-    # Not the upper node, where the neighbour has the sheet; not the one beyond its border; nothing goes on from itself.
-    assert told == {keys[0]: [(0, side, side)], keys[1]: [(0, 0, 0), (1, 0, half)]}
-    alone = dict(spilled(keys, lambda key: known.get(key), lambda _: [1]))
+    # Not the upper node, which the neighbour has; not the one beyond its border; nothing goes on from itself.
+    assert told == {keys[1]: [(0, 0, 0), (1, 0, half)]}
+    worst = [replace(sheets[0], nature=Nature.WORST), sheets[1]]
+    alone = dict(spilled(keys, known.get, lambda _: worst))
     assert {key: rows["sheet"].tolist() for key, rows in alone.items()} == {keys[1]: [1]}
+    first[0]["terms"][1] = 0.5  # the neighbour has another extremal at the upper node
+    others = dict(spilled(keys, known.get, lambda _: sheets))
+    assert [n["place"].tolist() for n in others[keys[1]] if n["sheet"] == 0] == [[0, 0], [0, side]]
+
+
+# -- branches ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("axes", "bricks"),
+    [
+        ({"a": (-2.0, 1.0), "b": (-0.9, 1.1)}, None),  # around the cusp a sheet comes back on another layer
+        ({"a": (-1.0, 0.6), "b": (-0.2, 0.3)}, 1),
+        ({"a": (-2.0, -0.5), "b": (-1.5, -0.3)}, None),  # across the fold alone
+    ],
+)
+def test_where_sheets_lie_over_one_another_the_answer_is_the_least_of_all(
+    axes: dict[str, tuple[float, float]], bricks: int | None, tmp_path: Path
+) -> None:
+    """Thom's cusp, whose extremals are the roots of a cubic: two minima, and a fold where one of them ends."""
+    atlas = open_atlas(build(cusp(-1.0, 0.1), axes, tmp_path / "cusp", bricks=bricks))
+    points = RNG(1).uniform(atlas.region.low, atlas.region.high, (1000, 2))
+    found = atlas.query_many(points)
+    truth = np.array([cusp_cost(*point) for point in points.tolist()])
+    assert found.good.mean() > (0.9 if bricks == 1 else 0.97)
+    assert set(found.answered[~found.good].tolist()) <= {Answered.ENDS}
+    np.testing.assert_allclose(found.objective[found.good], truth[found.good], rtol=0, atol=1e-11)
+    alone = atlas.query(**dict(zip("ab", points[found.good][0].tolist(), strict=True)))
+    assert alone.objective == pytest.approx(truth[found.good][0], abs=1e-11)
 
 
 # -- answers of several arcs -------------------------------------------------------------------------------------------

@@ -6,139 +6,42 @@ there. A sheet that does not reach all corners of a cell ends inside it; the cel
 and what is left there answers nothing. A cell that has no corner of a sheet is looked at again when all others are
 done: where some of them have nodes on its border the sheet may go on from there, and the cell is cut after all.
 
+Where a sheet comes to one place with several extremals it has several branches (`perilune.atlas.branches`), each with
+cells of its own. The first branch of a sheet begins with the whole brick; a later one goes on from a node in the
+smallest cells in which a sheet may end, until it runs into another.
+
 All cells of one wave are computed together, in lanes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from enum import IntEnum
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.chart import Chart
+from perilune.atlas.branches import SAME, covered, torn_edges
+from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, some
+from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
 from perilune.atlas.reflight import SLACK, Reflights
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
-WHOLE = 2**12  # lattice steps along an edge of a brick
-_BITS = 13  # of a place along one axis, so that 4 of them and a sheet make one number
+_BITS = 13  # of a place along one axis, so that 4 of them and a branch make one number
 _FINEST = 2**6  # the shortest edge of a cell
-ENDING = 2**8  # the same where a sheet ends, and of sheets that are no minima
 _KINKED = 2**9  # the same where the switches on the way change
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
 _CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
 _MOST = 16  # evaluations for a new corner
+_SOWN = 2 * ENDING  # the largest cells in which a later branch begins
+_MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
 FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
 
-Whole = NDArray[np.int64]
-
-
-class Status(IntEnum):
-    """What a cell is."""
-
-    CUT = 0  # its children are what counts
-    ONE_STEP = 1  # answers by one step of Newton's method
-    MORE_STEPS = 2  # answers, but at the least size a step is not enough
-    ENDS = 3  # the sheet ends inside
-    NO_ANSWER = 4  # its extremals lie beyond a bound, or gain by leaving one
-    BREAKS = 5  # its extremals break the path
-    ABSENT = 6  # the sheet does not come here: no corner has it, and none of the nodes around
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cells:
-    """Cells of all sheets of a brick; the first of each sheet is the whole brick.
-
-    Attributes
-    ----------
-    sheet
-        Whose, (cells,).
-    low, size
-        Low corner and lengths, in lattice steps, (cells, d).
-    corners
-        Nodes at its corners, -1 where there is none, (cells, 2^d).
-    axis, child
-        Along which axis it was cut, -1 for none; the first of its two children, which follow each other.
-    status
-        `Status`.
-    """
-
-    sheet: Whole
-    low: Whole
-    size: Whole
-    corners: Whole
-    axis: Whole
-    child: Whole
-    status: Whole
-
-    def __len__(self) -> int:
-        return len(self.sheet)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cut:
-    """A brick that was cut.
-
-    Attributes
-    ----------
-    nodes
-        Of each node its ``sheet``, its ``place`` in the lattice (nodes, d), values and derivatives ``terms``
-        (nodes, 2^d, n + 1), by how much it is an answer (``margin``), the step that Newton's method would make
-        there (``length``), and of its second flight ``sequence``, ``residual``, ``path``, ``minimum`` and ``drift``.
-    cells
-        Its cells.
-    """
-
-    nodes: dict[str, NDArray[Any]]
-    cells: Cells
-
-
-class _Nodes:
-    """What was computed; a node is known by its sheet and its place."""
-
-    def __init__(self) -> None:
-        self.known: dict[int, int] = {}
-        self.parts: dict[str, list[NDArray]] = {}
-        self._rows: dict[str, NDArray[Any]] = {
-            name: np.empty(0) for name in ("terms", "margin", "sequence", "path", "sheet", "place")
-        }
-        self.count = 0
-
-    def add(self, keys: Whole, **columns: NDArray) -> None:
-        new = len(keys)
-        self.known |= dict(zip(keys.tolist(), range(self.count, self.count + new), strict=True))
-        for name, rows in columns.items():
-            self.parts.setdefault(name, []).append(rows)
-        for name, before in self._rows.items():
-            if len(before) < self.count + new:  # room is doubled, so that it is seldom made
-                more = np.empty((2 * (self.count + new), *columns[name].shape[1:]), dtype=columns[name].dtype)
-                more[: self.count] = before[: self.count] if self.count else 0
-                self._rows[name] = before = more
-            before[self.count : self.count + new] = columns[name]
-        self.count += new
-
-    def numbers(self, keys: Whole) -> Whole:
-        """Of the nodes, -1 for those that are not there."""
-        known = self.known
-        return np.array([known.get(key, -1) for key in keys.ravel().tolist()], dtype=np.int64).reshape(keys.shape)
-
-    def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
-        """A column of nodes."""
-        return self._rows[name][numbers]
-
-    def within(self, sheet: int, low: Whole, high: Whole) -> Whole:
-        """The nodes of a sheet in a box or on its border from which it may go on: beyond its own it may turn back."""
-        place = self._rows["place"][: self.count]
-        inside = (self._rows["sheet"][: self.count] == sheet) & (self._rows["margin"][: self.count] >= 0)
-        inside &= ((place >= low) & (place <= high)).all(axis=1)
-        return np.nonzero(inside)[0]
+_Extremal = tuple[int, Whole, Vector]  # sheet, place, and unknowns there
 
 
 class Brick:
@@ -169,10 +72,9 @@ class Brick:
     ) -> None:
         self.chart, self.borders, self.reflights, self.sheets, self.watch = chart, borders, reflights, sheets, watch
         self.origin, self.step, self.tolerance = low, (high - low) / WHOLE, tolerance
-        self.d = len(low)
-        self.orientations = np.array([sheet.orientation for sheet in sheets])
-        self._minimum = np.array([sheet.minimum for sheet in sheets])
-        self.nodes = _Nodes()
+        self.d, self.count = len(low), len(sheets)
+        self.nodes, self.own, self._left = Nodes(), list(range(len(sheets))), list[_Extremal]()
+        self._looked_at = 0
 
     def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None = None) -> Cut:
         """Compute everything.
@@ -186,10 +88,13 @@ class Brick:
         """
         waves = list[Cells]()
         if before is not None:
-            self.nodes.add(self._keys(before.nodes["sheet"], before.nodes["place"]), **before.nodes)
+            self.nodes.add(self._keys(before.nodes["branch"], before.nodes["place"]), **before.nodes)
+            self.own = list(before.own)
             waves.append(before.cells)
-        self._solved(sheet, place, y, np.full(len(sheet), np.inf))
-        here = np.setdiff1d(sheet, before.cells.sheet if before is not None else ())
+        self._told()
+        new = self._sown(sheet, place, y, before)
+        self._solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
+        here = np.setdiff1d(sheet[new], before.cells.branch if before is not None else ())
         whole = np.full((len(here), self.d), WHOLE)
         cells = self._filled(self._cells(here, np.zeros_like(whole), whole))
         while True:
@@ -200,16 +105,103 @@ class Brick:
                 child = np.where(cut, first + len(cells) + 2 * (np.cumsum(cut) - 1), -1)
                 waves.append(replace(cells, status=status, axis=np.where(cut, axis, -1), child=child))
                 self.watch(f"{self.nodes.count} nodes, {first + len(cells)} cells, {2 * np.count_nonzero(cut)} at work")
-                cells = self._halved(_some(cells, cut), axis[cut])
-            waves, cells = self._reached(_joined(waves))
+                cells = self._halved(some(cells, cut), axis[cut])
+            done, cells = self._reached(joined(waves))
+            waves = [done]
             if not len(cells):
-                nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
-                return Cut(nodes=nodes, cells=waves[0])
+                if (branch := self._branched(done)) is None:
+                    return self._finished(done)
+                waves.append(branch)
 
-    def _reached(self, done: Cells) -> tuple[list[Cells], Cells]:
+    def _finished(self, done: Cells) -> Cut:
+        """What is torn the branches of its layers have, if there may be so many."""
+        torn = Status.ENDS if self._left else Status.ABSENT
+        done = replace(done, status=np.where(done.status == Status.TORN, torn, done.status))
+        nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
+        return Cut(nodes=nodes, cells=done, own=tuple(self.own))
+
+    # -- branches -------------------------------------------------------------------------------------------------
+
+    def _told(self) -> None:
+        """What is known of the sheet of each branch."""
+        self._sheets = [self.sheets[number] for number in self.own]
+        self._orientations = np.array([sheet.orientation for sheet in self._sheets])
+        self._minimum = np.array([sheet.minimum for sheet in self._sheets])
+
+    def _alike(self, sheet: int) -> list[int]:
+        """The branches that hold the same as a sheet, on the same side of folds."""
+        mine = self.sheets[sheet]
+        return [b for b, s in enumerate(self._sheets) if s.holds == mine.holds and s.orientation == mine.orientation]
+
+    def _sown(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None) -> list[int]:
+        """Which extremals begin or go on with the first branch of their sheet; some others wait for a later one."""
+        new, taken = list[int](), list[tuple[int, list[int], Vector]]()
+        for i, (number, at, row) in enumerate(zip(sheet.tolist(), place.tolist(), y, strict=True)):
+            alike = self._alike(number)
+            here = [(b, self.nodes.at(self._keys(np.array(b), place[i]))) for b in alike]
+            known = [(self.own[b], known) for b, known in here if known is not None]
+            known += [(other, told) for other, there, told in taken if other in alike and there == at]
+            if any(_same(told, row) for _, told in known):
+                continue
+            if before is not None and self._has(before.cells, number, place[i], row):
+                continue
+            if any(other == number for other, _ in known):
+                self._left.append((number, place[i], row))
+            else:
+                new.append(i)
+                taken.append((number, at, row))
+        return new
+
+    def _has(self, cells: Cells, sheet: int, place: Whole, y: Vector) -> bool:
+        """Whether the cells of some branch have an extremal at a place."""
+        alike = self._alike(sheet)
+        nodes = (self.nodes.at(self._keys(np.array(branch), place)) for branch in alike)
+        if any(known is not None and _same(known, y) for known in nodes):
+            return True
+        return bool(covered(cells, self.nodes, self.step, alike, place[None], y[None])[0])
+
+    def _branched(self, done: Cells) -> Cells | None:
+        """The whole brick as the first cell of another branch, whose first node is there; None where none is left."""
+        while self._left and len(self.own) < self.count + _MOST_BRANCHES:
+            sheet, place, y = self._left.pop(0)
+            if self._has(done, sheet, place, y):
+                continue
+            branch = np.array([len(self.own)])
+            self.own.append(sheet)
+            self._told()
+            self._solved(branch, place[None], y[None], np.full(1, np.inf))
+            root = self._cells(branch, np.zeros((1, self.d), dtype=np.int64), np.full((1, self.d), WHOLE))
+            return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
+        self._left = [(s, place, y) for s, place, y in self._left if not self._has(done, s, place, y)]
+        return None
+
+    def _torn(self, cells: Cells) -> Whole:
+        """Of cells that do not answer `TORN` where their corners lie on different layers, ENDS if one ends there."""
+        found = np.full(len(cells), -1)
+        cell, one, other = torn_edges(self.nodes, cells.corners, cells.size * self.step)
+        cell, begin, end = np.tile(cell, 2), np.append(one, other), np.append(other, one)
+        leads = self.nodes.rows("margin", cells.corners[cell, begin]) >= 0
+        cell, begin, end = cell[leads], begin[leads], end[leads]
+        if not len(cell):
+            return found
+        places, branch = cells.low[cell] + bits(self.d)[end] * cells.size[cell], cells.branch[cell]
+        guess, spread = self._from(cells.corners[cell, begin], places)
+        led, good, _ = self._led(branch, places, guess, spread)
+        there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
+        differs = good & (np.linalg.norm(led.y - there, axis=1) > SAME * (1.0 + np.linalg.norm(there, axis=1)))
+        found[cell[differs]] = Status.TORN
+        found[np.intersect1d(cell[~good], cell[differs])] = Status.ENDS
+        for i in np.nonzero(differs)[0].tolist():
+            self._left.append((self.own[int(branch[i])], places[i], led.y[i]))
+        return found
+
+    # -- cells ----------------------------------------------------------------------------------------------------
+
+    def _reached(self, done: Cells) -> tuple[Cells, Cells]:
         """What was done, and halves of cells without a corner into which a sheet may go on from nodes around them."""
+        self._meet(done)
         bare = np.nonzero(np.isin(done.status, (Status.ENDS, Status.ABSENT)) & (done.corners < 0).all(axis=1))[0]
-        within = [self.nodes.within(int(done.sheet[i]), done.low[i], done.low[i] + done.size[i]) for i in bare]
+        within = [self.nodes.within(int(done.branch[i]), done.low[i], done.low[i] + done.size[i]) for i in bare]
         status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
         known = np.array([len(nodes) > 0 for nodes in within], dtype=bool)
         status[bare] = np.where(known, Status.ENDS, Status.ABSENT)
@@ -218,15 +210,31 @@ class Brick:
         axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
         child[cut] = len(done) + 2 * np.arange(len(cut))
         done = replace(done, status=status, axis=axis, child=child)
+        halves = self._halves(some(done, cut), axis[cut])
+        # Layers that lie near one another are told apart in small cells alone.
+        fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= _SOWN))[0]
         near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
-        return [done], self._halved(_some(done, cut), axis[cut], near)
+        corners = np.where(np.isin(np.arange(len(halves)), fine)[:, None], halves.corners, -1)
+        corners[fine] = self._filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()]).corners
+        return done, replace(halves, corners=corners)
+
+    def _meet(self, done: Cells) -> None:
+        """Note at which of its new nodes a later branch has run into another: it does not go on from there."""
+        new = np.arange(self._looked_at, self.nodes.count)
+        self._looked_at = self.nodes.count
+        branch = self.nodes.rows("branch", new)
+        for own in np.unique(branch[branch >= self.count]).tolist():
+            mine, others = new[branch == own], [b for b in self._alike(self.own[own]) if b != own]
+            y = self.nodes.rows("terms", mine)[:, 0, :-1]
+            met = covered(done, self.nodes, self.step, others, self.nodes.rows("place", mine), y)
+            self.nodes.met = np.append(self.nodes.met, mine[met])
 
     def _judged(self, cells: Cells) -> tuple[Whole, Whole]:
         """What each cell is, and along which axis it would be cut."""
         complete: NDArray[np.bool_] = np.all(cells.corners >= 0, axis=1)
         status, axis = np.where(complete, Status.CUT, Status.ENDS), cells.size.argmax(axis=1)
         if complete.any():
-            passed, beyond, axis[complete] = self._tried(_some(cells, complete))
+            passed, beyond, axis[complete] = self._tried(some(cells, complete))
             here = np.nonzero(complete)[0]
             status[here[passed]] = Status.ONE_STEP
             status[here[passed & beyond]] = Status.NO_ANSWER
@@ -237,24 +245,27 @@ class Brick:
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
         kinked = (sequence != sequence[:, :1]).any(axis=1)
-        finest = np.where(self._minimum[cells.sheet], np.where(kinked, _KINKED, _FINEST), ENDING)
-        status[(status == Status.CUT) & (along <= finest)] = Status.MORE_STEPS
+        finest = np.where(self._minimum[cells.branch], np.where(kinked, _KINKED, _FINEST), ENDING)
         none = (cells.corners < 0).all(axis=1)
+        torn = np.full(len(cells), -1)
+        small = np.nonzero((along <= ENDING) & ((status == Status.CUT) | (status == Status.ENDS) & ~none))[0]
+        torn[small] = self._torn(some(cells, small))
+        status[(status == Status.CUT) & (along <= finest)] = Status.MORE_STEPS
         status[(status == Status.ENDS) & ~none & (along > ENDING)] = Status.CUT
-        return status, axis
+        return np.where(torn >= 0, torn, status), axis
 
     def _tried(self, cells: Cells) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
         """At the middle of cells: whether one step is enough, whether nothing there is an answer, where to cut."""
         terms, size = self.nodes.rows("terms", cells.corners), cells.size * self.step
         values = self.origin + (cells.low + 0.5 * cells.size) * self.step
         guess = interpolated(terms, np.full(size.shape, 0.5), size)[:, :-1]
-        holds = self.borders.holds(self.sheets, cells.sheet, values)
+        holds = self.borders.holds(self._sheets, cells.branch, values)
         first = self.chart.at(values, guess, holds)
         flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
         second = self.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
-        same = second.orientation == self.orientations[cells.sheet]
+        same = second.orientation == self._orientations[cells.branch]
         passed: NDArray[np.bool_] = flown & same & (second.length <= self.tolerance)
-        margin = self.borders.margins_of(self.sheets, cells.sheet, second)
+        margin = self.borders.margins_of(self._sheets, cells.branch, second)
         beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
@@ -266,39 +277,45 @@ class Brick:
         with np.errstate(invalid="ignore"):  # where nothing limits them
             return most < -_CLEARLY * (most - least) - SLACK
 
-    def _halved(self, cells: Cells, axis: Whole, near: Sequence[Whole] | None = None) -> Cells:
-        """Both halves of cells, one after the other; `near` are nodes to begin with in place of their corners."""
+    def _halved(self, cells: Cells, axis: Whole) -> Cells:
+        """Both halves of cells, one after the other, with the corners that they lack."""
+        return self._filled(self._halves(cells, axis), cells)
+
+    def _halves(self, cells: Cells, axis: Whole) -> Cells:
+        """Both halves of cells, one after the other."""
         count = np.arange(len(cells))
         size, far = cells.size.copy(), cells.low.copy()
         size[count, axis] //= 2
         far[count, axis] += size[count, axis]
         low = np.stack([cells.low, far], axis=1).reshape(-1, self.d)
-        return self._filled(self._cells(np.repeat(cells.sheet, 2), low, np.repeat(size, 2, axis=0)), cells, near)
+        return self._cells(np.repeat(cells.branch, 2), low, np.repeat(size, 2, axis=0))
 
-    def _cells(self, sheet: Whole, low: Whole, size: Whole) -> Cells:
-        none = np.full(len(sheet), -1)
-        return Cells(
-            sheet=sheet, low=low, size=size, corners=self._corners(sheet, low, size), axis=none, child=none, status=none
-        )
+    def _cells(self, branch: Whole, low: Whole, size: Whole) -> Cells:
+        none = np.full(len(branch), -1)
+        corners = self._corners(branch, low, size)
+        return Cells(branch=branch, low=low, size=size, corners=corners, axis=none, child=none, status=none)
 
     def _filled(self, cells: Cells, wholes: Cells | None = None, near: Sequence[Whole] | None = None) -> Cells:
-        """The same with the corners solved for that are not there, from those of their `wholes`, or their own."""
+        """The same with the corners solved for that are not there, from those of their `wholes`, or their own.
+
+        `near` are nodes of each cell to begin with in place of corners.
+        """
         cell, corner = np.nonzero(cells.corners < 0)
         if not len(cell):
             return cells
         places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
-        _, once = np.unique(self._keys(cells.sheet[cell], places), return_index=True)
+        _, once = np.unique(self._keys(cells.branch[cell], places), return_index=True)
         cell, places = cell[once], places[once]
         if near is not None:
             guess, spread = self._from(
-                np.array([self._nearest(near[i // 2], at) for i, at in zip(cell, places, strict=True)]), places
+                np.array([self._nearest(near[i], at) for i, at in zip(cell, places, strict=True)]), places
             )
         elif wholes is not None:
             guess, spread = self._guesses(wholes, cell // 2, places)
         else:
             guess, spread = self._guesses(cells, cell, places)
-        self._solved(cells.sheet[cell], places, guess, spread)
-        return replace(cells, corners=self._corners(cells.sheet, cells.low, cells.size))
+        self._solved(cells.branch[cell], places, guess, spread)
+        return replace(cells, corners=self._corners(cells.branch, cells.low, cells.size))
 
     def _guesses(self, cells: Cells, cell: Whole, places: Whole) -> tuple[Matrix, Vector]:
         """y at places of cells, and how much it changes there: by all corners, or along the slopes of the nearest."""
@@ -325,39 +342,44 @@ class Brick:
         """Which of some nodes is the nearest to a place."""
         return int(nodes[np.abs(self.nodes.rows("place", nodes) - place).sum(axis=1).argmin()])
 
-    def _solved(self, sheet: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
-        """Newton's method at places; what of it belongs to its sheet comes among the nodes."""
+    def _led(
+        self, branch: Whole, places: Whole, guess: Matrix, spread: Vector
+    ) -> tuple[Extremals, NDArray[np.bool_], Matrix]:
+        """Where Newton's method leads to at places, what of it belongs to its branch, and what it holds."""
         values = self.origin + places * self.step
-        holds = self.borders.holds(self.sheets, sheet, values)
+        holds = self.borders.holds(self._sheets, branch, values)
         found = self.chart.solve(values, guess, holds, limit=_MOST)
-        moved = np.linalg.norm(found.y - guess, axis=1)
-        good = found.converged & (found.orientation == self.orientations[sheet])
-        good &= moved <= _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
+        with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
+            moved = np.linalg.norm(found.y - guess, axis=1)
+        good = found.converged & (found.orientation == self._orientations[branch])
+        return found, good & (moved <= _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))), holds
+
+    def _solved(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
+        """Newton's method at places; what of it belongs to its branch comes among the nodes."""
+        if not len(branch):
+            return
+        found, good, holds = self._led(branch, places, guess, spread)
         if not good.any():
             return
-        some, holds, sheet, places = found.of(np.nonzero(good)[0]), holds[good], sheet[good], places[good]
-        flown = self.reflights.finer(some.roots.y, self.chart.p[None], some.roots.choice)
+        here, holds, branch, places = found.of(np.nonzero(good)[0]), holds[good], branch[good], places[good]
+        flown = self.reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
         self.nodes.add(
-            self._keys(sheet, places),
-            sheet=sheet,
+            self._keys(branch, places),
+            branch=branch,
             place=places,
-            terms=self.chart.terms(some, holds),
-            margin=self.borders.margins_of(self.sheets, sheet, some),
-            length=some.length,
+            terms=self.chart.terms(here, holds),
+            margin=self.borders.margins_of(self._sheets, branch, here),
+            length=here.length,
             **{name: getattr(flown, name) for name in FLOWN},
         )
 
-    def _corners(self, sheet: Whole, low: Whole, size: Whole) -> Whole:
+    def _corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:
         """Nodes at the corners of cells, -1 where there is none."""
-        return self.nodes.numbers(self._keys(sheet[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
+        return self.nodes.numbers(self._keys(branch[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
 
-    def _keys(self, sheet: Whole, places: Whole) -> Whole:
-        return (sheet << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)
-
-
-def _joined(waves: Sequence[Cells]) -> Cells:
-    return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})
+    def _keys(self, branch: Whole, places: Whole) -> Whole:
+        return (branch << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)
 
 
-def _some(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
-    return Cells(**{f.name: getattr(cells, f.name)[which] for f in fields(Cells)})
+def _same(y: Vector, other: Vector) -> bool:
+    return bool(np.linalg.norm(y - other) <= SAME * (1.0 + np.linalg.norm(y)))

@@ -25,9 +25,9 @@ def node_type(d: int, n: int) -> np.dtype[Any]:
     """Columns of a shard of nodes, of d axes and n unknowns."""
     return np.dtype(
         [
-            ("sheet", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)), ("terms", "<f8", (2**d, n + 1)),
-            ("margin", "<f8"), ("length", "<f8"), ("sequence", "<i8"), ("residual", "<f8"), ("path", "<f8"),
-            ("minimum", "<f8"), ("drift", "<f8"),
+            ("sheet", "<i4"), ("branch", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)),
+            ("terms", "<f8", (2**d, n + 1)), ("margin", "<f8"), ("length", "<f8"), ("sequence", "<i8"),
+            ("residual", "<f8"), ("path", "<f8"), ("minimum", "<f8"), ("drift", "<f8"),
         ]
     )  # fmt: skip
 
@@ -36,8 +36,8 @@ def cell_type(d: int) -> np.dtype[Any]:
     """Columns of a shard of cells."""
     return np.dtype(
         [
-            ("sheet", "<i4"), ("low", "<i4", (d,)), ("size", "<i4", (d,)), ("corners", "<i4", (2**d,)), ("axis", "<i4"),
-            ("child", "<i4"), ("status", "<i4"),
+            ("sheet", "<i4"), ("branch", "<i4"), ("low", "<i4", (d,)), ("size", "<i4", (d,)),
+            ("corners", "<i4", (2**d,)), ("axis", "<i4"), ("child", "<i4"), ("status", "<i4"),
         ]
     )  # fmt: skip
 

@@ -1,7 +1,8 @@
 """Where a sheet goes on from one brick into another that did not know of it there.
 
 A brick begins with what the survey found at its corners. A sheet that enters it through a side alone is known to its
-neighbour: the nodes which that has on their common side, where this one has nothing, are what it goes on from.
+neighbour: the nodes which that has on their common side, where this one has nothing, are what it goes on from. So are
+those where this one has other extremals of the same sheet: there the sheet has several branches.
 """
 
 from __future__ import annotations
@@ -12,17 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.brick import ENDING, WHOLE, Status
+from perilune.atlas.branches import SAME
+from perilune.atlas.cells import ENDING, WHOLE, Status
+from perilune.atlas.sheets import Sheet
 
 Rows = Any  # an array with columns
 Key = tuple[int, ...]  # chart and numbers of a brick
 Shards = tuple[Rows, Rows]  # nodes and cells
 
+_DIGITS = 5  # behind the point, of what is told apart on sides
 _COARSER = 4  # of the lattice over 4 axes, along a side of which there are three more
 
 
 def spilled(
-    keys: Sequence[Key], shards: Callable[[Key], Shards | None], minima: Callable[[int], list[int]]
+    keys: Sequence[Key], shards: Callable[[Key], Shards | None], sheets: Callable[[int], Sequence[Sheet]]
 ) -> Iterator[tuple[Key, Rows]]:
     """Nodes on the sides of bricks that go on into them, with their places as these have them.
 
@@ -32,8 +36,8 @@ def spilled(
         Bricks that there may be.
     shards
         Nodes and cells of those that there are.
-    minima
-        The sheets of a chart that can be answers.
+    sheets
+        Those of a chart.
     """
     sides: dict[tuple[Key, int, int], Rows] = {}
     for key in keys:
@@ -41,7 +45,8 @@ def spilled(
             continue
         nodes = known[0]
         # Beyond its border a sheet may turn back, and come to the same place with other extremals.
-        can = np.isin(nodes["sheet"], minima(key[0])) & (nodes["margin"] >= 0)
+        minimum = np.array([sheet.minimum for sheet in sheets(key[0])])
+        can = minimum[nodes["sheet"]] & (nodes["margin"] >= 0)
         for axis in range(len(key) - 1):
             for side, way in ((WHOLE, 1), (0, -1)):
                 here = can & (nodes["place"][:, axis] == side)
@@ -59,10 +64,9 @@ def spilled(
         if not found:
             continue
         every: Rows = np.concatenate(found)
-        every = every[_news(every, shards(key))]
+        every = every[_news(every, shards(key), sheets(key[0]))]
         if len(every):
-            _, once = np.unique(np.column_stack([every["sheet"], every["place"]]), axis=0, return_index=True)
-            yield key, every[once]
+            yield key, every[np.sort(np.unique(_keys(every), axis=0, return_index=True)[1])]
 
 
 def _coarse(nodes: Rows) -> Rows:
@@ -72,13 +76,29 @@ def _coarse(nodes: Rows) -> Rows:
     return chosen if len(chosen) else nodes
 
 
-def _news(nodes: Rows, known: Shards | None) -> NDArray[np.bool_]:
-    """Which nodes lie where a brick has nothing of their sheet."""
+def _keys(nodes: Rows) -> NDArray[Any]:
+    """What is the same of nodes that are one: the sheet, the place, and what is at hand of the unknowns."""
+    return np.column_stack([nodes["sheet"], nodes["place"], nodes["terms"][:, 0].round(_DIGITS)])
+
+
+def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> NDArray[np.bool_]:
+    """Which nodes lie where a brick has nothing of their sheet, or other extremals of it alone."""
     if known is None:
         return np.ones(len(nodes), dtype=bool)
-    cells = known[1]
+    own, cells = known
     news = ~np.isin(nodes["sheet"], cells["sheet"])
-    for cell in cells[cells["status"] == Status.ABSENT]:
-        low, high = cell["low"], cell["low"] + cell["size"]
-        news |= (nodes["sheet"] == cell["sheet"]) & ((nodes["place"] >= low) & (nodes["place"] <= high)).all(axis=1)
+    for cell in cells[(cells["status"] == Status.ABSENT) & (cells["corners"] < 0).all(axis=1)]:
+        if cell["branch"] == cell["sheet"]:  # a later branch has but part of the brick
+            low, high = cell["low"], cell["low"] + cell["size"]
+            news |= (nodes["sheet"] == cell["sheet"]) & ((nodes["place"] >= low) & (nodes["place"] <= high)).all(axis=1)
+    labels = [(sheet.holds, sheet.orientation) for sheet in sheets]
+    alike = [labels.index(label) for label in labels]
+    at = dict[tuple[int, ...], list[int]]()
+    for row in np.nonzero(((own["place"] == 0) | (own["place"] == WHOLE)).any(axis=1))[0].tolist():
+        at.setdefault((alike[int(own["sheet"][row])], *own["place"][row].tolist()), []).append(row)
+    for i, node in enumerate(nodes):
+        there = own[at.get((alike[int(node["sheet"])], *node["place"].tolist()), [])]
+        y = node["terms"][0, :-1]
+        same = np.linalg.norm(there["terms"][:, 0, :-1] - y, axis=1) <= SAME * (1.0 + np.linalg.norm(y))
+        news[i] = not same.any() and (news[i] or (there["sheet"] == node["sheet"]).any())
     return news

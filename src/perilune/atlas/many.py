@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -9,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.brick import WHOLE, Status
+from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.hermite import interpolated
 from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Brick, Charted, Reader
@@ -86,7 +87,7 @@ def answers(atlas: Reader, points: Matrix) -> Answers:
 
 @dataclass(frozen=True)
 class _Offered:
-    """What one sheet gives for J and y at points, NaN and inf where nothing; where it `breaks` the path, J alone.
+    """What one branch of a sheet gives for J and y at points; NaN and inf where nothing, J alone where it `breaks`.
 
     `first` is the number of the first sheet of its chart.
     """
@@ -173,13 +174,7 @@ class _Work:
         bricks = np.unique(self.bricks[some], axis=0)
         built = np.zeros(count, dtype=bool)
         for number, charted in enumerate(atlas.charted):
-            offers = [
-                _Offered(
-                    charted, s, first, np.full((count, charted.unknowns), np.nan), np.full(count, np.inf),
-                    np.zeros(count, dtype=bool),
-                )
-                for s, sheet in enumerate(charted.sheets) if sheet.minimum
-            ]  # fmt: skip
+            offers = dict[tuple[int, int], _Offered]()  # by sheets, and how many branches of it there are already
             for row in bricks:
                 lanes = np.nonzero((self.bricks[some] == row).all(axis=1))[0]
                 place = tuple(row.tolist())
@@ -189,9 +184,12 @@ class _Work:
                 built[lanes] = True
                 low, high = atlas.region.box(place)
                 inside = (self.points[some[lanes]] - low) / (high - low) * WHOLE
-                for offer in offers:
-                    _fill(offer, brick, lanes, inside, (high - low) / WHOLE / charted.chart.scale)
-            found += offers
+                met = Counter[int]()
+                for sheet, root in brick.minima:
+                    met[sheet] += 1
+                    offer = offers.setdefault((sheet, met[sheet]), _no_offer(charted, sheet, first, count))
+                    _fill(offer, brick, root, lanes, inside, (high - low) / WHOLE / charted.chart.scale)
+            found += offers.values()
             first += len(charted.sheets)
         self.answered[some[~built]] = Answered.NOT_BUILT
         return found
@@ -213,10 +211,15 @@ class _Work:
         )
 
 
-def _fill(offer: _Offered, brick: Brick, lanes: NDArray[np.int64], inside: Matrix, step: Vector) -> None:
-    """What the cells of a brick give at points inside it, in lattice steps; `step` is one of them, canonical."""
-    cells = brick.leaves(offer.sheet, inside)
-    status = np.where(cells >= 0, brick.arrays[3][cells], -1)
+def _no_offer(charted: Charted, sheet: int, first: int, count: int) -> _Offered:
+    y, cost = np.full((count, charted.unknowns), np.nan), np.full(count, np.inf)
+    return _Offered(charted, sheet, first, y, cost, np.zeros(count, dtype=bool))
+
+
+def _fill(offer: _Offered, brick: Brick, root: int, lanes: NDArray[np.int64], inside: Matrix, step: Vector) -> None:
+    """What the cells of a branch give at points of a brick, in lattice steps; `step` is one of them, canonical."""
+    cells = brick.leaves(root, inside)
+    status = brick.arrays[3][cells]
     serving = np.isin(status, SERVING)
     if serving.any():
         said = brick.cells[cells[serving]]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from perilune.atlas.brick import WHOLE, Status
+from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.hermite import interpolated
 from perilune.atlas.many import CLEARLY, Answers, answers
 from perilune.atlas.polish import Polished
@@ -203,8 +203,8 @@ class Atlas(Reader):
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
                 continue
-            for sheet in brick.minima:
-                cell = brick.leaf(sheet, where)
+            for sheet, root in brick.minima:
+                cell = brick.leaf(root, where)
                 if brick.status[cell] in SERVING:
                     corner, size, terms = brick.cell(cell)
                     share, length = (inside - corner) / size, size * (high - low) / WHOLE / charted.chart.scale

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.brick import WHOLE, Status
+from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import cell_type, header_region, node_type, sheets_of, survey_region
 from perilune.atlas.course import course_from
@@ -47,8 +47,8 @@ class Brick:
         self.nodes, self.cells = nodes, cells
         self.axis, self.child, self.status = (cells[name].tolist() for name in ("axis", "child", "status"))
         first = np.nonzero((cells["size"] == WHOLE).all(axis=1))[0]
-        self.roots = {int(cells["sheet"][i]): int(i) for i in first}
-        self.minima = [number for number in self.roots if sheets[number].minimum]
+        roots = [(int(cells["sheet"][i]), int(i)) for i in first]
+        self.minima = [(number, root) for number, root in roots if sheets[number].minimum]
         second = np.where(cells["child"] >= 0, cells["child"] + 1, 0)
         at = np.take_along_axis(cells["low"][second], np.maximum(cells["axis"], 0)[:, None], axis=1)[:, 0]
         self.split = at.tolist()
@@ -59,20 +59,19 @@ class Brick:
         """Axis, first child, where it is split and status of each cell."""
         return tuple(np.array(rows) for rows in (self.axis, self.child, self.split, self.status))  # pyright: ignore
 
-    def leaves(self, sheet: int, places: Matrix) -> Whole:
-        """The cells of a sheet in which places lie, (points,)."""
+    def leaves(self, root: int, places: Matrix) -> Whole:
+        """The cells of a branch, whose first cell is `root`, in which places lie, (points,)."""
         axis, child, split, _ = self.arrays
-        cell = np.full(len(places), self.roots.get(sheet, -1))
-        while (going := np.nonzero((cell >= 0) & (child[cell] >= 0))[0]).size:
+        cell = np.full(len(places), root)
+        while (going := np.nonzero(child[cell] >= 0)[0]).size:
             here = cell[going]
             cell[going] = child[here] + (places[going, axis[here]] >= split[here])
         return cell
 
-    def leaf(self, sheet: int, place: Sequence[float]) -> int:
-        """The cell of a sheet in which a place lies, -1 where it has none."""
-        cell = self.roots.get(sheet, -1)
-        axis, child, split = self.axis, self.child, self.split
-        while cell >= 0 and child[cell] >= 0:
+    def leaf(self, root: int, place: Sequence[float]) -> int:
+        """The cell of a branch, whose first cell is `root`, in which a place lies."""
+        cell, axis, child, split = root, self.axis, self.child, self.split
+        while child[cell] >= 0:
             cell = child[cell] + (place[axis[cell]] >= split[cell])
         return cell
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.brick import WHOLE
+from perilune.atlas.cells import WHOLE
 from perilune.atlas.many import Answered, Answers
 from perilune.atlas.query import Atlas
+from perilune.atlas.read import SERVING
 from perilune.atlas.region import Axis
 from perilune.models.kinds import key_of
 from perilune.problem.preflight import preflight
@@ -185,9 +186,11 @@ def _cells(atlas: Atlas, points: Matrix, answers: Answers, along: list[int]) -> 
                 continue
             low, high = region.box(tuple(place))
             here = (places == place).all(axis=1)
-            for sheet in brick.minima:
+            for sheet, root in brick.minima:
                 lanes = np.nonzero(here & (answers.sheet == first + sheet))[0]
-                cells = brick.cells[brick.leaves(sheet, (points[lanes] - low) / (high - low) * WHOLE)]
+                cells = brick.cells[brick.leaves(root, (points[lanes] - low) / (high - low) * WHOLE)]
+                serving = np.isin(cells["status"], SERVING)  # of its branches that which answers
+                lanes, cells = lanes[serving], cells[serving]
                 size[lanes] = (cells["size"] * (high - low) / whole)[:, along]
                 nodes.append(brick.nodes["values"][np.unique(cells["corners"])][:, along])
         first += len(charted.sheets)

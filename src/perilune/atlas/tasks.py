@@ -6,14 +6,15 @@ First every brick in which the survey knows a sheet; then, round by round, those
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.brick import WHOLE, Brick, Cells, Cut
+from perilune.atlas.brick import Brick
+from perilune.atlas.cells import WHOLE, Cells, Cut
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of
 from perilune.atlas.course import Course, course_from
@@ -68,26 +69,30 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
     cut = Brick(chart, borders, reflights, task.sheets, low, high, task.tolerance, watch).cut(
-        task.sheet, task.place, task.y, None if task.before is None else _cut_of(*task.before)
+        task.sheet, task.place, task.y, None if task.before is None else _cut_of(*task.before, len(task.sheets))
     )
-    d, n = len(low), task.y.shape[1]
-    nodes = np.zeros(len(cut.nodes["sheet"]), dtype=node_type(d, n))
+    d, n, own = len(low), task.y.shape[1], np.array(cut.own)
+    nodes = np.zeros(len(cut.nodes["branch"]), dtype=node_type(d, n))
     for name, rows in cut.nodes.items():
         nodes[name] = rows
+    nodes["sheet"] = own[cut.nodes["branch"]]
     nodes["values"] = (low + cut.nodes["place"] * ((high - low) / WHOLE)) * chart.scale
     cells = np.zeros(len(cut.cells), dtype=cell_type(d))
-    for name in cells.dtype.names or ():
-        cells[name] = getattr(cut.cells, name)
+    for column in fields(Cells):
+        cells[column.name] = getattr(cut.cells, column.name)
+    cells["sheet"] = own[cut.cells.branch]
     return nodes, cells
 
 
-def _cut_of(nodes: NDArray[Any], cells: NDArray[Any]) -> Cut:
+def _cut_of(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
     """What shards say, as `computed` has it."""
-    columns = [name for name in nodes.dtype.names or () if name != "values"]
+    columns = [name for name in nodes.dtype.names or () if name not in ("values", "sheet")]
     said = {
         name: np.array(nodes[name], dtype=np.float64 if nodes[name].dtype.kind == "f" else np.int64) for name in columns
     }
-    return Cut(nodes=said, cells=Cells(**{name: cells[name].astype(np.int64) for name in cells.dtype.names or ()}))
+    later = {int(branch): int(sheet) for branch, sheet in zip(cells["branch"], cells["sheet"], strict=True)}
+    own = (*range(sheets), *(later[branch] for branch in range(sheets, max(later, default=0) + 1)))
+    return Cut(nodes=said, cells=Cells(**{c.name: cells[c.name].astype(np.int64) for c in fields(Cells)}), own=own)
 
 
 @lru_cache(maxsize=4)
@@ -131,8 +136,8 @@ def tasks_going_on(
         return kept.shard(line["nodes"], types[0]), kept.shard(line["cells"], types[1])
 
     keys = [(number, *brick) for number, chart in enumerate(charts) for brick in _places(region, chart)]
-    minima = [[n for n, sheet in enumerate(sheets_of(chart)) if sheet.minimum] for chart in charts]
-    for key, nodes in spilled(keys, shards, minima.__getitem__):
+    sheets = [sheets_of(chart) for chart in charts]
+    for key, nodes in spilled(keys, shards, sheets.__getitem__):
         seeds = nodes["sheet"].astype(np.int64), nodes["place"].astype(np.int64), nodes["terms"][:, 0, :-1]
         before = None if (known := shards(key)) is None else tuple(map(np.array, known))
         yield key, _task(problem, region, charts[key[0]], key[1:], tolerance, seeds, before)

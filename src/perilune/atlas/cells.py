@@ -1,0 +1,141 @@
+"""What a brick is made of: nodes at places of its lattice, and cells with nodes at their corners."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.words.types import Vector
+
+WHOLE = 2**12  # lattice steps along an edge of a brick
+ENDING = 2**8  # the shortest edge of a cell in which a sheet ends, and of those of sheets that are no minima
+
+Whole = NDArray[np.int64]
+
+
+class Status(IntEnum):
+    """What a cell is."""
+
+    CUT = 0  # its children are what counts
+    ONE_STEP = 1  # answers by one step of Newton's method
+    MORE_STEPS = 2  # answers, but at the least size a step is not enough
+    ENDS = 3  # the sheet ends inside
+    NO_ANSWER = 4  # its extremals lie beyond a bound, or gain by leaving one
+    BREAKS = 5  # its extremals break the path
+    ABSENT = 6  # the branch does not come here: no corner has it, and none of the nodes around
+    TORN = 7  # its corners lie on different layers of its sheet
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cells:
+    """Cells of all branches of a brick; the first of each branch is the whole brick.
+
+    Attributes
+    ----------
+    branch
+        Whose, (cells,).
+    low, size
+        Low corner and lengths, in lattice steps, (cells, d).
+    corners
+        Nodes at its corners, -1 where there is none, (cells, 2^d).
+    axis, child
+        Along which axis it was cut, -1 for none; the first of its two children, which follow each other.
+    status
+        `Status`.
+    """
+
+    branch: Whole
+    low: Whole
+    size: Whole
+    corners: Whole
+    axis: Whole
+    child: Whole
+    status: Whole
+
+    def __len__(self) -> int:
+        return len(self.branch)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """A brick that was cut.
+
+    Attributes
+    ----------
+    nodes
+        Of each node its ``branch``, its ``place`` in the lattice (nodes, d), values and derivatives ``terms``
+        (nodes, 2^d, n + 1), by how much it is an answer (``margin``), the step that Newton's method would make
+        there (``length``), and of its second flight ``sequence``, ``residual``, ``path``, ``minimum`` and ``drift``.
+    cells
+        Its cells.
+    own
+        The number of the sheet of each branch; the first branch of a sheet has the number of the sheet.
+    """
+
+    nodes: dict[str, NDArray[Any]]
+    cells: Cells
+    own: tuple[int, ...]
+
+
+class Nodes:
+    """What was computed; a node is known by its branch and its place."""
+
+    def __init__(self) -> None:
+        self.known: dict[int, int] = {}
+        self.parts: dict[str, list[NDArray]] = {}
+        self._rows: dict[str, NDArray[Any]] = {
+            name: np.empty(0) for name in ("terms", "margin", "sequence", "path", "branch", "place")
+        }
+        self.count = 0
+        self.met: Whole = np.empty(0, dtype=np.int64)  # those where a later branch has run into another
+
+    def add(self, keys: Whole, **columns: NDArray) -> None:
+        """Add nodes, known by their keys from now on."""
+        new = len(keys)
+        self.known |= dict(zip(keys.tolist(), range(self.count, self.count + new), strict=True))
+        for name, rows in columns.items():
+            self.parts.setdefault(name, []).append(rows)
+        for name, before in self._rows.items():
+            if len(before) < self.count + new:  # room is doubled, so that it is seldom made
+                more = np.empty((2 * (self.count + new), *columns[name].shape[1:]), dtype=columns[name].dtype)
+                more[: self.count] = before[: self.count] if self.count else 0
+                self._rows[name] = before = more
+            before[self.count : self.count + new] = columns[name]
+        self.count += new
+
+    def numbers(self, keys: Whole) -> Whole:
+        """Of the nodes, -1 for those that are not there."""
+        known = self.known
+        return np.array([known.get(key, -1) for key in keys.ravel().tolist()], dtype=np.int64).reshape(keys.shape)
+
+    def at(self, key: Whole) -> Vector | None:
+        """The unknowns of one node, None where there is none."""
+        number = self.known.get(int(key))
+        return None if number is None else self._rows["terms"][number, 0, :-1]
+
+    def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
+        """A column of nodes."""
+        return self._rows[name][numbers]
+
+    def within(self, branch: int, low: Whole, high: Whole) -> Whole:
+        """The nodes of a branch in a box or on its border from which it goes on: beyond its own it may turn back."""
+        place, count = self._rows["place"][: self.count], self.count
+        inside = (self._rows["branch"][:count] == branch) & (self._rows["margin"][:count] >= 0)
+        inside &= ((place >= low) & (place <= high)).all(axis=1)
+        found = np.nonzero(inside)[0]
+        return found[~np.isin(found, self.met)] if len(self.met) else found
+
+
+def joined(waves: Sequence[Cells]) -> Cells:
+    """Cells one behind the other."""
+    return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})
+
+
+def some(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
+    """Some of the cells."""
+    return Cells(**{f.name: getattr(cells, f.name)[which] for f in fields(Cells)})
