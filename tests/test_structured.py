@@ -48,6 +48,24 @@ def test_a_touch_is_found_and_proved(touching: Solution) -> None:
     }
 
 
+def test_a_touch_of_a_flight_that_would_be_longer_is_proved() -> None:
+    """J falls with the time there is, which both parts of the flight share: its multiplier is that of their sum."""
+    whole = bryson_denham(1 / 5)
+    given = {name: value for name, value in whole.given.items() if name != "T"}
+    longest = pl.Free(name="T", unit="s", lower=0.5, upper=1.0, typical=0.9)
+    solution = pl.solve(replace(whole, given=given, free=(longest,)))
+    assert solution.objective == pytest.approx(2.24, abs=1e-12) and solution.free["T"] == 1.0
+    assert solution.verification.level == 3, str(solution.verification)
+    guesses = list[Solution]()
+
+    def noted(problem: pl.Problem, guess: Solution) -> Solution:
+        guesses.append(guess)
+        return guess
+
+    pl.verify(solution, resolve=noted)
+    assert guesses[0].multipliers["swing-2.T"] == pytest.approx(0.32, rel=1e-6)  # -d/dT (2 + 6 (1 - 4 l/T)^2)/T
+
+
 def test_a_boundary_arc_is_found_and_proved() -> None:
     """J = 4/(9 l) = 4."""
     solution = pl.solve(bryson_denham(1 / 9))

@@ -160,6 +160,32 @@ def test_what_a_newton_step_gains_is_what_is_missing(share: float, passes: bool)
     assert check.value == pytest.approx((1 - share) ** 2 / 6 / scale, rel=1e-3, abs=1e-12)
 
 
+def late_stop(turns: float) -> pl.Problem:
+    """A spring swings for about so many radians, and is stopped in its middle within a second by the least effort."""
+    states = variables(x="m", v="m/s", c="m^2/s^3")
+    wait = pl.Phase(
+        name="wait", states=states, dynamics=lambda x, u, p, m: (x.v, -p.stiff * x.x, 0.0), duration="waits"
+    )
+    stop = pl.Phase(
+        name="stop", states=states, controls=(pl.Bounded(name="u", unit="m/s^2"),), duration="T",
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        end=lambda x, p, m: (x.x, x.v), end_conditions=variables(there="m", still="m/s"),
+    )  # fmt: skip
+    return pl.Problem(
+        name="late_stop", phases=(wait, stop), links=(lambda x, p, m: (x.x, x.v, x.c),),
+        start=lambda p, m: (p.L, 0.0, 0.0), given={n: GIVEN[n] for n in "TL"} | {"stiff": Given(value=1, unit="1/s^2")},
+        free=(pl.Free(name="waits", unit="s", lower=0.0, typical=turns),),
+        objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
+    )  # fmt: skip
+
+
+def test_many_swings_of_what_nothing_steers_are_no_gain() -> None:
+    """35.6 rad in usual steps owe more of the first variation than is allowed; in steps of its own it is 0."""
+    solution = pl.solve(late_stop(25.0))
+    assert solution.free["waits"] == pytest.approx(35.636918654667, abs=1e-8)
+    assert solution.verification.level == 3, str(solution.verification)
+
+
 def two_ways(mass: float, aside: float) -> pl.Problem:
     """From rest to rest in 1 s, 1 m ahead by a force and so far `aside` by an acceleration: J = 6 (1 + aside^2)."""
     phase = pl.Phase(

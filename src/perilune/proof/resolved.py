@@ -9,6 +9,7 @@ d2J*/dp2 > 0          over problems with a free parameter held to either side of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
-from perilune.proof.extremal import at_bound, varied
+from perilune.proof.extremal import all_multipliers, at_bound, varied
 from perilune.words.outcome import PeriluneError
 
 Resolve = Callable[[Problem, Solution], Solution]
@@ -54,8 +55,23 @@ def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
         a single value is held there.
     """
     bound = {f.name: solution.free[f.name] for f in solution.problem.free if any(at_bound(solution, f))}
+    solution = _with_multipliers(solution)
     yield from _initial_costates(solution, resolve)
     yield from _parameters(solution, bound, resolve)
+
+
+def _with_multipliers(solution: Solution) -> Solution:
+    """The same with the multipliers that its curves imply where it tells none, as of what it touches.
+
+    Neighbours hold the ranges that it is held by: a duration in two parts at its longest is told by nothing else.
+    """
+    arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
+    implied = {
+        f"{arc.phase.name}.{condition.name}": float(value)
+        for arc, nu in zip(arcs, all_multipliers(arcs), strict=True)
+        for condition, value in zip(arc.phase.end_conditions, nu, strict=True)
+    }
+    return replace(solution, multipliers={**implied, **solution.multipliers})
 
 
 def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:

@@ -45,7 +45,7 @@ from perilune.problem.controls import scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
-from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, end_multipliers, end_sides, varied
+from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, all_multipliers, end_sides, varied
 from perilune.proof.guards import watched_rates
 from perilune.proof.held import strict_conditions
 from perilune.proof.numerics import hessian
@@ -187,6 +187,7 @@ def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
 def _form(pieces: Sequence[Piece]) -> Form:
     """`Form` of all pieces."""
     m, curvature = pieces[0].sizes[1], np.array(pieces[0].curvature)
+    multipliers = all_multipliers([piece.arc for piece in pieces if piece.first])
     columns = m + sum(piece.sizes[2] * piece.steps for piece in pieces)
     form, constraints, at = np.zeros((columns, columns)), [np.zeros((0, columns))], m
     slope = np.zeros(columns)
@@ -228,7 +229,7 @@ def _form(pieces: Sequence[Piece]) -> Form:
             form += curved
             constraints.append(rows)
         if piece.last:
-            rows, curved, end_slope = _finish(piece, dx, parameters)
+            rows, curved, end_slope = _finish(piece, multipliers[piece.arc.index], dx, parameters)
             form += curved
             slope += end_slope
             left = _vanishing(piece, piece.kept.end, dx, parameters, piece.arc.duration)
@@ -340,10 +341,9 @@ def _cross(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix
     return first[1:], second
 
 
-def _finish(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix, Vector]:
+def _finish(piece: Piece, nu: Vector, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix, Vector]:
     """Linearised end conditions (scaled), and the second and first derivatives of phi + nu.psi at the phase's end."""
     arc = piece.arc
-    nu, _ = end_multipliers(arc)
     last = arc.index == len(arc.problem.phases) - 1
 
     def values(z: Any, p: Any) -> list[Any]:

@@ -63,7 +63,8 @@ class Kept:
 def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept], finer: int = 1) -> list[Piece]:
     """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters.
 
-    And of singular arcs what is left of their impulses, behind `names`. `finer` times as many steps as are usual.
+    And of singular arcs what is left of their impulses, behind `names`. `finer` times as many steps as are usual, and
+    its square where nothing is steered.
     """
     switches = {
         (arc.index, float(time)): float(slope)
@@ -165,7 +166,8 @@ class Piece:
         self.first, self.last = stretch.first, stretch.last
         left, right = self.span
         self.crossing = next((c for c in arc.crossings if c.time == right and c.jump.any()), None)
-        self.steps = finer * max(FEWEST, round(STEPS * (right - left) / arc.duration))
+        times = finer if arc.phase.controls else finer**2  # where nothing is steered they add no variations
+        self.steps = times * max(FEWEST, round(STEPS * (right - left) / arc.duration))
         t = left + (np.arange(self.steps) + 0.5) * (right - left) / self.steps
         x, self.u, self.lam = arc.state(t), arc.control(t), arc.costate(t)
         basis, partly_held = _moves(arc, x, self.u)
