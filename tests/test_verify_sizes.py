@@ -210,3 +210,41 @@ def test_where_a_state_is_counted_from_changes_no_proof(origin: float, length: f
     assert best.verification.level == 3, str(best.verification)
     assert best.objective == pytest.approx(6 * 10.0**2 / 5.0**3 + 0.5 * gravity**2 * 5.0, rel=1e-4)
     assert "state_x" in [c.name for c in pl.verify(moved_by(best, 0, 1e-4), level=1).failed]
+
+
+def fall_after_an_instant() -> pl.Problem:
+    """Pushed for 1 s, left alone for 1 us, then for 5 s on a saddle with rates 1/s and -2/s, to x = 0: least effort."""
+    states = tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3")))
+    push = pl.Phase(
+        name="push", states=states, controls=(pl.Bounded(name="u", unit="m/s^2"),), duration="T",
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+    )  # fmt: skip
+    instant = replace(push, name="instant", controls=(), duration="moment", dynamics=lambda x, u, p, m: (x.v, 0, 0))
+    fall = pl.Phase(
+        name="fall", states=states, duration="falls", end=lambda x, p, m: (x.x,),
+        dynamics=lambda x, u, p, m: (x.v, (2 * x.x / p.T - x.v) / p.T, 0), end_conditions=states[:1],
+    )  # fmt: skip
+
+    def link(x, p, m):
+        return x.x, x.v, x.e
+
+    given = {"T": (1.0, "s"), "moment": (1e-6, "s"), "falls": (5.0, "s"), "far": (1.0, "m")}
+    return pl.Problem(
+        name="fall_after_an_instant", phases=(push, instant, fall), links=(link, link),
+        start=lambda p, m: (p.far, 0.0, 0.0), given={n: pl.Given(value=v, unit=unit) for n, (v, unit) in given.items()},
+        objective=lambda x, p, m: x.e, objective_unit="m^2/s^3",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("error", "passes"), [(1e-10, True), (1e-8, False)])
+def test_before_an_instant_costates_are_known_as_those_behind_it(error: float, passes: bool) -> None:
+    """An error of lam as the fall ends is 150 times as large as it begins, and all that the instant moves is 1e-6."""
+    solution = pl.solve(fall_after_an_instant())
+    fall = solution.trajectories[2]
+    assert solution.verification.level == 3 and fall.costate is not None
+    time = fall.costate.time
+    grown = error * np.exp(time[-1] - time)[:, None] * np.array([2.0, 1.0, 0.0])  # lam' = -A'lam, lam ~ e^-t
+    costate = replace(fall.costate, values=fall.costate.values + grown, rates=fall.costate.rates - grown)
+    moved = replace(solution, trajectories=(*solution.trajectories[:2], replace(fall, costate=costate)))
+    failed = {check.name for check in pl.verify(moved, level=2).failed}
+    assert failed == set() if passes else {"instant_transversality", "fall_transversality"} <= failed

@@ -219,7 +219,9 @@ def _transversality(arc: Arc, known: Vector | float) -> Check:
     missed = np.abs(end_multipliers(arc)[1])
     lam = arc.costate(np.array([arc.duration]))[:, 0] / arc.costate_scale
     # What the missing part would have to be counts too where lam itself says that a state does not tell.
-    missed = missed * telling(arc.units / arc.state_scale, np.abs(lam) + missed)
+    many = telling(arc.units / arc.state_scale, np.abs(lam) + missed)
+    # As often as the missing part counts, so do errors of what follows that it is made of.
+    missed, sizes = many * missed, np.maximum(sizes, many * (np.abs(left) @ np.broadcast_to(known, len(lam))))
     return Check(
         name=f"{arc.prefix}transversality", level=2, limit=STATIONARY_LIMIT, unit="1",
         value=float((missed / sizes).max()),
