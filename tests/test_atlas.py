@@ -6,6 +6,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -215,6 +216,12 @@ def test_the_answer_jumps_where_the_retro_burn_stops_paying(atlas: Atlas) -> Non
 def test_a_query_is_a_solution_that_proves(atlas: Atlas) -> None:
     found = pl.prove(atlas.query(vehicle_thrust=440.0, retro_specific_impulse=300.0))
     assert found.outcome is Outcome.PROVED and found.verification.level == 3
+
+
+def test_what_nobody_looks_at_of_an_answer_is_not_made(atlas: Atlas) -> None:
+    answer, again = (atlas.query(vehicle_thrust=441.0, retro_specific_impulse=290.0) for _ in range(2))
+    assert answer.free["flight_time"] > 0 and "unknowns" not in vars(again)
+    assert pickle.loads(pickle.dumps(again)) == replace(answer, query=again.query)
 
 
 def test_slopes_of_the_cost_are_those_of_solves(atlas: Atlas) -> None:

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,6 +79,30 @@ class Mapped(Solution):
     """A solution that was read from an atlas; `query` says how."""
 
     query: Query
+
+    @classmethod
+    def deferred(cls, objective: float, query: Query, make: Callable[[], Solution]) -> Mapped:
+        """One of which no more is made than J and `query` before it is looked at: in a sweep it seldom is."""
+        found = object.__new__(cls)
+        found.__dict__.update(objective=objective, query=query, _make=make)
+        return found
+
+
+class _Made:
+    """A field of a `Mapped` that is made, with all others, when it is first looked at."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, found: Mapped | None, of: type) -> Any:
+        if found is None or (make := found.__dict__.get("_make")) is None:
+            raise AttributeError(self._name)
+        found.__dict__.update({**make().__dict__, "query": found.query})
+        return found.__dict__[self._name]
+
+
+for _field in fields(Solution):  # an instance's own come before these
+    setattr(Mapped, _field.name, _Made(_field.name))
 
 
 @dataclass(frozen=True)
@@ -223,13 +248,19 @@ class Atlas(Reader):
     def _answer(self, at: Vector, best: _Offer, tried: list[_Offer], offers: list[_Offer], began: float) -> Mapped:
         polished = best.polished
         assert polished is not None
-        values = dict(zip(self.region.names, at.tolist(), strict=True))
-        problem = placed(self.problem, values)
-        beside = [(o.charted, o.polished) for o in tried if o.charted is best.charted]
-        roots = [Found(root=charted.root(own), minimum=True) for charted, own in beside if own is not None]
-        steps = int(polished.steps[0])
-        answer = best.charted.solution(problem, roots, Statistics(rung="atlas", iterations=steps, arcs=steps + 1))
-        slopes = polished.slopes[0] * self.problem.objective_size / best.charted.chart.scale
+        values, charted, steps = (
+            dict(zip(self.region.names, at.tolist(), strict=True)),
+            best.charted,
+            int(polished.steps[0]),
+        )
+        problem, beside = self.problem, [o.polished for o in tried if o.charted is charted and o.polished is not None]
+
+        def solution() -> Solution:
+            roots = [Found(root=charted.root(own), minimum=True) for own in beside]
+            statistics = Statistics(rung="atlas", iterations=steps, arcs=steps + 1)
+            return charted.solution(placed(problem, values), roots, statistics)
+
+        slopes = polished.slopes[0] * problem.objective_size / charted.chart.scale
         flown = polished.flown
         query = Query(
             sheet=best.label,
@@ -245,7 +276,7 @@ class Atlas(Reader):
             slopes=dict(zip(values, slopes.tolist(), strict=True)),
             latency=time.perf_counter() - began,
         )
-        return Mapped(**{**answer.__dict__, "query": query})
+        return Mapped.deferred(best.cost * problem.objective_size, query, solution)
 
     def _nothing(self, at: Vector, doubt: _Offer | None) -> PeriluneError:
         """Why there is no answer at a point of the region."""
