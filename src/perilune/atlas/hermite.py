@@ -13,9 +13,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.kernels import Map, compile_map
 from perilune.words.types import Matrix
 
 
@@ -41,21 +43,21 @@ def weights(at: Matrix, size: Matrix) -> NDArray[np.float64]:
     -------
     ndarray, shape (points, corners, terms)
     """
-    t, s = at, 1.0 - at
-    left, right = s * s, t * t
-    # Along one axis: value and slope at the low side, then at the high one.
-    along = np.stack([left * (1.0 + 2.0 * t), size * t * left, right * (1.0 + 2.0 * s), -size * s * right])
-    out = along[:, :, 0]
-    for axis in range(1, at.shape[1]):
-        out = (along[:, None, :, axis] * out).reshape(-1, len(at))
-    return out[_order(at.shape[1])].transpose(2, 0, 1)
+    points, d = at.shape
+    return _products(d)(at, size)[0].reshape(points, 2**d, 2**d)
 
 
 @lru_cache(maxsize=8)
-def _order(d: int) -> NDArray[np.int64]:
-    """Where the weight of a corner and a term stands in a product, axis by axis, of four along each."""
-    digits = bits(d)
-    return ((2 * digits[:, None] + digits[None]) << 2 * np.arange(d)).sum(axis=2)
+def _products(d: int) -> Map:
+    """Of a place and a size the weights: products, over the axes, of those of a cubic."""
+    at, size = ca.SX.sym("at", d), ca.SX.sym("size", d)
+    t, s = at, 1.0 - at
+    # Along one axis: value and slope at the low side, then at the high one.
+    along = ca.horzcat(s**2 * (1 + 2 * t), size * t * s**2, t**2 * (1 + 2 * s), -size * s * t**2)
+    digits, found = 2 * bits(d)[:, None] + bits(d)[None], ca.SX.ones(4**d, 1)
+    for axis in range(d):
+        found *= along[axis, digits[..., axis].ravel().tolist()].T
+    return compile_map(ca.Function("weights", [at, size], [ca.cse(found)]))
 
 
 def interpolated(terms: NDArray[np.float64], at: Matrix, size: Matrix) -> Matrix:

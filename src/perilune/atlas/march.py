@@ -1,4 +1,6 @@
-"""Marches of a second flight: steps of equal length by the extrapolated midpoint rule, and what is seen at each.
+"""Marches of a second flight: how a phase begins, steps of equal length, what is seen at each, and what the ends say.
+
+Steps are those of the extrapolated midpoint rule.
 
 Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., Springer 1993,
 section II.9 (9.10), (9.13).
@@ -14,14 +16,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.canonical import PhaseExtremal, limit_symbols
-from perilune.kernels import compile_map
+from perilune.conditions.canonical import PhaseExtremal, hamiltonian_at, limit_symbols
+from perilune.conditions.pontryagin import Conditions
 from perilune.problem.controls import Bounded, placed
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import SYMBOLIC, column, elements, trace_parameters
-from perilune.shooting.settling import Settling
-from perilune.words.types import Matrix
+from perilune.shooting.settling import Settling, settling
 
 FAR = 1e30  # stands for infinity: nothing was looked at yet
 NOTHING_SEEN = (FAR, FAR, FAR, -FAR)  # the least condition, the least gain of another control, the least and most H
@@ -29,26 +30,70 @@ _SUBSTEPS = (2, 4, 6, 8)
 _NEAR = 0.1  # how far from the control that is flown an unbounded one is tried, canonical
 
 
-class Kept:
-    """A compiled function whose arrays of one lane are kept, as a single query asks for it again and again."""
+def begun(conditions: Conditions, k: int) -> ca.Function:
+    """(y, numbers, state at the end of the phase before) -> the state that is marched, all of z, and the duration."""
+    y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
+    extremal = conditions.phases[k]
+    before = _state(conditions, k - 1) if k else ca.SX(0, 1)
+    z, duration = conditions.starts[k](y, _end(conditions, k - 1, before) if k else before, p)
+    flown = settling(extremal).start(z[: extremal.half]) if extremal.settles else z
+    state = ca.vertcat(flown, ca.DM(NOTHING_SEEN))
+    return ca.Function("begun", [y, p, before], [ca.cse(ca.densify(each)) for each in (state, z, duration)])
 
-    def __init__(self, function: ca.Function, times: int = 1) -> None:
-        self._map, self._idle = compile_map(function, times=times), list[Any]()  # a list's pop and append are atomic
 
-    def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
-        """Evaluate it, many lanes or one."""
-        if max(map(len, arguments)) != 1:
-            return self._map(*arguments)
-        try:
-            bound = self._idle.pop()
-        except IndexError:
-            bound = self._map.bind(*(np.array(a, dtype=float) for a in arguments))
-        for own, given in zip(bound.inputs, arguments, strict=True):
-            own[:] = given
-        bound()
-        found = tuple(out.copy() for out in bound.outputs)
-        self._idle.append(bound)
-        return found
+def _state(conditions: Conditions, k: int) -> ca.SX:
+    """Symbols for what is marched of a phase: z, or x and what moves of Phi; and what was seen."""
+    extremal = conditions.phases[k]
+    size = settling(extremal).flown.modes[0].size1_in(0) if extremal.settles else 2 * extremal.half
+    return ca.SX.sym(f"state{k}", size + len(NOTHING_SEEN))
+
+
+def _end(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
+    """z at the end of a phase; of one that settles x, and zeros."""
+    extremal = conditions.phases[k]
+    n = extremal.half
+    return ca.vertcat(state[:n], ca.SX.zeros(n, 1)) if extremal.settles else state[: 2 * n]
+
+
+def ended(conditions: Conditions) -> ca.Function:
+    """What the ends say: (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
+
+    Choice and results are those of `perilune.atlas.reflight`; seen is the least condition, the least gain of another
+    control, by how much H changes, and J.
+    """
+    y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
+    free = conditions.free_at.stop - conditions.free_at.start
+    held, told = (ca.SX.sym(name, free + len(conditions.ranges)) for name in ("held", "told"))
+    states = [_state(conditions, k) for k in range(len(conditions.phases))]
+    ends = [_end(conditions, k, state) for k, state in enumerate(states)]
+    plain, cost = conditions.residual(y, ca.vertcat(*ends), p)
+    settled = [k for k, extremal in enumerate(conditions.phases) if extremal.settles]
+    rows = dict[int, slice]()
+    for k in settled:
+        at, first = conditions.costate_at[k], conditions.transversality_at
+        rows[k] = slice(first + at.start, first + at.stop)
+        ends[k][conditions.phases[k].half :] = -plain[rows[k]]  # the costates that its end asks for
+    residual, cost = conditions.residual(y, ca.vertcat(*ends), p)
+    path, minimum, drift = ca.SX(FAR), ca.SX(FAR), ca.SX(0.0)
+    for k, (extremal, state) in enumerate(zip(conditions.phases, states, strict=True)):
+        condition, gain, least, most = ca.vertsplit(state[-len(NOTHING_SEEN) :])
+        path, minimum, change = ca.fmin(path, condition), ca.fmin(minimum, gain), most - least
+        if extremal.settles:
+            n, lam = extremal.half, y[conditions.costate_at[k]]
+            begin, _ = conditions.starts[k](y, _end(conditions, k - 1, states[k - 1]) if k else ca.SX(0, 1), p)
+            residual[rows[k]] = lam - ca.mtimes(
+                settling(extremal).transition(state[: -len(NOTHING_SEEN)]).T, ends[k][n:]
+            )
+            values = [hamiltonian_at(extremal, z, p) for z in (ca.vertcat(begin[:n], lam), ends[k])]
+            change = ca.fabs(values[1] - values[0])
+        drift = ca.fmax(drift, change)
+    ranged = [row for row, _ in conditions.ranges]
+    rates, ranges = residual[conditions.stationarity_at], residual[ranged]
+    residual[conditions.stationarity_at] *= 1 - held[:free]
+    for i, (row, nu) in enumerate(conditions.ranges, free):  # one that is not held has no multiplier
+        residual[row] = ca.if_else(held[i], residual[row] - told[i], y[nu])
+    found = [residual, ca.vertcat(path, minimum, drift, cost), rates, ranges]
+    return ca.Function("ended", [y, p, ca.vertcat(held, told), *states], [ca.cse(ca.densify(each)) for each in found])
 
 
 def step_along(problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, mode: int) -> ca.Function:
