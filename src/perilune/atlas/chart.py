@@ -109,6 +109,12 @@ class Chart:
         return [self.free.free_names.index(name) for name in self.names]
 
     @cached_property
+    def _chosen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Of the parameters in a choice: their masks, and their values."""
+        at = np.array(self.varied_at)
+        return at, self.shooting.plan.held + at
+
+    @cached_property
     def _held_at(self) -> NDArray[np.int64]:
         """Their places among the unknowns that Newton moves."""
         return self.shooting.plan.at_free + np.array(self.varied_at)
@@ -136,10 +142,9 @@ class Chart:
 
     def choice(self, values: Matrix, holds: Matrix) -> Matrix:
         """What is held in each lane: the parameters at their values, and `holds` (masks, values) of all others."""
-        held = self.shooting.plan.held
-        choice = np.array(np.broadcast_to(holds, (len(values), 2 * held)))
-        choice[:, self.varied_at] = 1.0
-        choice[:, held + np.array(self.varied_at)] = values
+        choice = np.empty((len(values), 2 * self.shooting.plan.held))
+        choice[:] = holds
+        choice[:, self._chosen[0]], choice[:, self._chosen[1]] = 1.0, values
         return choice
 
     def whole(self, values: Matrix, y: Matrix) -> Matrix:

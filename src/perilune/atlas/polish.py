@@ -120,13 +120,14 @@ class Polisher:
         own = y[:, chart.active]
         scale = 1.0 + np.sqrt((own * own).sum(axis=1))
         bound = self._bound(inverse, flown, scale)
+        good = flown.good
         if (poor := np.nonzero(reached & (flown.nearly | (bound > _CLOSE)))[0]).size:  # what it misses says where to
             y[poor[:, None], plan.active] -= chart.steps(inverse[poor], flown.residuals[poor])
             flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
-            bound = self._bound(inverse, flown, scale)
+            bound, good = self._bound(inverse, flown, scale), flown.good
         at, rises = np.hstack([y[:, first], flown.ranges]), np.hstack([flown.rates, -y[:, self._multipliers]])
         inside = self.borders.margins(self.sheets, which, y, at, rises, choice, limits) >= -SLACK
-        answers = reached & inside & flown.good & (bound <= SLACK)
+        answers = reached & inside & good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
         away = y[:, chart.active] - guess
         return Polished(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -105,9 +105,12 @@ for _field in fields(Solution):  # an instance's own come before these
     setattr(Mapped, _field.name, _Made(_field.name))
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class _Offer:
-    """What a cell of one sheet gives at the point: unknowns (None where there are none to polish) and J, canonical."""
+    """What a cell of one sheet gives at the point: unknowns (None where there are none to polish) and J, canonical.
+
+    Where it was `polished` and is an answer, J is that.
+    """
 
     charted: Charted
     number: int
@@ -166,7 +169,8 @@ class Atlas(Reader):
             elif polished.doubtful[0]:
                 doubt = doubt or offer
             elif polished.answers[0]:
-                tried.append(replace(offer, cost=float(polished.cost[0]), polished=polished))
+                offer.cost, offer.polished = float(polished.cost[0]), polished
+                tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         if breaking is not None and (best is None or not best.charted.of_arcs):

@@ -86,13 +86,18 @@ class Reflown:
     @property
     def good(self) -> NDArray[np.bool_]:
         """Whether nothing speaks against the extremal."""
-        kept = (self.residual <= SLACK) & (self.path >= -SLACK)
-        return kept & (self.minimum >= -SLACK) & (self.drift <= SLACK)
+        return np.maximum(self._missed, self.drift) <= SLACK
 
     @property
     def nearly(self) -> NDArray[np.bool_]:
         """Whether something speaks against it by as little as rounding or coarse steps may."""
-        return ~self.good & (np.fmax(self.residual, -np.fmin(self.path, self.minimum)) <= _NEARLY)
+        missed = self._missed
+        return (missed <= _NEARLY) & ~(np.maximum(missed, self.drift) <= SLACK)
+
+    @property
+    def _missed(self) -> Vector:
+        """The largest of what is missed but H; NaN where anything is."""
+        return np.maximum(self.residual, -np.minimum(self.path, self.minimum))
 
     def replace(self, lanes: Lanes, by: Reflown) -> None:
         """Put other flights of the same arcs in the place of some."""

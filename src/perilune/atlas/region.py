@@ -86,7 +86,7 @@ class Region:
 
     axes: tuple[Axis, ...]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the parameters."""
         return tuple(axis.name for axis in self.axes)

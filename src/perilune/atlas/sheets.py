@@ -83,17 +83,24 @@ class Borders:
         self.names = [*chart.free.free_names, *(ends[row].name for row, _ in chart.conditions.ranges)]
         self._ranged = [ends[row] for row, _ in chart.conditions.ranges]
         self._free_sizes = free_scales(problem.free, problem)
+        self._given = {name: given.value for name, given in problem.given.items()}
+        self._chosen = [  # what `Problem.ranges` may say of it
+            (i, f.name, self._free_sizes[i], bool(np.isfinite(lower[i])))
+            for i, f in enumerate(problem.free) if problem.ranges is not None and f.name not in chart.names
+        ]  # fmt: skip
+        self._told = problem.ranges is not None or any(
+            isinstance(x, str) for c in self._ranged for x in (c.lower, c.upper)
+        )
         unknowns = [name for name, _ in chart.conditions.unknowns]
         self._touched = [unknowns.index(name) for name in chart.course.touched(chart.user)]
 
     def at(self, values: Matrix) -> Limits:
         """Lower and upper bounds, canonical, (lanes, what can be held) each."""
-        chart, problem = self.chart, self.chart.problem
-        lower, upper = (np.tile(bound, (len(values), 1)) for bound in (self._lower, self._upper))
-        named = any(isinstance(limit, str) for c in self._ranged for limit in (c.lower, c.upper))
-        if problem.ranges is None and not named:
+        chart, given = self.chart, self._given
+        lower, upper = self._lower[None].repeat(len(values), axis=0), self._upper[None].repeat(len(values), axis=0)
+        if not self._told:
             return lower, upper
-        given, values = {name: g.value for name, g in problem.given.items()}, values * chart.scale
+        values = values * chart.scale
         if len(values) > 1:
             try:  # all lanes at once, where what is stated of the ranges can
                 self._state(SimpleNamespace(**{**given, **dict(zip(chart.names, values.T, strict=True))}), lower, upper)
@@ -111,11 +118,12 @@ class Borders:
         """Fill in what parameters say of lanes, one or all."""
         chart, problem = self.chart, self.chart.problem
         found = problem.ranges(p, NUMERIC) if problem.ranges is not None else {}
-        for i, f in enumerate(problem.free):
-            if f.name in found and f.name not in chart.names:
-                low, high, _ = found[f.name]
-                lower[:, i] = low / self._free_sizes[i] if np.isfinite(self._lower[i]) else self._lower[i]
-                upper[:, i] = high / self._free_sizes[i]
+        for i, name, size, bounded in self._chosen:
+            if name in found:
+                low, high, _ = found[name]
+                upper[:, i] = high / size
+                if bounded:
+                    lower[:, i] = low / size
         for k, condition in enumerate(self._ranged, chart.shooting.plan.free):
             low, high = condition.limits(p)
             lower[:, k], upper[:, k] = low / problem.size_of(condition), high / problem.size_of(condition)
@@ -130,9 +138,8 @@ class Borders:
             return out
         lower, upper = limits or self.at(values)
         for number, sheet in enumerate(sheets):
-            here = which == number
             for name, side in sheet.holds.items():
-                i = self.names.index(name)
+                here, i = which == number, self.names.index(name)
                 out[here, i] = 1.0
                 out[here, held + i] = (lower if side == "lower" else upper)[here, i]
         return out
@@ -172,14 +179,12 @@ class Borders:
         masks = choice[:, : self.chart.shooting.plan.held] > 0
         with np.errstate(invalid="ignore"):
             inside = np.minimum(at - lower, upper - at)
-        inside = np.where(masks | np.isnan(inside), np.inf, inside)
-        margin = inside.min(axis=1, initial=np.inf)
+        margin = np.fmin.reduce(inside, axis=1, initial=np.inf, where=~masks)  # NaN where nothing limits it
         if self._touched:
             margin = np.minimum(margin, -y[:, self._touched].max(axis=1, initial=-np.inf))
         for number, sheet in enumerate(sheets):
-            here = which == number
             for name, side in sheet.holds.items():
-                i = self.names.index(name)
+                here, i = which == number, self.names.index(name)
                 rise = rises[here, i] * (1.0 if side == "lower" else -1.0)
                 margin[here] = np.minimum(margin[here], rise)
         return margin

@@ -7,9 +7,8 @@ With several segments to a phase, the states at the joints are further unknowns 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.shooting.flyer import fleet, jacobians
-from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, newton
+from perilune.shooting.newton import FINEST, Ends, Lanes, newton
 from perilune.shooting.plan import Plan
 from perilune.shooting.propagate import flight
 from perilune.words.types import Matrix, Vector
@@ -178,7 +177,20 @@ class Shooting:
         **settings
             Of `newton`.
         """
-        return self._fly(Y, p, choice, partial(newton, watch=watch, **settings))
+        p, choice, count = np.atleast_2d(p), np.atleast_2d(choice), len(Y)
+
+        def of(array: Matrix, lanes: Lanes) -> Matrix:
+            return array if len(array) == 1 or len(lanes) == count else array[lanes]
+
+        def evaluate(lanes: Lanes, y: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
+            return fly(y, of(choice, lanes), of(p, lanes), accuracy, inverse)
+
+        start = self._exactly(Y.take(self.plan.active, axis=1), choice)
+        with self._fleet.flyer(count) as fly:
+            ends = newton(evaluate, start, self.plan.columns, watch=watch, **settings)
+        self.arcs += int(ends.evaluations.sum()) * len(self.plan.legs)
+        self.iterations += int(ends.iterations.sum())
+        return self._roots(ends, choice)
 
     def root(self, Y: Vector, p: Vector, choice: Vector, watch: Watch | None = None, **settings: Any) -> Root:
         """Newton from one Y: a batch of one."""
@@ -186,14 +198,13 @@ class Shooting:
 
     def at(self, Y: Matrix, p: Matrix, choice: Matrix) -> Roots:
         """The shooting function where it is asked for, at full accuracy; NaN where an arc could not be flown."""
-
-        def evaluate(function: Evaluate, y: Matrix, columns: Columns) -> Ends:
-            count = len(y)
-            rows = function(np.arange(count), y, np.full(count, FINEST), np.zeros((count, columns.n**2)))
-            once, none = np.ones(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-            return Ends(y=y, rows=rows, converged=np.zeros(count, dtype=bool), evaluations=once, iterations=none)
-
-        return self._fly(Y, p, choice, evaluate)
+        p, choice, count = np.atleast_2d(p), np.atleast_2d(choice), len(Y)
+        y = self._exactly(Y.take(self.plan.active, axis=1), choice)
+        with self._fleet.flyer(count) as fly:
+            rows = fly(y, choice, p, np.full(count, FINEST), np.zeros((count, self.plan.columns.n**2)))
+        self.arcs += count * len(self.plan.legs)
+        once, none = np.ones(count, dtype=np.int64), np.zeros(count, dtype=bool)
+        return self._roots(Ends(y=y, rows=rows, converged=none, evaluations=once, iterations=1 - once), choice)
 
     def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
         """Of all lanes, by the unknowns that are not silent, (lanes, n, n); NaN where an arc could not be flown."""
@@ -264,30 +275,19 @@ class Shooting:
         y, residual = pieces.y[: len(root.y)], pieces.residual[: len(root.residual)]
         return replace(root, y=y, residual=residual, cost=pieces.cost, converged=True)
 
-    def _fly(self, Y: Matrix, p: Matrix, choice: Matrix, run: Callable[[Evaluate, Matrix, Columns], Ends]) -> Roots:
-        plan, count = self.plan, len(Y)
-        p, choice = (array if array.ndim == 2 else array[None] for array in (p, choice))
-        held = slice(plan.at_free, plan.at_free + plan.free)
-        masks, values = choice[:, : plan.free] > 0, choice[:, plan.held : plan.held + plan.free]
+    def _exactly(self, y: Matrix, choice: Matrix) -> Matrix:
+        """The same with free parameters exactly where they are held: Newton's method leaves the last bit of them."""
+        plan = self.plan
+        held = choice[:, : plan.free] > 0
+        if held.any():
+            own, values = y[:, plan.at_free : plan.at_free + plan.free], choice[:, plan.held : plan.held + plan.free]
+            np.copyto(own, values, where=held)
+        return y
 
-        def exactly(y: Matrix) -> Matrix:
-            if np.count_nonzero(masks):
-                y[:, held] = np.where(masks, values, y[:, held])
-            return y
-
-        with self._fleet.flyer(count) as fly:
-
-            def evaluate(lanes: Lanes, y: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
-                return fly(y, of(choice, lanes), of(p, lanes), accuracy, inverse)
-
-            def of(array: Matrix, lanes: Lanes) -> Matrix:
-                return array if len(array) == 1 or len(lanes) == count else array[lanes]
-
-            ends = run(evaluate, exactly(Y.take(plan.active, axis=1)), plan.columns)
-        self.arcs += int(ends.evaluations.sum()) * len(plan.legs)
-        self.iterations += int(ends.iterations.sum())
+    def _roots(self, ends: Ends, choice: Matrix) -> Roots:
+        plan, count = self.plan, len(ends.y)
         found = np.zeros((count, plan.size))
-        found[:, plan.active] = exactly(ends.y)  # Newton leaves the last bit of what is held
+        found[:, plan.active] = self._exactly(ends.y, choice)
         return Roots(
             plan=plan,
             y=found,
