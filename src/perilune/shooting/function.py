@@ -190,6 +190,7 @@ class Shooting:
             ends = newton(evaluate, start, self.plan.columns, watch=watch, **settings)
         self.arcs += int(ends.evaluations.sum()) * len(self.plan.legs)
         self.iterations += int(ends.iterations.sum())
+        ends.y = self._exactly(ends.y, choice)
         return self._roots(ends, choice)
 
     def root(self, Y: Vector, p: Vector, choice: Vector, watch: Watch | None = None, **settings: Any) -> Root:
@@ -287,7 +288,7 @@ class Shooting:
     def _roots(self, ends: Ends, choice: Matrix) -> Roots:
         plan, count = self.plan, len(ends.y)
         found = np.zeros((count, plan.size))
-        found[:, plan.active] = self._exactly(ends.y, choice)
+        found[:, plan.active] = ends.y
         return Roots(
             plan=plan,
             y=found,
