@@ -34,6 +34,7 @@ _BITS = 13  # of a place along one axis, so that 4 of them and a branch make one
 _FINEST = 2**6  # the shortest edge of a cell
 _KINKED = 2**9  # the same where the switches on the way change
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
+_ASTRAY = 2.0  # times as far Newton's method may lead on the way: from farther it does not come back
 _CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
 _MOST = 16  # evaluations for a new corner
 _SOWN = 2 * ENDING  # the largest cells in which a later branch begins
@@ -348,11 +349,11 @@ class Brick:
         """Where Newton's method leads to at places, what of it belongs to its branch, and what it holds."""
         values = self.origin + places * self.step
         holds = self.borders.holds(self._sheets, branch, values)
-        found = self.chart.solve(values, guess, holds, limit=_MOST)
+        within = _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
+        found = self.chart.solve(values, guess, holds, limit=_MOST, reach=_ASTRAY * within)
         with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
             moved = np.linalg.norm(found.y - guess, axis=1)
-        good = found.converged & (found.orientation == self._orientations[branch])
-        return found, good & (moved <= _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))), holds
+        return found, found.converged & (found.orientation == self._orientations[branch]) & (moved <= within), holds
 
     def _solved(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
         """Newton's method at places; what of it belongs to its branch comes among the nodes."""

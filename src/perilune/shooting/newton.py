@@ -152,6 +152,7 @@ def newton(
     limit: int = 100,
     max_step: float = np.inf,
     doubt: float = 0.25,
+    reach: Vector | None = None,
     watch: Watch | None = None,
 ) -> Ends:
     """Find a root in each lane.
@@ -174,11 +175,13 @@ def newton(
         Largest component of one step; keeps a far start from leaving where the function is defined.
     doubt
         Damping at whose refusal a rough evaluation is blamed, and made again; 0 for starts that are cheaper given up.
+    reach
+        How far from its start each lane may be led, (lanes,): one whose next step goes beyond is given up.
     watch
         Called after each iteration of a single lane; with a line of text after each round of many.
     """
     run = _one if len(start) == 1 else _many
-    settings = _Settings(tolerance, accuracy, limit, max_step, doubt)
+    settings = _Settings(tolerance, accuracy, limit, max_step, doubt, reach)
     return run(evaluate, start, columns, settings, None if watch is silent else watch)
 
 
@@ -188,11 +191,19 @@ class _Settings(NamedTuple):
     limit: int
     max_step: float
     doubt: float
+    reach: Vector | None
+
+    def near(self, trial: Matrix, start: Matrix, lanes: Lanes) -> NDArray[np.bool_] | bool:
+        """Which of some lanes are not led too far from their starts."""
+        if self.reach is None:
+            return True
+        away = trial - start[lanes]
+        return np.sqrt((away * away).sum(axis=1)) <= self.reach[lanes]
 
 
 def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
     """Lanes side by side; those that have ended drop out."""
-    tolerance, accuracy, limit, max_step, doubt = settings
+    tolerance, accuracy, limit, max_step, doubt, _ = settings
     y = np.array(start, dtype=float)
     count = len(y)
     lanes, flown = np.arange(count), np.full(count, accuracy)
@@ -206,14 +217,14 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
     )
     alpha, again = _limited(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
     coarsest = np.full(count, ROUGHEST)
-    active = row[:, 2] < _ASTRAY
+    trial = y + alpha[:, None] * row[:, columns.step]
+    active = (row[:, 2] < _ASTRAY) & settings.near(trial, start, lanes)
     for number in range(2, limit + 1):
         if not active.all():
-            lanes, y, row = lanes[active], y[active], row[active]
+            lanes, y, row, trial = lanes[active], y[active], row[active], trial[active]
             alpha, flown, again, coarsest = alpha[active], flown[active], again[active], coarsest[active]
             if not len(lanes):
                 break
-        trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
         coarsest = np.where(again, FINEST, coarsest)  # who was misled once is told the truth from then on
         finer = np.clip(_FORCING * (row[:, 0] * row[:, 0]), FINEST, coarsest)
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
@@ -227,7 +238,8 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
             ahead[refused] = here[refused]
         y, row, flown = trial, new, finer
         alpha = _limited(after, row, columns, max_step)
-        active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit)
+        trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
+        active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit) & settings.near(trial, start, lanes)
         ends.keep(lanes, y, row, root, ~active, number)
         if watch is not None:
             watch(_round(number, ends, row[active, 0]))
@@ -242,7 +254,7 @@ def _round(number: int, ends: Ends, residuals: Vector) -> str:
 
 def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
     """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
-    tolerance, accuracy, limit, max_step, doubt = settings
+    tolerance, accuracy, limit, max_step, doubt, _ = settings
     lanes, history = np.zeros(1, dtype=np.int64), list[Iteration]()
     y, flown, again, root, lost, number = np.array(start, dtype=float), accuracy, False, False, False, 1
     coarsest = ROUGHEST
@@ -251,6 +263,8 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
     alpha = _limited(1.0, row, columns, max_step)
     while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
         trial = y if again else y + alpha * row[:, columns.step]
+        if not settings.near(trial, start, lanes):
+            break
         coarsest = FINEST if again else coarsest
         finer = min(max(_FORCING * (head[0] * head[0]), FINEST), coarsest)
         new = evaluate(lanes, trial, np.array([finer]), row[:, columns.inverse])
