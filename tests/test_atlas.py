@@ -48,7 +48,6 @@ from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 from problems.constrained import bryson_denham, bryson_denham_truth
-from problems.folded import cusp, cusp_cost
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 #: Across the Isp of 277.867 s at which the retro burn stops paying, Cho et al. 2015, Figs 9 and 10.
@@ -615,32 +614,6 @@ def test_nodes_on_a_common_side_go_on_where_the_neighbour_has_nothing() -> None:
     first[0]["terms"][1] = 0.5  # the neighbour has another extremal at the upper node
     others = dict(spilled(keys, known.get, lambda _: sheets))
     assert [n["place"].tolist() for n in others[keys[1]] if n["sheet"] == 0] == [[0, 0], [0, side]]
-
-
-# -- branches ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("axes", "bricks"),
-    [
-        ({"a": (-2.0, 1.0), "b": (-0.9, 1.1)}, None),  # around the cusp a sheet comes back on another layer
-        ({"a": (-1.0, 0.6), "b": (-0.2, 0.3)}, 1),
-        ({"a": (-2.0, -0.5), "b": (-1.5, -0.3)}, None),  # across the fold alone
-    ],
-)
-def test_where_sheets_lie_over_one_another_the_answer_is_the_least_of_all(
-    axes: dict[str, tuple[float, float]], bricks: int | None, tmp_path: Path
-) -> None:
-    """Thom's cusp, whose extremals are the roots of a cubic: two minima, and a fold where one of them ends."""
-    atlas = open_atlas(build(cusp(-1.0, 0.1), axes, tmp_path / "cusp", bricks=bricks))
-    points = RNG(1).uniform(atlas.region.low, atlas.region.high, (1000, 2))
-    found = atlas.query_many(points)
-    truth = np.array([cusp_cost(*point) for point in points.tolist()])
-    assert found.good.mean() > (0.9 if bricks == 1 else 0.97)
-    assert set(found.answered[~found.good].tolist()) <= {Answered.ENDS}
-    np.testing.assert_allclose(found.objective[found.good], truth[found.good], rtol=0, atol=1e-11)
-    alone = atlas.query(**dict(zip("ab", points[found.good][0].tolist(), strict=True)))
-    assert alone.objective == pytest.approx(truth[found.good][0], abs=1e-11)
 
 
 # -- answers of several arcs -------------------------------------------------------------------------------------------

@@ -15,8 +15,6 @@ from perilune.atlas.columns import (
     brick_name,
     digest_of,
     header_axes,
-    said_of,
-    seeds,
     survey_region,
 )
 from perilune.atlas.flooding import Key
@@ -24,7 +22,7 @@ from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, region_of
 from perilune.atlas.sampling import demand_count, sampled, thin_ones
 from perilune.atlas.store import MANIFEST, Store, clear
-from perilune.atlas.survey import Found, Survey
+from perilune.atlas.survey import Found, Survey, said_of, seeds
 from perilune.atlas.tasks import Task, computed, first_tasks, tasks_going_on
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.io.export import problem_document, versions

@@ -8,13 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST
-from perilune.atlas.survey import Found
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 
@@ -50,21 +48,6 @@ def seed_type(d: int, n: int) -> np.dtype[Any]:
 def brick_name(key: tuple[int, ...]) -> str:
     """Name of a brick of a chart: its numbers, ``m`` before those below zero."""
     return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)
-
-
-def said_of(found: Found) -> dict[str, Any]:
-    """What a survey's line says of a chart."""
-    sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
-    course = found.chart.course.document()
-    return {**course, "times": list(found.times), "unknowns": found.y.shape[2], "sheets": sheets}
-
-
-def seeds(places: NDArray[np.int64], y: NDArray[np.float64]) -> NDArray[Any]:
-    """The shard of sheets at corners, (sheets, corners, n) with NaN where one does not reach."""
-    sheet, corner = np.nonzero(np.isfinite(y[:, :, 0]))
-    rows = np.zeros(len(sheet), dtype=seed_type(places.shape[1], y.shape[2]))
-    rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], y[sheet, corner]
-    return rows
 
 
 def digest_of(charts: Any) -> str:

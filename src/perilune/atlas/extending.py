@@ -22,9 +22,7 @@ from perilune.atlas.columns import (
     MOST_NOTES,
     digest_of,
     header_region,
-    said_of,
     seed_type,
-    seeds,
     sheets_of,
     survey_region,
 )
@@ -34,7 +32,7 @@ from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
-from perilune.atlas.survey import Corners, Found, Survey, carried_on, reached_at
+from perilune.atlas.survey import Corners, Found, Survey, carried_on, reached_at, said_of, seeds
 from perilune.families.elsewhere import Submits
 from perilune.io.reload import read_problem
 from perilune.methods.indirect import Indirect

@@ -3,24 +3,29 @@
 The problem is solved from nothing at the middle and at the corners of the region. Each extremal that is found there,
 good or bad, begins a sheet, unless it lies on one already; sheets are carried to all corners of bricks by the tangent
 plane and Newton's method, in lanes, the step halved where that fails, and on from those that were reached to others.
+Where such a walk ends it is followed around the fold at which it does, to the sheet on the other side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
+from perilune.atlas.columns import seed_type
 from perilune.atlas.course import Course, course_of
+from perilune.atlas.folding import around_folds
+from perilune.atlas.natures import nature_behind_folds
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet, held_at
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
-from perilune.problem.extremal import Extremal
+from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.words.outcome import PeriluneError
@@ -30,6 +35,8 @@ from perilune.words.watch import Watch
 Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
 
 _SAME = 1e-7  # relative: an extremal that lies on a sheet already
+_MOST_SHEETS, _AROUND = 16, 4  # of a chart; walks of a sheet that are followed around the folds at which they ended
+_BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
 _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
 _MOST = 20  # evaluations of a step
 _APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of the step there, and of 1 + |y|
@@ -141,47 +148,61 @@ class Survey:
             return None
 
     def _with(self, known: Found, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> Found:
-        """The same with the sheets on which extremals at a point lie."""
-        chart, borders = known.chart, known.borders
-        values = at / chart.scale
+        """The same with the sheets on which extremals at a point lie, and those behind the folds of these."""
+        chart, borders, left = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         for extremal in extremals:
-            if not extremal.unknowns:
-                continue
-            y = chart.told(np.array(extremal.unknowns))
-            sheet = Sheet(holds=held_at(borders, values, y), orientation=0.0, nature=extremal.nature)
-            start = chart.solve(
-                values[None], y[None], borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None]), limit=_MOST,
-            )  # fmt: skip
+            if extremal.unknowns:
+                y = chart.told(np.array(extremal.unknowns))
+                holds = held_at(borders, at / chart.scale, y)
+                left.append((at / chart.scale, y, Sheet(holds=holds, orientation=0.0, nature=extremal.nature)))
+        while left and len(known.sheets) < _MOST_SHEETS:
+            values, y, sheet = left.pop(0)
+            holds = borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None])
+            start = chart.solve(values[None], y[None], holds, limit=_MOST)
             if not start.converged[0]:
                 continue
             sheet = replace(sheet, orientation=float(start.orientation[0]))
-            if self._known(known, sheet, corners / chart.scale, values, start.y[0]):
-                continue
-            places, _ = self.region.corners()
-            y = carried(chart, borders, sheet, values, start.y[0], corners / chart.scale)
-            known_there = carried_on(chart, borders, sheet, places, corners, reached_at(places, y))
-            for i, place in enumerate(places.tolist()):
-                y[i] = known_there.get(tuple(place), y[i])
-            self.watch(
-                f"sheet {len(known.sheets) + 1}: {sheet.label}, at {np.isfinite(y[:, 0]).sum()} corners of bricks"
-            )
-            known = replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
+            if not self._known(known, sheet, corners / chart.scale, values, start.y[0]):
+                if sheet.nature is Nature.UNPROVED:
+                    said = said_of(replace(known, sheets=(sheet,)))
+                    nature = nature_behind_folds(self.problem, self.region, said, values, start.y[0])
+                    sheet = replace(sheet, nature=nature)
+                y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
+                self.watch(f"{sheet.label}: at {np.isfinite(y[:, 0]).sum()} corners of bricks")
+                known, left = _together(known, sheet, y), left + behind
         return known
+
+    def _carried(
+        self, chart: Chart, borders: Borders, sheet: Sheet, corners: Matrix, values: Vector, y: Vector
+    ) -> tuple[Matrix, list[tuple[Vector, Vector, Sheet]]]:
+        """A sheet at all corners of bricks, NaN where it does not reach, and extremals behind the folds on the way."""
+        targets, (places, _) = corners / chart.scale, self.region.corners()
+        here, share = walked(chart, borders, sheet, values, y, targets)
+        ended = np.nonzero(share < 1.0)[0]
+        ended = ended[np.linspace(0, len(ended) - 1, min(len(ended), _AROUND)).astype(np.int64)]
+        starts = values + share[ended, None] * (targets[ended] - values)
+        behind = [
+            (at, there, replace(sheet, orientation=side, nature=Nature.UNPROVED))
+            for at, there, side in around_folds(chart, borders, sheet, starts, here[ended], targets[ended])
+        ]
+        here[share < 1.0] = np.nan
+        reached = carried_on(chart, borders, sheet, places, corners, reached_at(places, here))
+        for i, place in enumerate(places.tolist()):
+            here[i] = reached.get(tuple(place), here[i])
+        return here, behind
 
     @staticmethod
     def _known(known: Found, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> bool:
-        """Whether an extremal lies on a sheet: one that reaches the nearest corner is carried from there to it."""
+        """Whether an extremal lies on a sheet: from the nearest corners that one reaches it is carried there."""
         away = np.abs(corners - values).sum(axis=1)
         for other, there in zip(known.sheets, known.y, strict=True):
             if other.holds != sheet.holds or other.orientation != sheet.orientation:
                 continue
-            reached = np.isfinite(there[:, 0])
-            if not reached.any():
-                continue
-            nearest = int(np.where(reached, away, np.inf).argmin())
-            here = carried(known.chart, known.borders, other, corners[nearest], there[nearest], values[None])[0]
-            if np.linalg.norm(here - y) <= _SAME * (1.0 + np.linalg.norm(y)):
-                return True
+            reached = np.nonzero(np.isfinite(there[:, 0]))[0]
+            for nearest in reached[np.argsort(away[reached])][:_BESIDE].tolist():
+                here = carried(known.chart, known.borders, other, corners[nearest], there[nearest], values[None])[0]
+                if np.linalg.norm(here - y) <= _SAME * (1.0 + np.linalg.norm(y)):
+                    return True
         return False
 
 
@@ -199,8 +220,51 @@ def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]
         yield alike[0].course, alike
 
 
+def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
+    """The same with a sheet at corners, (corners, n).
+
+    With one extremal in common it is one that is known. Where it has others than that all the same, around a cusp, they
+    are kept as those of another.
+    """
+    for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
+        if other.holds == sheet.holds and other.orientation == sheet.orientation:
+            with np.errstate(invalid="ignore"):
+                same = np.linalg.norm(there - y, axis=1) <= _SAME * (1.0 + np.linalg.norm(y, axis=1))
+            if same.any():
+                known = replace(known, y=known.y.copy())
+                known.y[number] = np.where(np.isfinite(there), there, y)
+                y = np.where((same | ~np.isfinite(there[:, 0]))[:, None], np.nan, y)
+    if not np.isfinite(y[:, 0]).any():
+        return known
+    return replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
+
+
+def said_of(found: Found) -> dict[str, Any]:
+    """What a survey's line says of a chart."""
+    sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
+    course = found.chart.course.document()
+    return {**course, "times": list(found.times), "unknowns": found.y.shape[2], "sheets": sheets}
+
+
+def seeds(places: NDArray[np.int64], y: NDArray[np.float64]) -> NDArray[Any]:
+    """The shard of sheets at corners, (sheets, corners, n) with NaN where one does not reach."""
+    sheet, corner = np.nonzero(np.isfinite(y[:, :, 0]))
+    rows = np.zeros(len(sheet), dtype=seed_type(places.shape[1], y.shape[2]))
+    rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], y[sheet, corner]
+    return rows
+
+
 def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:
-    """Unknowns of a sheet at other values of the parameters, (targets, n); NaN where it does not lead to.
+    """Unknowns of a sheet at other values of the parameters, (targets, n); NaN where it does not lead to."""
+    here, share = walked(chart, borders, sheet, start, y, targets)
+    here[share < 1.0] = np.nan
+    return here
+
+
+def walked(
+    chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix
+) -> tuple[Matrix, Vector]:
+    """Follow a sheet along straight lines.
 
     Parameters
     ----------
@@ -209,7 +273,12 @@ def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vect
     start, y
         An extremal of it: values, and unknowns there, canonical.
     targets
-        Values, (targets, d), canonical.
+        Values to which the lines lead, (targets, d), canonical.
+
+    Returns
+    -------
+    y, share
+        Unknowns where each walk ended, (targets, n), and which share of its way that is, (targets,).
     """
     count, which = len(targets), np.zeros(len(targets), dtype=np.int64)
     first = chart.solve(start[None], y[None], borders.holds([sheet], which[:1], start[None]), limit=_MOST)
@@ -233,8 +302,7 @@ def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vect
         reached = lanes[good]
         here[reached], slopes[reached], share[reached] = found.y[good], found.slopes[good], ahead[good]
         stride[lanes] *= np.where(good, 2.0, 0.5)
-    here[share < 1.0] = np.nan
-    return here
+    return here, share
 
 
 def reached_at(places: NDArray[np.int64], y: Matrix) -> Corners:

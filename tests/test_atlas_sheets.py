@@ -1,0 +1,84 @@
+"""Sheets of an atlas that fold and lie over one another: Thom's cusp, whose extremals are the roots of a cubic."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perilune.atlas import building
+from perilune.atlas.chart import Chart
+from perilune.atlas.folding import around_folds
+from perilune.atlas.many import Answered
+from perilune.atlas.query import open_atlas
+from perilune.atlas.region import region_of
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.survey import Survey
+from perilune.methods.indirect import Indirect
+from perilune.problem.extremal import Nature
+from perilune.words.watch import silent
+from problems.folded import cusp, cusp_cost, cusp_ends
+
+build = partial(building.build, sample=0)  # proofs have tests of their own
+
+
+@pytest.mark.parametrize(
+    ("axes", "bricks"),
+    [
+        ({"a": (-2.0, 1.0), "b": (-0.9, 1.1)}, None),  # around the cusp a sheet comes back on another layer
+        ({"a": (-1.0, 0.6), "b": (-0.2, 0.3)}, 1),
+        ({"a": (-2.0, -0.5), "b": (-1.5, -0.3)}, None),  # across the fold alone
+    ],
+)
+def test_where_sheets_lie_over_one_another_the_answer_is_the_least_of_all(
+    axes: dict[str, tuple[float, float]], bricks: int | None, tmp_path: Path
+) -> None:
+    """Thom's cusp, whose extremals are the roots of a cubic: two minima, and a fold where one of them ends."""
+    atlas = open_atlas(build(cusp(-1.0, 0.1), axes, tmp_path / "cusp", bricks=bricks))
+    points = np.random.default_rng(1).uniform(atlas.region.low, atlas.region.high, (1000, 2))
+    found = atlas.query_many(points)
+    truth = np.array([cusp_cost(*point) for point in points.tolist()])
+    assert found.good.mean() > (0.9 if bricks == 1 else 0.97)
+    assert set(found.answered[~found.good].tolist()) <= {Answered.ENDS}
+    np.testing.assert_allclose(found.objective[found.good], truth[found.good], rtol=0, atol=1e-11)
+    alone = atlas.query(**dict(zip("ab", points[found.good][0].tolist(), strict=True)))
+    assert alone.objective == pytest.approx(truth[found.good][0], abs=1e-11)
+
+
+def test_a_sheet_is_followed_around_its_fold() -> None:
+    """The minimum with x > 0 ends where b rises; behind the fold it is the maximum, and at the start, -x is known."""
+    chart = Chart(cusp(-1.5, -0.5), ["a", "b"], np.array([3.0, 2.0]))
+    start = np.array([[-1.5, -0.5]]) / chart.scale
+    y = np.array([[-cusp_ends(-1.5, -0.5)[-1], 1.0]])
+    sheet = Sheet(holds={}, orientation=1.0, nature=Nature.BEST)
+    for target in ([-1.5, 1.0], [-0.2, 0.9]):
+        found = list(around_folds(chart, Borders(chart), sheet, start, y, np.array([target]) / chart.scale))
+        assert len(found) == 1
+        values, unknowns, side = found[0]
+        ends = cusp_ends(*(values * chart.scale).tolist())
+        assert side == -1.0 and len(ends) == 3
+        assert -unknowns[0] == pytest.approx(ends[1], abs=1e-8)
+    nothing = around_folds(chart, Borders(chart), sheet, start, y, np.array([[-1.8, -0.6]]) / chart.scale)
+    assert not list(nothing)
+
+
+def test_what_no_solve_has_found_is_met_behind_folds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One extremal at the middle of the region leads to the maximum behind its fold, and that to the other minimum."""
+    solved = Survey._solved
+    middle = np.array([-1.25, 0.1])
+
+    def one_of(survey: Survey, values: np.ndarray) -> object:
+        found = solved(survey, middle) if np.allclose(values, middle) else None
+        return None if found is None else type(found)(found.values, found.course, found.extremals[:1])
+
+    monkeypatch.setattr(Survey, "_solved", one_of)
+    problem = cusp(-1.0, 0.1)
+    region = region_of(problem, {"a": (-2.0, -0.5), "b": (-1.5, 1.7)})
+    (found,) = Survey(problem=problem, region=region, method=Indirect(), watch=silent).run()
+    assert [(sheet.nature, sheet.orientation) for sheet in found.sheets] == [
+        (Nature.BEST, 1.0),
+        (Nature.WORST, -1.0),
+        (Nature.LOCAL_OPTIMUM, 1.0),
+    ]
