@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -19,6 +18,7 @@ from perilune.kernels.algebra.program import trace
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.emit import kernel, library
 from perilune.kernels.code.ir import INT, NUM, Int, Ptr, Writer
+from perilune.kernels.code.threads import spread
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix
 
@@ -159,8 +159,7 @@ def _evaluation(call: Callable[..., None], bound: BoundMap) -> Callable[[], Any]
     share = -(-groups // threads)
 
     def evaluate() -> None:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda k: call(k * share, min((k + 1) * share, groups), table), range(threads)))
+        spread(lambda first: call(first, min(first + share, groups), table), list(range(0, groups, share)), threads)
 
     return evaluate
 

@@ -12,7 +12,6 @@ import ctypes
 import logging
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from perilune.kernels.algebra.system import ArcSystem, Event
 from perilune.kernels.code import cache as disk, native
+from perilune.kernels.code.threads import spread
 from perilune.kernels.flight.arcs import TABLE, Arcs, Request, request
 from perilune.kernels.flight.bound import BoundArcs, Engine
 from perilune.kernels.flight.dense import DenseArc, dense_arc
@@ -210,9 +210,7 @@ def _flying(call: Callable[..., None], width: int, flight: BoundArcs) -> Callabl
             return
         # Sorted by length, the last groups are the longest: small pieces, longest first, keep all cores busy.
         piece = max(4, groups // (8 * count))
-        starts = range(0, groups, piece)
-        with ThreadPoolExecutor(count) as pool:
-            list(pool.map(lambda first: call(first, min(first + piece, groups), table), reversed(starts)))
+        spread(lambda first: call(first, min(first + piece, groups), table), list(range(0, groups, piece)), count)
 
     return fly if groups > 1 else lambda _: call(0, groups, table)
 

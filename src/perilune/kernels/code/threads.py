@@ -1,0 +1,39 @@
+"""One call of machine code in shares on several threads, which are kept: it may take less than starting one does."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import lru_cache
+from typing import Any
+
+
+def spread(call: Callable[[int], Any], starts: list[int], threads: int) -> None:
+    """Call with each of the starts, the last first; this thread does its share, and all are done when it returns."""
+
+    def share() -> None:
+        while starts:
+            try:
+                start = starts.pop()  # which is atomic
+            except IndexError:  # another thread has taken the last
+                return
+            call(start)
+
+    helpers = [_pool().submit(share) for _ in range(threads - 1)]
+    try:
+        share()
+    finally:
+        starts.clear()  # on Ctrl-C: what is at work still writes into arrays of the caller
+        wait(helpers)
+    for helper in helpers:
+        helper.result()
+
+
+@lru_cache(maxsize=1)
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count() or 1, "perilune")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not go with a fork
