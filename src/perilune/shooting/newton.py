@@ -176,7 +176,8 @@ def newton(
     doubt
         Damping at whose refusal a rough evaluation is blamed, and made again; 0 for starts that are cheaper given up.
     reach
-        How far from its start each lane may be led, (lanes,): one whose next step goes beyond is given up.
+        How far from its start each lane may be led, (lanes,): one whose next step goes beyond, and farther than the
+        last, is given up. The first step of a poor guess goes far, and those that are damped less and less far.
     watch
         Called after each iteration of a single lane; with a line of text after each round of many.
     """
@@ -193,12 +194,15 @@ class _Settings(NamedTuple):
     doubt: float
     reach: Vector | None
 
-    def near(self, trial: Matrix, start: Matrix, lanes: Lanes) -> NDArray[np.bool_] | bool:
-        """Which of some lanes are not led too far from their starts."""
+    def led(
+        self, trial: Matrix, start: Matrix, lanes: Lanes, before: Vector
+    ) -> tuple[NDArray[np.bool_] | bool, Vector]:
+        """Which of some lanes are not led astray, and how far from their starts; `before` by the last step."""
         if self.reach is None:
-            return True
+            return True, before
         away = trial - start[lanes]
-        return np.sqrt((away * away).sum(axis=1)) <= self.reach[lanes]
+        length = np.sqrt((away * away).sum(axis=1))
+        return length <= np.maximum(self.reach[lanes], before), length
 
 
 def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
@@ -218,10 +222,11 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
     alpha, again = _limited(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
     coarsest = np.full(count, ROUGHEST)
     trial = y + alpha[:, None] * row[:, columns.step]
-    active = (row[:, 2] < _ASTRAY) & settings.near(trial, start, lanes)
+    led, away = settings.led(trial, start, lanes, np.full(count, np.inf))
+    active = (row[:, 2] < _ASTRAY) & led
     for number in range(2, limit + 1):
         if not active.all():
-            lanes, y, row, trial = lanes[active], y[active], row[active], trial[active]
+            lanes, y, row, trial, away = lanes[active], y[active], row[active], trial[active], away[active]
             alpha, flown, again, coarsest = alpha[active], flown[active], again[active], coarsest[active]
             if not len(lanes):
                 break
@@ -239,7 +244,8 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
         y, row, flown = trial, new, finer
         alpha = _limited(after, row, columns, max_step)
         trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
-        active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit) & settings.near(trial, start, lanes)
+        led, away = settings.led(trial, start, lanes, away)
+        active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit) & led
         ends.keep(lanes, y, row, root, ~active, number)
         if watch is not None:
             watch(_round(number, ends, row[active, 0]))
@@ -257,13 +263,14 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
     tolerance, accuracy, limit, max_step, doubt, _ = settings
     lanes, history = np.zeros(1, dtype=np.int64), list[Iteration]()
     y, flown, again, root, lost, number = np.array(start, dtype=float), accuracy, False, False, False, 1
-    coarsest = ROUGHEST
+    coarsest, away = ROUGHEST, np.full(1, np.inf)
     row = evaluate(lanes, y, np.array([flown]), np.zeros((1, columns.n**2)))
     head = row[0, :4].tolist()
     alpha = _limited(1.0, row, columns, max_step)
     while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
         trial = y if again else y + alpha * row[:, columns.step]
-        if not settings.near(trial, start, lanes):
+        led, away = settings.led(trial, start, lanes, away)
+        if not np.all(led):
             break
         coarsest = FINEST if again else coarsest
         finer = min(max(_FORCING * (head[0] * head[0]), FINEST), coarsest)
