@@ -43,8 +43,6 @@ class Extremals:
         dy/dp, (lanes, d, n).
     cost, cost_slopes
         J (lanes,) and dJ/dp (lanes, d).
-    orientation
-        Sign of det(dh/dy), (lanes,): it changes only where two families of extremals meet, at a fold.
     converged
         Which of them are roots, (lanes,).
     length
@@ -58,16 +56,27 @@ class Extremals:
     slopes: NDArray[np.float64]
     cost: Vector
     cost_slopes: Matrix
-    orientation: Vector
     converged: NDArray[np.bool_]
     length: Vector
     stepped: Matrix
     roots: Roots
 
+    @cached_property
+    def orientation(self) -> Vector:
+        """Sign of det(dh/dy), (lanes,): it changes only where two families of extremals meet, at a fold."""
+        columns = self.roots.plan.columns
+        return orientation(self.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n))
+
     def of(self, lanes: NDArray[np.int64]) -> Extremals:
         """Some of the lanes."""
         named = {f.name: getattr(self, f.name)[lanes] for f in fields(self) if f.name != "roots"}
         return Extremals(**named, roots=self.roots.of(lanes))
+
+
+def orientation(inverse: NDArray[np.float64]) -> Vector:
+    """Sign of det J, from J^-1."""
+    with np.errstate(all="ignore"):
+        return np.linalg.slogdet(inverse)[0]
 
 
 class Chart:
@@ -174,12 +183,6 @@ class Chart:
         """What there is at points that need be no roots."""
         return self.told_of(values, self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds)))
 
-    @staticmethod
-    def orientation(inverse: NDArray[np.float64]) -> Vector:
-        """Sign of det J, from J^-1."""
-        with np.errstate(all="ignore"):
-            return np.linalg.slogdet(inverse)[0]
-
     def told_of(self, values: Matrix, roots: Roots) -> Extremals:
         """What roots at values of the parameters, or points that need be none, say."""
         plan, columns, rows = roots.plan, roots.plan.columns, roots.rows
@@ -191,7 +194,6 @@ class Chart:
             slopes=inverse[:, self.places[:, None], self._rows[None]].transpose(0, 2, 1),
             cost=extra[:, -1],
             cost_slopes=extra[:, self.varied_at],
-            orientation=self.orientation(inverse),
             converged=roots.converged & np.isfinite(rows).all(axis=1),
             length=rows[:, 2] / (1.0 + rows[:, 3]),
             stepped=(roots.y[:, plan.active] + rows[:, columns.step])[:, self.places],

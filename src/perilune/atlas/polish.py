@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.chart import Chart
+from perilune.atlas.chart import Chart, orientation
 from perilune.atlas.reflight import SLACK, Reflights, Reflown
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.words.types import Matrix, Vector
@@ -112,7 +112,7 @@ class Polisher:
                 break
             y[going[:, None] & plan.moved] += roots.rows[going, plan.columns.step].ravel()
         inverse = roots.rows[:, plan.columns.inverse].reshape(-1, plan.columns.n, plan.columns.n)
-        reached = shrinking & (length <= _DONE) & (chart.orientation(inverse) == self.orientations[which])
+        reached = shrinking & (length <= _DONE) & (orientation(inverse) == self.orientations[which])
         y[reached[:, None] & plan.moved] += roots.rows[reached, plan.columns.step].ravel()
         held, first = choice[:, : plan.free] > 0, chart.conditions.free_at
         np.copyto(y[:, first], choice[:, plan.held : plan.held + plan.free], where=held)  # its last bit is Newton's
