@@ -19,7 +19,7 @@ from perilune.problem.solution import Solution
 from perilune.shooting import plan as planning
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import HeldFamily, _dips
-from perilune.shooting.flyer import Code, Fleet, Flight, OneLane
+from perilune.shooting.flyer import Code, FewLanes, Flight, fleet
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST
 from perilune.shooting.plan import plan
@@ -105,7 +105,7 @@ def test_the_step_compiled_is_the_step_of_lapack(kind: Kind, monkeypatch: pytest
         assert own.compiled == (limit > 0)
         code = Code(own)
         found.append(Flight(code, np.tile(Y, (3, 1)), nothing, p, np.full(3, FINEST), np.tile(old, (3, 1)))())
-        alone = OneLane(code)(Y, nothing, p[:1], np.full(1, FINEST), old)
+        alone = FewLanes(code, 1)(Y, nothing, p[:1], np.full(1, FINEST), old)
         np.testing.assert_array_equal(alone, found[-1][:1])
     assert found[1] == pytest.approx(found[0], rel=1e-8, abs=1e-9)
 
@@ -181,12 +181,14 @@ def test_threads_share_a_fleet() -> None:
     np.testing.assert_array_equal(found, expected.y)
 
 
-def test_a_fleet_lends_one_object_to_one_caller() -> None:
-    fleet = Fleet(plan(derive(push()), 1))
-    with fleet.flyer(1) as first, fleet.flyer(1) as second:
-        assert first is not second
-    with fleet.flyer(1) as again:
-        assert again in (first, second)
+def test_few_lanes_fly_as_many_do() -> None:
+    """In arrays that are kept from one flight to the next: what was given before is not overwritten."""
+    shooting, guesses, p = KINDS[0].batch(40)
+    Y, nothing = guesses[:, shooting.plan.active], shooting.holding({})[None]
+    own, old = fleet(shooting.conditions, shooting.segments), np.zeros((40, Y.shape[1] ** 2))
+    whole = own.fly(Y, nothing, p, np.full(40, FINEST), old)
+    parts = [own.fly(Y[i : i + 4], nothing, p[i : i + 4], np.full(4, FINEST), old[:4]) for i in range(0, 40, 4)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
 @pytest.mark.parametrize(

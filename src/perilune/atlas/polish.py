@@ -125,7 +125,9 @@ class Polisher:
             y[poor[:, None], plan.active] -= chart.steps(inverse[poor], flown.residuals[poor])
             flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
             bound, good = self._bound(inverse, flown, scale), flown.good
-        at, rises = np.hstack([y[:, first], flown.ranges]), np.hstack([flown.rates, -y[:, self._multipliers]])
+        at, rises = y[:, first], flown.rates
+        if self._multipliers:
+            at, rises = np.hstack([at, flown.ranges]), np.hstack([rises, -y[:, self._multipliers]])
         inside = self.borders.margins(self.sheets, which, y, at, rises, choice, limits) >= -SLACK
         answers = reached & inside & good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)

@@ -2,13 +2,12 @@
 
 A flight goes leg by leg, opening, arc, next leg, and then the closing, each from the arrays of those before into its
 own. Many lanes are bound for one evaluation. One lane at a time is what a solve from a neighbour does, thousands of
-times in a table: its arrays are kept, and filled anew. The code is the same, and so is every bit of the result.
+times in a table, and few are left of many behind some steps of Newton's method: their arrays are kept, and filled anew.
+The code is the same, and so is every bit of the result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -22,6 +21,7 @@ from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan
 from perilune.words.types import Batch, Matrix, Vector
 
+_FEW = 32  # lanes, whose arrays are kept: to bind new ones takes as long as to fly so many
 _FINER, _OF_COLUMNS = 1e-2, 1e-7  # of what is asked; the least tolerance of columns
 _STEPS_OF_COLUMNS = 400  # at most: at that tolerance a flight to the ground takes 50 to 150
 
@@ -150,18 +150,18 @@ class Flight:
         return rows
 
 
-class OneLane:
-    """A flight of one lane in arrays of its own: for one thread at a time."""
+class FewLanes:
+    """A flight of some lanes in arrays of its own: for one thread at a time."""
 
-    def __init__(self, code: Code) -> None:
+    def __init__(self, code: Code, lanes: int) -> None:
         plan = code.plan
         n, numbers = plan.columns.n, plan.conditions.residual.size1_in(2)
-        shapes = (1, n), (1, 2 * plan.held), (1, numbers), (1,), (1, n * n)
+        shapes = (lanes, n), (lanes, 2 * plan.held), (lanes, numbers), (lanes,), (lanes, n * n)
         self.arrays = [np.zeros(shape) for shape in shapes]
         self.flight = Flight(code, *self.arrays)
 
     def __call__(self, *arguments: Matrix) -> Matrix:
-        """Rows of an evaluation; arguments as for `Flight`, every one with one row."""
+        """Rows of an evaluation; arguments as for `Flight`."""
         for own, given in zip(self.arrays, arguments, strict=True):
             own[:] = given
         return self.flight().copy()
@@ -172,27 +172,25 @@ class Fleet:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self._idle: list[OneLane] = []  # a list's pop and append are atomic
+        self._idle = [list[FewLanes]() for _ in range(_FEW + 1)]  # a list's pop and append are atomic
 
     @cached_property
     def code(self) -> Code:
         """The plan as machine code."""
         return Code(self.plan)
 
-    @contextmanager
-    def flyer(self, lanes: int) -> Iterator[Callable[..., Matrix]]:
-        """What flies so many lanes, for the caller alone; arguments as for `Flight`."""
-        if lanes != 1:
-            yield lambda *arguments: Flight(self.code, *arguments)()
-            return
+    def fly(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
+        """Rows of an evaluation; arguments as for `Flight`."""
+        arguments, lanes = (Y, choice, p, accuracy, inverse), len(Y)
+        if not 0 < lanes <= _FEW:
+            return Flight(self.code, *arguments)()
         try:
-            one = self._idle.pop()
+            few = self._idle[lanes].pop()
         except IndexError:
-            one = OneLane(self.code)
-        try:
-            yield one
-        finally:
-            self._idle.append(one)
+            few = FewLanes(self.code, lanes)
+        rows = few(*arguments)
+        self._idle[lanes].append(few)
+        return rows
 
 
 @lru_cache(maxsize=64)

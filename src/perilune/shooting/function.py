@@ -183,11 +183,10 @@ class Shooting:
             return array if len(array) == 1 or len(lanes) == count else array[lanes]
 
         def evaluate(lanes: Lanes, y: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
-            return fly(y, of(choice, lanes), of(p, lanes), accuracy, inverse)
+            return self._fleet.fly(y, of(choice, lanes), of(p, lanes), accuracy, inverse)
 
         start = self._exactly(Y.take(self.plan.active, axis=1), choice)
-        with self._fleet.flyer(count) as fly:
-            ends = newton(evaluate, start, self.plan.columns, watch=watch, **settings)
+        ends = newton(evaluate, start, self.plan.columns, watch=watch, **settings)
         self.arcs += int(ends.evaluations.sum()) * len(self.plan.legs)
         self.iterations += int(ends.iterations.sum())
         ends.y = self._exactly(ends.y, choice)
@@ -201,8 +200,7 @@ class Shooting:
         """The shooting function where it is asked for, at full accuracy; NaN where an arc could not be flown."""
         p, choice, count = np.atleast_2d(p), np.atleast_2d(choice), len(Y)
         y = self._exactly(Y.take(self.plan.active, axis=1), choice)
-        with self._fleet.flyer(count) as fly:
-            rows = fly(y, choice, p, np.full(count, FINEST), np.zeros((count, self.plan.columns.n**2)))
+        rows = self._fleet.fly(y, choice, p, np.full(count, FINEST), np.zeros((count, self.plan.columns.n**2)))
         self.arcs += count * len(self.plan.legs)
         once, none = np.ones(count, dtype=np.int64), np.zeros(count, dtype=bool)
         return self._roots(Ends(y=y, rows=rows, converged=none, evaluations=once, iterations=1 - once), choice)
