@@ -60,6 +60,16 @@ def test_damping_goes_down_to_a_ten_thousandth(copies: int) -> None:
 
 
 @pytest.mark.parametrize("copies", [1, 3])
+def test_what_is_led_ever_farther_is_given_up(copies: int) -> None:
+    """From 3 the arctangent's first step goes 12 far, and damped ones less; without a root there is no end to them."""
+    reach = np.full(copies, 4.0)
+    assert run(ATAN, *[3.0] * copies, reach=reach).converged.all()
+    rootless = toy(lambda y: y**2 + 1, lambda y: 2 * y)
+    ends, followed = (run(rootless, *[0.1] * copies, **more) for more in ({"reach": reach}, {}))
+    assert not ends.converged.any() and (ends.evaluations < followed.evaluations).all()
+
+
+@pytest.mark.parametrize("copies", [1, 3])
 def test_it_stops_honestly(copies: int) -> None:
     """No root, a singular derivative, and NaN: each ends without convergence."""
     for function, start in (
