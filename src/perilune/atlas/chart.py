@@ -200,10 +200,6 @@ class Chart:
             roots=roots,
         )
 
-    def steps(self, inverse: NDArray[np.float64], residuals: Matrix) -> Matrix:
-        """J^-1 h of residuals h, (lanes, n)."""
-        return np.matmul(inverse, residuals[:, self.shooting.plan.rows, None])[:, :, 0]
-
     def terms(self, found: Extremals, holds: Matrix) -> NDArray[np.float64]:
         """Values and derivatives of y and J for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`."""
         lanes, d = found.values.shape

@@ -14,13 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart, orientation
 from perilune.atlas.reflight import SLACK, Reflights, Reflown
 from perilune.atlas.sheets import Borders, Sheet
+from perilune.kernels import Map, compile_map
+from perilune.shooting.function import Roots
 from perilune.words.types import Matrix, Vector
 
 _DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the second flight tells
@@ -117,21 +121,19 @@ class Polisher:
         held, first = choice[:, : plan.free] > 0, chart.conditions.free_at
         np.copyto(y[:, first], choice[:, plan.held : plan.held + plan.free], where=held)  # its last bit is Newton's
         flown = self.reflights(y, self._p, choice)
-        own = y[:, chart.active]
-        scale = 1.0 + np.sqrt((own * own).sum(axis=1))
-        bound = self._bound(inverse, flown, scale)
+        left, (bound, away) = self._left(roots, y, guess, flown)
         good = flown.good
         if (poor := np.nonzero(reached & (flown.nearly | (bound > _CLOSE)))[0]).size:  # what it misses says where to
-            y[poor[:, None], plan.active] -= chart.steps(inverse[poor], flown.residuals[poor])
+            y[poor[:, None], plan.active] -= left[poor]
             flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
-            bound, good = self._bound(inverse, flown, scale), flown.good
+            left, (bound, away) = self._left(roots, y, guess, flown)
+            good = flown.good
         at, rises = y[:, first], flown.rates
         if self._multipliers:
             at, rises = np.hstack([at, flown.ranges]), np.hstack([rises, -y[:, self._multipliers]])
         inside = self.borders.margins(self.sheets, which, y, at, rises, choice, limits) >= -SLACK
         answers = reached & inside & good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
-        away = y[:, chart.active] - guess
         return Polished(
             y=y,
             choice=choice,
@@ -143,11 +145,25 @@ class Polisher:
             breaking=breaking,
             steps=steps,
             bound=bound,
-            away=np.sqrt((away * away).sum(axis=1)) / scale,
+            away=away,
             flown=flown,
         )
 
-    def _bound(self, inverse: NDArray[np.float64], flown: Reflown, scale: Vector) -> Vector:
-        """How far y can be from the extremal, by Kantorovich's theorem."""
-        left = self.chart.steps(inverse, flown.residuals)
-        return 2.0 * np.sqrt((left * left).sum(axis=1)) / scale
+    def _left(self, roots: Roots, y: Matrix, guess: Matrix, flown: Reflown) -> tuple[Matrix, Matrix]:
+        """J^-1 h of what second flights leave; how far y can be from the extremal, and how far it was guessed."""
+        inverse = roots.rows[:, roots.plan.columns.inverse]
+        left, lengths = self._measured(inverse, flown.residuals, y, guess)
+        return left, lengths.T
+
+    @cached_property
+    def _measured(self) -> Map:
+        """(J^-1, residuals, unknowns, guess) -> J^-1 h, and relative to y: twice its length, and that of the change."""
+        chart, plan = self.chart, self.chart.shooting.plan
+        n = len(plan.active)
+        inverse, residuals = ca.SX.sym("inverse", n * n), ca.SX.sym("h", len(chart.conditions.residuals))
+        y, guess = ca.SX.sym("y", plan.size), ca.SX.sym("guess", len(chart.active))
+        left = ca.mtimes(ca.reshape(inverse, n, n).T, residuals[plan.rows.tolist()])
+        found = y[chart.active.tolist()]
+        scale = 1.0 + ca.norm_2(found)
+        lengths = ca.vertcat(2.0 * ca.norm_2(left), ca.norm_2(found - guess)) / scale
+        return compile_map(ca.Function("measured", [inverse, residuals, y, guess], [left, lengths]))

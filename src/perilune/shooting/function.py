@@ -177,7 +177,7 @@ class Shooting:
         **settings
             Of `newton`.
         """
-        p, choice, count = np.atleast_2d(p), np.atleast_2d(choice), len(Y)
+        p, choice, count = _rows(p), _rows(choice), len(Y)
 
         def of(array: Matrix, lanes: Lanes) -> Matrix:
             return array if len(array) == 1 or len(lanes) == count else array[lanes]
@@ -198,7 +198,7 @@ class Shooting:
 
     def at(self, Y: Matrix, p: Matrix, choice: Matrix) -> Roots:
         """The shooting function where it is asked for, at full accuracy; NaN where an arc could not be flown."""
-        p, choice, count = np.atleast_2d(p), np.atleast_2d(choice), len(Y)
+        p, choice, count = _rows(p), _rows(choice), len(Y)
         y = self._exactly(Y.take(self.plan.active, axis=1), choice)
         rows = self._fleet.fly(y, choice, p, np.full(count, FINEST), np.zeros((count, self.plan.columns.n**2)))
         self.arcs += count * len(self.plan.legs)
@@ -207,7 +207,7 @@ class Shooting:
 
     def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
         """Of all lanes, by the unknowns that are not silent, (lanes, n, n); NaN where an arc could not be flown."""
-        p, choice = (array if array.ndim == 2 else array[None] for array in (p, choice))
+        p, choice = _rows(p), _rows(choice)
         return jacobians(self.conditions, self.segments, Y.take(self.plan.active, axis=1), p, choice)
 
     def joints(self, y: Vector, p: Vector) -> Vector | None:
@@ -296,3 +296,8 @@ class Shooting:
             evaluations=ends.evaluations,
             history=ends.history,
         )
+
+
+def _rows(array: Vector | Matrix) -> Matrix:
+    """One row for all lanes, where there are none."""
+    return array if array.ndim == 2 else array[None]
