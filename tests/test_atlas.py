@@ -270,8 +270,8 @@ def test_what_physics_refuses_is_said(tmp_path: Path) -> None:
     with pytest.raises(InfeasibleError) as mapped:
         atlas.query(vehicle_thrust=20.0)
     assert mapped.value.what == alone.value.what
-    found = atlas.query_many(np.array([[20.0], [440.0]]))
-    assert found.answered.tolist() == [Answered.IMPOSSIBLE, Answered.YES]
+    found = atlas.query_many(np.array([[15.0], [17.5], [20.0], [440.0]]))
+    assert found.answered.tolist() == 3 * [Answered.IMPOSSIBLE] + [Answered.YES]
 
 
 @pytest.mark.parametrize(
@@ -367,6 +367,8 @@ def test_a_damaged_shard_is_named_and_the_rest_serves(copy: Path) -> None:
     with pytest.raises(PeriluneError, match=file.name):
         atlas.query(vehicle_thrust=431.0, retro_specific_impulse=309.0)
     assert atlas.query(vehicle_thrust=449.0, retro_specific_impulse=300.0).objective < 0
+    many = open_atlas(copy).query_many(np.array([[431.0, 309.0], [449.0, 300.0]]))
+    assert many.answered.tolist() == [Answered.NOT_BUILT, Answered.YES]
     found = verify_atlas(atlas, sample=0)
     assert not found.passed and len(found.damaged) == 1 and file.name in found.damaged[0]
     file.unlink()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -126,7 +126,7 @@ class _Work:
     def answer(self, some: NDArray[np.int64]) -> None:
         """Polish what the cells of some points give, best first, until the others are clearly worse."""
         some = some[self.answered[some] != Answered.OUTSIDE]
-        offers = self._offers(some)
+        atlas, offers = self.atlas, self._offers(some)
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
         doubt, breaking = np.full((2, len(some)), np.inf)
@@ -149,10 +149,18 @@ class _Work:
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         doubt = np.where(self.of_arcs[some], doubt, np.minimum(doubt, breaking))
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
+        # What is damaged might have held a better one.
+        damaged = self._where(some, lambda place: bool(atlas.damage(place)))
         self.answered[some[found]] = Answered.YES
         self.answered[some[doubtful]] = Answered.ENDS
-        none = some[~found & ~doubtful]
+        self.answered[some[damaged | (~found & self._where(some, atlas.missing))]] = Answered.NOT_BUILT
+        none = some[self.answered[some] != Answered.YES]
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
+
+    def _where(self, some: NDArray[np.int64], says: Callable[[tuple[int, ...]], bool]) -> NDArray[np.bool_]:
+        """Which of some points lie in bricks of which something is so."""
+        rows, which = np.unique(self.bricks[some], axis=0, return_inverse=True)
+        return np.array([says(tuple(row)) for row in rows.tolist()], dtype=bool)[which.reshape(-1)]
 
     def _polished(self, points: NDArray[np.int64], offer: _Offered, y: Matrix) -> Polished:
         """Polish, and keep what is better than what is known."""
@@ -172,7 +180,6 @@ class _Work:
         """What all sheets give."""
         atlas, found, first, count = self.atlas, list[_Offered](), 0, len(some)
         bricks = np.unique(self.bricks[some], axis=0)
-        built = np.zeros(count, dtype=bool)
         for number, charted in enumerate(atlas.charted):
             offers = dict[tuple[int, int], _Offered]()  # by sheets, and how many branches of it there are already
             for row in bricks:
@@ -181,7 +188,6 @@ class _Work:
                 brick = atlas.brick(number, place)
                 if brick is None:
                     continue
-                built[lanes] = True
                 low, high = atlas.region.box(place)
                 inside = (self.points[some[lanes]] - low) / (high - low) * WHOLE
                 met = Counter[int]()
@@ -191,7 +197,6 @@ class _Work:
                     _fill(offer, brick, root, lanes, inside, (high - low) / WHOLE / charted.chart.scale)
             found += offers.values()
             first += len(charted.sheets)
-        self.answered[some[~built]] = Answered.NOT_BUILT
         return found
 
     def answers(self) -> Answers:

@@ -175,7 +175,8 @@ class Atlas(Reader):
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         if breaking is not None and (best is None or not best.charted.of_arcs):
             doubt = breaking if doubt is None else min(doubt, breaking, key=lambda one: one.cost)
-        if best is None or (doubt is not None and doubt.cost < best.cost):
+        damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
+        if best is None or damaged or (doubt is not None and doubt.cost < best.cost):
             raise self._nothing(at, doubt)
         return self._answer(at, best, sorted(tried, key=lambda one: one.cost), offers, began)
 
@@ -287,10 +288,9 @@ class Atlas(Reader):
         values = dict(zip(self.region.names, at.tolist(), strict=True))
         refuse_impossible(preflight(self.problem.with_given(**values)))
         place, got = self.region.brick_of(at), self.region.told(at.tolist())
-        keys = [(number, *place) for number in range(len(self.charted))]
-        if broken := [self.damaged[key] for key in keys if key in self.damaged]:
+        if broken := self.damage(place):
             return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")
-        if not any(key in self.said for key in keys):
+        if self.missing(place):
             return PeriluneError(
                 "this part of the atlas is not built yet", got=got, advice="build it again with --resume"
             )

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.chart import Chart
-from perilune.atlas.columns import cell_type, header_region, node_type, sheets_of, survey_region
+from perilune.atlas.columns import cell_type, header_region, node_type, seed_type, sheets_of, survey_region
 from perilune.atlas.course import course_from
+from perilune.atlas.hermite import bits
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import Reflights
@@ -213,13 +214,34 @@ class Reader:
         self.region = survey_region(self._first, self.survey)
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
-        self.__dict__.pop("charted", None)
+        for name in ("charted", "_surveyed"):
+            self.__dict__.pop(name, None)
 
     @cached_property
     def charted(self) -> list[Charted]:
         """Its charts."""
         with told_of_damage(MANIFEST):
             return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
+
+    def damage(self, brick: tuple[int, ...]) -> list[str]:
+        """What is damaged at a place, in words; of bricks that were looked at."""
+        keys = [(number, *brick) for number in range(len(self.charted))]
+        return [self.damaged[key] for key in keys if key in self.damaged]
+
+    def missing(self, brick: tuple[int, ...]) -> bool:
+        """Whether the survey has a sheet for a place of which no brick is there."""
+        here = [(number, *brick) for number in range(len(self.survey["charts"]))]
+        return not any(key in self.said for key in here) and any(key in self._surveyed for key in here)
+
+    @cached_property
+    def _surveyed(self) -> set[tuple[int, ...]]:
+        """Bricks at whose corners the survey has a sheet, by chart and numbers."""
+        d, found = len(self.region.axes), set[tuple[int, ...]]()
+        for number, chart in enumerate(self.survey["charts"]):
+            corners = np.unique(self.store.shard(chart["seeds"], seed_type(d, chart["unknowns"]))["corner"], axis=0)
+            beside = (corners[:, None] - bits(d)[None]).reshape(-1, d)
+            found |= {(number, *place) for place in beside.tolist()}
+        return found
 
     def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:
         """A brick of a chart; None where there is none, or it is damaged."""

@@ -26,7 +26,7 @@ from perilune.words.types import Matrix, Vector
 POINTS = 101  # along each axis
 _MOST = 2000
 _WHY = {
-    Answered.NOT_BUILT: "no sheet reaches this part, or it is not built yet",
+    Answered.NOT_BUILT: "not built yet, or damaged",
     Answered.NONE: "no sheet has an answer here",
     Answered.ENDS: "a sheet that might be better ends here",
 }
