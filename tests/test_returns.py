@@ -111,6 +111,22 @@ def test_a_rough_coast_ends_at_the_pass_that_comes_nearest_to_the_site(turns: fl
     assert drift == pytest.approx(max(turns - longest, 0.0) * PERIOD, abs=0.01 * PERIOD)
 
 
+@pytest.mark.parametrize(("thrust", "turns"), [(120.0, 1.0), (1000.0, 0.0)])
+def test_a_rough_burn_without_a_coast_goes_on_to_the_next_pass(thrust: float, turns: float) -> None:
+    """To a site that is 20 deg aside at first, and below the orbit a turn later: where burn and drift last so long."""
+    low = {**COASTING, "vehicle": replace(COASTING["vehicle"], thrust=thrust)}
+    anywhere = deorbit_entry(orbit_=replace(LOW, longest_coast=3.0 * PERIOD), site=Landing(altitude=10e3), **low)
+    assert anywhere.rough_flight is not None
+    known = {f.name: f.typical for f in anywhere.free}
+    end = anywhere.rough_flight(anywhere.parameters({**known, "coast_time": PERIOD}))[-1][-1, :3]
+    site = Landing(
+        longitude=math.atan2(end[1], end[0]), latitude=math.asin(end[2] / np.linalg.norm(end)), altitude=10e3
+    )
+    rough = {f.name: f.typical for f in deorbit_entry(orbit_=LOW, site=site, **low).free}
+    later = rough["burn_time"] + rough["drift_time"] - known["burn_time"] - known["drift_time"]
+    assert later == pytest.approx(turns * PERIOD, abs=0.1 * PERIOD) and rough["drift_time"] <= 3600.0
+
+
 def test_a_rough_burn_of_low_thrust_comes_down_at_the_angle_that_is_stated() -> None:
     """Longer by a fifth than the velocity change of an impulse, as it goes round a part of the body."""
     low = {**COASTING, "vehicle": replace(COASTING["vehicle"], thrust=100.0)}

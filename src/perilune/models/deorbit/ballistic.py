@@ -31,7 +31,8 @@ from perilune.models import aerodynamics
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.bounds import interface_speeds
 from perilune.models.deorbit.fall import Fall, fall
-from perilune.models.deorbit.passes import furthest_turned, lightest, velocity_change
+from perilune.models.deorbit.passes import furthest_turned, lightest
+from perilune.models.deorbit.records import velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector

@@ -22,8 +22,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.models.deorbit.passes import extremes, furthest_turned, velocity_change
-from perilune.models.deorbit.records import exhaust_speed
+from perilune.models.deorbit.passes import extremes, furthest_turned
+from perilune.models.deorbit.records import exhaust_speed, velocity_change
 
 _LEAST_SLACK = 25e3  # m
 _OBLATE = 3.5  # times J2 and the radius

@@ -19,9 +19,9 @@ import numpy as np
 from perilune.models import ellipsoid
 from perilune.models.deorbit.fall import carried
 from perilune.models.deorbit.orbit import plane, shape
-from perilune.models.deorbit.passes import Pass, extremes, nearest, passes, velocity_change
+from perilune.models.deorbit.passes import Pass, extremes, nearest, passes
 from perilune.models.deorbit.preflight import OFF_PLANE
-from perilune.models.deorbit.records import Aim, Manoeuvre, exhaust_speed, greatest_thrust
+from perilune.models.deorbit.records import Aim, Manoeuvre, exhaust_speed, greatest_thrust, velocity_change
 from perilune.models.deorbit.secular import Drift, drift
 from perilune.models.deorbit.times import way_down
 from perilune.models.rotating import dot

@@ -145,13 +145,6 @@ def side_reach(p: Any) -> float:
     return math.pi**2 / 48 * getattr(p, "vehicle_lift_to_drag", 0.0) ** 2
 
 
-def velocity_change(p: Any, m: Any = NUMERIC) -> Any:
-    """Velocity change [m/s] of all propellant; infinite where it is not said how much there is."""
-    if not hasattr(p, "vehicle_dry_mass"):
-        return math.inf
-    return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)
-
-
 def lightest(p: Any) -> Any:
     """Mass [kg] below which the burn leaves none."""
     return getattr(p, "vehicle_dry_mass", _LEFT * p.vehicle_mass)

@@ -35,7 +35,8 @@ from perilune.models.deorbit.ballistic import borne_at_least
 from perilune.models.deorbit.bounds import furthest_moved, interface_speeds, slack, steepest_angle
 from perilune.models.deorbit.fall import Fall, always_faster, fall, lowest, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
-from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes, velocity_change
+from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes
+from perilune.models.deorbit.records import velocity_change
 from perilune.models.deorbit.secular import drift
 from perilune.models.deorbit.skip import leaves_again
 from perilune.problem.preflight import Finding

@@ -9,6 +9,7 @@ from typing import Any
 from perilune.models.aerodynamics import SUTTON_GRAVES
 from perilune.models.coast import SHORTEST
 from perilune.words.declared import quantity, record, words
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 
 MINIMISED = ("flight_time", "transition_time", "propellant", "heat_load")
@@ -343,3 +344,10 @@ def exhaust_speed(p: Any) -> Any:
     if hasattr(p, "vehicle_exhaust_velocity"):
         return p.vehicle_exhaust_velocity
     return p.vehicle_specific_impulse * p.standard_gravity
+
+
+def velocity_change(p: Any, m: Any = NUMERIC) -> Any:
+    """Velocity change [m/s] of all propellant; infinite where it is not said how much there is."""
+    if not hasattr(p, "vehicle_dry_mass"):
+        return math.inf
+    return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)

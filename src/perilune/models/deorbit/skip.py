@@ -27,7 +27,8 @@ from perilune.models.deorbit.ballistic import (
     of_mass,
 )
 from perilune.models.deorbit.fall import Fall, fall
-from perilune.models.deorbit.passes import furthest_turned, velocity_change
+from perilune.models.deorbit.passes import furthest_turned
+from perilune.models.deorbit.records import velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.types import Matrix
 

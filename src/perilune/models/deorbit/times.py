@@ -24,7 +24,7 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit import parachute
 from perilune.models.deorbit.fall import POINTS, carried, fall, typical_angle
 from perilune.models.deorbit.orbit import AXIS, plane, shape
-from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust, throttled
+from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust, throttled, velocity_change
 from perilune.models.rotating import combine, cross, dot, local_axes
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Physics, Vector
@@ -35,6 +35,7 @@ _LONG_BURN = 0.3  # rad, of the orbit: no longer is a burn like an impulse
 _BURNS, _LONGER, _ALIKE = 8, 1.3, 0.03  # lengths that are tried, from one to the next, and an angle that is met
 _LEAST_DRIFT, _WAITS = 0.04, 0.05  # of the way down; of a picture, for so long it may stay at its end
 _EASIER = 0.05  # so many radians to the side are as hard as one along the way
+_MOST_DRIFT = 0.9  # of the longest: what a later pass takes further is burnt
 _TURNS = 50  # of a long coast, the passes after which are looked at
 
 
@@ -123,8 +124,8 @@ def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
     """A typical way down that begins with a coast, which is not counted, at an argument of latitude [rad]."""
     radius, gate = float(shape(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
     down = impulsive(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
-    exhaust, mean, change = exhaust_speed(p), mean_rate(p, angle), down.velocity_change
-    burn = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-change / exhaust))
+    mean, change = mean_rate(p, angle), down.velocity_change
+    burn = _burn_of(p, change)
     whole = down.time + 0.5 * burn
     if not drifts:
         return Down(velocity_change=change, burn=whole, whole=whole, swept=mean * whole)
@@ -135,6 +136,12 @@ def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
             whole, swept = float(last[0]) - coast, float(last[2]) - mean * coast
             return Down(velocity_change=change, burn=burn, whole=whole, swept=swept)
     return Down(velocity_change=change, burn=burn, whole=whole, swept=mean * whole)
+
+
+def _burn_of(p: Any, change: float) -> float:
+    """How long [s] the engine burns for a velocity change [m/s]."""
+    exhaust = exhaust_speed(p)
+    return p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-change / exhaust))
 
 
 def _steep_enough(p: Any, angle: float, coast: float, burn: float, whole: float) -> tuple[float, Matrix | None]:
@@ -177,22 +184,36 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
     if hasattr(p, "site_longitude"):
         whole, swept = down.whole + entry.time, down.swept + float(entry.rows[-1, 1])
         longest = p.orbit_longest_coast if coasts else 0.0
-        more = _to_the_site(p, angle, node, whole, swept, longest)
+        drifted = times.get("drift_time", 0.0)
+        drift = max(_MOST_DRIFT * p.transition_longest_coast, drifted) if drifts else 0.0
+        room = drift - drifted + max(_burn_of(p, velocity_change(p)) - down.burn, 0.0)
+        spare = velocity_change(p) - down.velocity_change
+        more = _to_the_site(p, angle, node, whole, swept, (longest, longest + room), spare)
         if coasts:
             times["coast_time"] = min(more, longest)
-        times["drift_time" if drifts else "burn_time"] += max(more - longest, 0.0)
+        late = max(more - longest, 0.0)
+        if drifts:
+            times["drift_time"] = min(drifted + late, drift)
+        times["burn_time"] += max(late - (drift - drifted), 0.0)
     return times
 
 
-def _to_the_site(p: Any, angle: float, node: float, whole: float, swept: float, longest: float) -> float:
+def _to_the_site(
+    p: Any, angle: float, node: float, whole: float, swept: float, latest: tuple[float, float], spare: float
+) -> float:
     """How much later [s] than at once a flight begins that lasts `whole` and sweeps an angle, to end at the site.
 
-    At the first pass; of those within the `longest` coast, about, at that which comes nearest to the site: a way that
-    is not as long as the typical one is easier to fly than one to the side.
+    At the first pass; of those within the longest coast, about, the first of `latest` [s], at that which comes nearest
+    to the site: a way that is not as long as the typical one is easier to fly than one to the side. Where all of them
+    are further aside than a `spare` velocity change [m/s] turns the orbit, at the next one if that is not, and is not
+    later than the second of `latest`, up to which burn and drift may last longer.
     """
     (up, ahead), mean = plane(angle, node, p, NUMERIC), mean_rate(p, angle)
-    aside, found = cross(up, ahead), list[tuple[float, float]]()
-    for turn in range(min(int(longest * mean / (2 * math.pi) + _SHORTER), _TURNS) + 1):
+    aside, found = cross(up, ahead), list[tuple[float, float, float]]()
+    longest, last = latest
+    reach = math.sin(max(0.0, min(spare / (mean * float(shape(angle, p, NUMERIC)[0])), 0.5 * math.pi)))
+    turns = min(int(longest * mean / (2 * math.pi) + _SHORTER), _TURNS)
+    for turn in range(turns + 2):
         more = 0.0
         for _ in range(30):  # the body carries the site along
             turned = p.body_rotation_rate * (whole + more)
@@ -200,8 +221,11 @@ def _to_the_site(p: Any, angle: float, node: float, whole: float, swept: float, 
             away = math.atan2(dot(site, ahead), dot(site, up)) - swept
             more = (away - 2 * math.pi * (math.floor(away / (2 * math.pi) + _SHORTER) - turn)) / mean
         beyond = max(more - longest, -more, 0.0) * mean
-        found.append((abs(dot(site, aside)) + _EASIER * beyond, max(more, 0.0)))
-    return min(found)[1]
+        far = abs(dot(site, aside))
+        found.append((far + _EASIER * beyond, far, max(more, 0.0)))
+    *within, (_, far, after) = found
+    later = far <= reach < min(far for _, far, _ in within) and after <= last
+    return after if later else min(within)[2]
 
 
 def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
