@@ -7,9 +7,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from threading import Lock, Timer
+from threading import Event, Lock, Timer
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 
 from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
+from perilune.cli.progress import progress
 from perilune.direct import nlp
 
 
@@ -192,3 +194,14 @@ def test_an_answer_that_cannot_be_written_is_told() -> None:
     assert "the answer cannot be written" in done.stderr
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr
+
+
+def test_a_stop_that_foreign_code_has_swallowed_is_met_at_the_next_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped, log = Event(), deque[str]()
+    monkeypatch.setattr("perilune.cli.progress.STOPPED", stopped)
+    with progress(False, log) as watch:
+        watch("one")
+        stopped.set()
+        with pytest.raises(KeyboardInterrupt):
+            watch("two")
+    assert list(log) == ["one", "two"]

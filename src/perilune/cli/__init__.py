@@ -16,6 +16,8 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from perilune.cli.stopping import stop
+
 
 def main() -> NoReturn:
     """Entry point of the console script."""
@@ -25,25 +27,10 @@ def main() -> NoReturn:
     gc.set_threshold(200_000)
     _fill_closed_streams()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a job in the background ignores Ctrl-C
-        signal.signal(signal.SIGINT, _stop)
+        signal.signal(signal.SIGINT, stop)
     code = run(sys.argv[1:])
     gc.freeze()  # nor at the end, where all of them go anyway
     sys.exit(code)
-
-
-def _stop(*_: object) -> NoReturn:
-    """Ctrl-C: what an import or a file leaves open when it is cut short is no news for who asked for it."""
-    sys.unraisablehook = _again
-    raise KeyboardInterrupt
-
-
-def _again(ignored: sys.UnraisableHookArgs) -> None:
-    """Ctrl-C once more where the first met a destructor, which lets no exception out."""
-    if ignored.exc_type is KeyboardInterrupt:
-        from _thread import interrupt_main
-        from threading import Timer
-
-        Timer(0.01, interrupt_main).start()
 
 
 def _fill_closed_streams() -> None:

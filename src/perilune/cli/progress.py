@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from perilune.cli.answer import INTERRUPTED, aside, refusal, stopped
+from perilune.cli.stopping import STOPPED
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | s
         line = event if isinstance(event, str) else _iteration_line(event)
         log.append(line)
         show(line)
+        if STOPPED.is_set():  # and who should have heard of it has not
+            raise KeyboardInterrupt
 
     with shown:
         yield watch

@@ -1,0 +1,26 @@
+"""Ctrl-C, which is not to be lost wherever it is met."""
+
+from __future__ import annotations
+
+import sys
+from threading import Event
+from typing import NoReturn
+
+#: Set when the user stopped the program: who wraps foreign code may clear its exception with others.
+STOPPED = Event()
+
+
+def stop(*_: object) -> NoReturn:
+    """Ctrl-C: what an import or a file leaves open when it is cut short is no news for who asked for it."""
+    sys.unraisablehook = _again
+    STOPPED.set()
+    raise KeyboardInterrupt
+
+
+def _again(ignored: sys.UnraisableHookArgs) -> None:
+    """Ctrl-C once more where the first met a destructor, which lets no exception out."""
+    if ignored.exc_type is KeyboardInterrupt:
+        from _thread import interrupt_main
+        from threading import Timer
+
+        Timer(0.01, interrupt_main).start()
