@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -139,6 +139,7 @@ def _complete(
     named = {brick_name(key) + (f"~{number}" if number else ""): key for key in tasks}
     there = _written(kept, region, survey)
     say(_told(named, there, number))
+    began, before = time.monotonic(), there.keys() & named.keys()
     while todo := {name: tasks[key] for name, key in named.items() if name not in there}:
         for name, arrays in _everywhere(kept, todo, executor, say):
             prefix = f"brick-{survey['digest'][:8]}-{name}"
@@ -148,10 +149,10 @@ def _complete(
             line |= {"round": number} if number else {}
             kept.add({**line, "thin": len(thin_ones(arrays["nodes"], tasks[key].sheets)), **shards})
             there[name] = len(arrays["nodes"])
-            say(_told(named, there, number))
-        before = len(there)
+            say(_told(named, there, number) + _pace(named, there, before, time.monotonic() - began))
+        known = len(there)
         there = _written(kept, region, survey)
-        if len(there) == before and not there.keys() >= named.keys():
+        if len(there) == known and not there.keys() >= named.keys():
             time.sleep(_PATIENCE)  # what is missing is at work elsewhere; who dies there lets go of it
 
 
@@ -164,6 +165,14 @@ def _told(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> st
     done = [there[name] for name in named if name in there]
     again = f", gone on with from their neighbours ({number})" if number else ""
     return f"{len(done)} of {len(named)} bricks, {sum(done)} nodes{again}"
+
+
+def _pace(named: Mapping[str, Key], there: Mapping[str, int], before: Set[str], seconds: float) -> str:
+    """How fast nodes come, and how long that takes for the bricks that are missing."""
+    new = (there.keys() & named.keys()) - before
+    rate = sum(there[name] for name in new) / max(seconds, 1e-3)
+    left = len(named.keys() - there.keys()) * seconds / max(len(new), 1)
+    return f", {rate:.0f} nodes/s" + (f", about {left:.0f} s left" if left else "")
 
 
 def _everywhere(
