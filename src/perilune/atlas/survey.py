@@ -162,7 +162,10 @@ class Survey:
             if not start.converged[0]:
                 continue
             sheet = replace(sheet, orientation=float(start.orientation[0]))
-            if not self._known(known, sheet, corners / chart.scale, values, start.y[0]):
+            number = self._known(known, sheet, corners / chart.scale, values, start.y[0])
+            if number is not None:
+                known = _offered(known, number, sheet)
+            else:
                 if sheet.nature is Nature.UNPROVED:
                     said = said_of(replace(known, sheets=(sheet,)))
                     nature = nature_behind_folds(self.problem, self.region, said, values, start.y[0])
@@ -192,18 +195,18 @@ class Survey:
         return here, behind
 
     @staticmethod
-    def _known(known: Found, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> bool:
-        """Whether an extremal lies on a sheet: from the nearest corners that one reaches it is carried there."""
+    def _known(known: Found, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> int | None:
+        """On which sheet an extremal lies: from the nearest corners that one reaches it is carried there."""
         away = np.abs(corners - values).sum(axis=1)
-        for other, there in zip(known.sheets, known.y, strict=True):
+        for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
             if other.holds != sheet.holds or other.orientation != sheet.orientation:
                 continue
             reached = np.nonzero(np.isfinite(there[:, 0]))[0]
             for nearest in reached[np.argsort(away[reached])][:_BESIDE].tolist():
                 here = carried(known.chart, known.borders, other, corners[nearest], there[nearest], values[None])[0]
                 if np.linalg.norm(here - y) <= _SAME * (1.0 + np.linalg.norm(y)):
-                    return True
-        return False
+                    return number
+        return None
 
 
 def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]]:
@@ -220,6 +223,15 @@ def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]
         yield alike[0].course, alike
 
 
+def _offered(known: Found, number: int, sheet: Sheet) -> Found:
+    """The same, where one of its sheets is found to be a minimum of which that was not known."""
+    if known.sheets[number].minimum or not sheet.minimum or sheet.nature is Nature.UNPROVED:
+        return known
+    sheets = list(known.sheets)
+    sheets[number] = replace(sheets[number], nature=sheet.nature)
+    return replace(known, sheets=tuple(sheets))
+
+
 def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
     """The same with a sheet at corners, (corners, n).
 
@@ -231,7 +243,7 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
             with np.errstate(invalid="ignore"):
                 same = np.linalg.norm(there - y, axis=1) <= _SAME * (1.0 + np.linalg.norm(y, axis=1))
             if same.any():
-                known = replace(known, y=known.y.copy())
+                known = _offered(replace(known, y=known.y.copy()), number, sheet)
                 known.y[number] = np.where(np.isfinite(there), there, y)
                 y = np.where((same | ~np.isfinite(there[:, 0]))[:, None], np.nan, y)
     if not np.isfinite(y[:, 0]).any():
