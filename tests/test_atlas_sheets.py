@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from perilune.atlas import building
+from perilune.atlas.cells import WHOLE, Nodes, Status
 from perilune.atlas.chart import Chart
+from perilune.atlas.course import Course
 from perilune.atlas.folding import around_folds
 from perilune.atlas.many import Answered
 from perilune.atlas.query import open_atlas
 from perilune.atlas.region import region_of
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.survey import Survey
+from perilune.atlas.tasks import Task, computed
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Nature
 from perilune.words.watch import silent
@@ -82,3 +85,34 @@ def test_what_no_solve_has_found_is_met_behind_folds(monkeypatch: pytest.MonkeyP
         (Nature.WORST, -1.0),
         (Nature.LOCAL_OPTIMUM, 1.0),
     ]
+
+
+def test_a_sheet_that_enters_through_a_side_alone_begins_at_its_nodes_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No corner of the brick is known, and what has no node says nothing: its place in memory holds anything."""
+    rows = Nodes.rows
+
+    def known(nodes: Nodes, name: str, numbers: np.ndarray) -> np.ndarray:
+        assert name != "terms" or (numbers >= 0).all()
+        return rows(nodes, name, numbers)
+
+    monkeypatch.setattr(Nodes, "rows", known)
+    problem = cusp(-1.5, -0.5)
+    low, high = np.array([-1.5, -0.5]), np.array([-1.0, 0.0])
+    task = Task(
+        problem=problem,
+        names=("a", "b"),
+        widths=high - low,
+        course=Course(()),
+        times=(2,),
+        sheets=(Sheet(holds={}, orientation=1.0, nature=Nature.BEST),),
+        low=low,
+        high=high,
+        sheet=np.zeros(1, dtype=np.int64),
+        place=np.array([[0, WHOLE // 2]]),
+        y=np.array([[-cusp_ends(-1.5, -0.25)[-1], 1.0]]),
+        tolerance=1e-9,
+    )
+    nodes, cells = computed(task)
+    ends = np.array([cusp_ends(*values)[-1] for values in nodes["values"].tolist()])
+    np.testing.assert_allclose(nodes["terms"][:, 0, 0], -ends, rtol=0, atol=1e-8)
+    assert (cells["status"] == Status.ONE_STEP).any()

@@ -19,6 +19,7 @@ from perilune.words.types import Matrix, Vector
 
 _TORN, _SMALL = 0.5, 1e-3  # by how much an edge may differ from a trapezoid: of what its slopes say, and of 1 + |y|
 _ALIKE = 1e-3  # relative: what a cell gives, and an extremal that it has
+_AT_ONCE = 64  # places, each of which is compared with all cells
 SAME = 1e-6  # relative: one extremal
 
 _ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
@@ -61,13 +62,18 @@ def covered(
     """Which extremals at places the cells of some branches have; `step` is that of the lattice, canonical."""
     found = np.zeros(len(places), dtype=bool)
     own = np.isin(cells.branch, branches) & np.isin(cells.status, _ANSWERING)
-    for number in np.nonzero(own & (cells.corners >= 0).all(axis=1))[0].tolist() if len(places) else ():
-        low, size = cells.low[number], cells.size[number]
-        here = np.nonzero(~found & ((places >= low) & (places <= low + size)).all(axis=1))[0]
-        if len(here):
-            terms = nodes.rows("terms", np.broadcast_to(cells.corners[number], (len(here), cells.corners.shape[1])))
-            share, length = (places[here] - low) / size, np.broadcast_to(size * step, (len(here), len(step)))
-            given = interpolated(terms, share, length)[:, :-1]
-            away = np.linalg.norm(given - y[here], axis=1)
-            found[here] = away <= _ALIKE * (1.0 + np.linalg.norm(y[here], axis=1))
+    numbers = np.nonzero(own & (cells.corners >= 0).all(axis=1))[0]
+    low, high = cells.low[numbers].T, (cells.low + cells.size)[numbers].T
+    for start in range(0, len(places) if len(numbers) else 0, _AT_ONCE):
+        inside = np.ones((len(numbers), len(places[start : start + _AT_ONCE])), dtype=bool)
+        for at, begin, end in zip(places[start : start + _AT_ONCE].T, low, high, strict=True):
+            inside &= (begin[:, None] <= at) & (at <= end[:, None])
+        cell, here = np.nonzero(inside)
+        if not len(cell):
+            continue
+        cell, here = numbers[cell], start + here
+        share = (places[here] - cells.low[cell]) / cells.size[cell]
+        given = interpolated(nodes.rows("terms", cells.corners[cell]), share, cells.size[cell] * step)[:, :-1]
+        away = np.linalg.norm(given - y[here], axis=1)
+        found[here[away <= _ALIKE * (1.0 + np.linalg.norm(y[here], axis=1))]] = True
     return found

@@ -75,7 +75,7 @@ class Brick:
         self.origin, self.step, self.tolerance = low, (high - low) / WHOLE, tolerance
         self.d, self.count = len(low), len(sheets)
         self.nodes, self.own, self._left = Nodes(), list(range(len(sheets))), list[_Extremal]()
-        self._looked_at = 0
+        self._looked_at = self._cells_looked_at = 0
 
     def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None = None) -> Cut:
         """Compute everything.
@@ -200,9 +200,16 @@ class Brick:
 
     def _reached(self, done: Cells) -> tuple[Cells, Cells]:
         """What was done, and halves of cells without a corner into which a sheet may go on from nodes around them."""
-        self._meet(done)
-        bare = np.nonzero(np.isin(done.status, (Status.ENDS, Status.ABSENT)) & (done.corners < 0).all(axis=1))[0]
-        within = [self.nodes.within(int(done.branch[i]), done.low[i], done.low[i] + done.size[i]) for i in bare]
+        first = self._meet(done)
+        bare = np.isin(done.status, (Status.ENDS, Status.ABSENT)) & (done.corners < 0).all(axis=1)
+        # Around one that was looked at before there is nothing but new nodes, if it has not ended.
+        before = np.arange(len(done)) < self._cells_looked_at
+        bare = np.nonzero(bare & ~(before & ((done.status == Status.ENDS) | (first == self.nodes.count))))[0]
+        self._cells_looked_at = len(done)
+        within = [
+            self.nodes.within(int(done.branch[i]), done.low[i], done.low[i] + done.size[i], first if before[i] else 0)
+            for i in bare
+        ]
         status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
         known = np.array([len(nodes) > 0 for nodes in within], dtype=bool)
         status[bare] = np.where(known, Status.ENDS, Status.ABSENT)
@@ -219,9 +226,12 @@ class Brick:
         corners[fine] = self._filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()]).corners
         return done, replace(halves, corners=corners)
 
-    def _meet(self, done: Cells) -> None:
-        """Note at which of its new nodes a later branch has run into another: it does not go on from there."""
-        new = np.arange(self._looked_at, self.nodes.count)
+    def _meet(self, done: Cells) -> int:
+        """Note at which of its new nodes a later branch has run into another: it does not go on from there.
+
+        The number of the first new node.
+        """
+        new = np.arange(first := self._looked_at, self.nodes.count)
         self._looked_at = self.nodes.count
         branch = self.nodes.rows("branch", new)
         for own in np.unique(branch[branch >= self.count]).tolist():
@@ -229,6 +239,7 @@ class Brick:
             y = self.nodes.rows("terms", mine)[:, 0, :-1]
             met = covered(done, self.nodes, self.step, others, self.nodes.rows("place", mine), y)
             self.nodes.met = np.append(self.nodes.met, mine[met])
+        return first
 
     def _judged(self, cells: Cells) -> tuple[Whole, Whole]:
         """What each cell is, and along which axis it would be cut."""
@@ -301,7 +312,10 @@ class Brick:
 
         `near` are nodes of each cell to begin with in place of corners.
         """
-        cell, corner = np.nonzero(cells.corners < 0)
+        lacking = cells.corners < 0
+        if wholes is None and near is None:  # where there is no corner at all the sheet comes in from nodes around
+            lacking &= ~lacking.all(axis=1, keepdims=True)
+        cell, corner = np.nonzero(lacking)
         if not len(cell):
             return cells
         places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]

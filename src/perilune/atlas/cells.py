@@ -122,12 +122,16 @@ class Nodes:
         """A column of nodes."""
         return self._rows[name][numbers]
 
-    def within(self, branch: int, low: Whole, high: Whole) -> Whole:
-        """The nodes of a branch in a box or on its border from which it goes on: beyond its own it may turn back."""
-        place, count = self._rows["place"][: self.count], self.count
-        inside = (self._rows["branch"][:count] == branch) & (self._rows["margin"][:count] >= 0)
+    def within(self, branch: int, low: Whole, high: Whole, first: int) -> Whole:
+        """The nodes of a branch in a box or on its border from which it goes on: beyond its own it may turn back.
+
+        From number `first` on.
+        """
+        here = slice(first, self.count)
+        place = self._rows["place"][here]
+        inside = (self._rows["branch"][here] == branch) & (self._rows["margin"][here] >= 0)
         inside &= ((place >= low) & (place <= high)).all(axis=1)
-        found = np.nonzero(inside)[0]
+        found = first + np.nonzero(inside)[0]
         return found[~np.isin(found, self.met)] if len(self.met) else found
 
 
