@@ -109,6 +109,36 @@ def test_a_state_that_nearly_rests_has_a_costate(drift: float, costate: str) -> 
     assert ("switching_u" if costate == "true" else "costate_x") in failed(wrong)
 
 
+def paid_at_the_end(rests: bool) -> pl.Problem:
+    """J = int (u^2/2 + k) - a x at the end, least at u = a; where it `rests`, after another second in which x stays."""
+    phase = for_a_second("go", variables(x="m", c="m^2/s"), lambda x, u, p, m: (u.u, 0.5 * u.u * u.u + p.k)).phases[0]
+    rest = replace(phase, name="rest", controls=(), duration="rests", dynamics=lambda x, u, p, m: (0.0 * p.a, p.k))
+    return pl.Problem(
+        name="paid_at_the_end", phases=(phase, rest) if rests else (phase,), start=lambda p, m: (0.0 * p.a * p.T, 0.0),
+        links=(lambda x, p, m: (x.x, x.c),) if rests else (), given=GIVEN | {"rests": GIVEN["T"]},
+        objective=lambda x, p, m: x.c - p.a * x.x, objective_unit="m^2/s",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("drift", DRIFTS)
+@pytest.mark.parametrize("rests", [False, True])
+def test_a_state_that_nearly_rests_tells_at_the_end_of_its_phase(drift: float, rests: bool) -> None:
+    """Its costate says there that it gains nothing; what follows knows better, and is known no worse for that."""
+    c, rate = 0.5 * drift * drift + 1.0, np.array([[drift, 0.5 * drift * drift + 1.0]] * 2)
+    lam = straight([-drift, 1], [-drift, 1])
+    wrong = claimed(
+        paid_at_the_end(rests), replace(straight([0, 0], [drift, c]), rates=rate), straight([drift], [drift]), lam
+    )
+    if rests:
+        later = straight([drift, c], [drift, c + 1.0])
+        none = Curve(time=later.time, values=np.zeros((2, 0)), rates=np.zeros((2, 0)))
+        rest = pl.Trajectory(phase="rest", state=later, control=none, costate=straight([-1, 1], [-1, 1]))
+        wrong = replace(wrong, trajectories=(*wrong.trajectories, rest))
+    wrong = replace(wrong, objective=c - drift + rests)
+    assert pl.verify(wrong, level=1).passed
+    assert failed(wrong) == {"go_transversality" if rests else "transversality"}
+
+
 @pytest.mark.parametrize("drift", DRIFTS)
 def test_a_parameter_that_is_nearly_nought_has_a_slope(drift: float) -> None:
     J = 0.5 * drift * drift - drift + 1.0

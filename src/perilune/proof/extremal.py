@@ -74,8 +74,8 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
     arcs = [arc for arc, _ in flown]
     nu = all_multipliers(arcs)
     deviations = [costate_deviation(arc) for arc in arcs]
-    # What follows is known no better than it begins: nothing does after the last.
-    known = [*(_passed_back(arc, begun) for arc, (_, begun) in zip(arcs, deviations[1:], strict=False)), 1.0]
+    # What follows is known no better than it begins; after the last phase nothing does.
+    known = [*(_passed_back(arc, begun) for arc, (_, begun) in zip(arcs, deviations[1:], strict=False)), 0.0]
     for (arc, flight), multipliers, (deviation, _), ahead in zip(flown, nu, deviations, known, strict=True):
         yield from _costates(arc, flight, deviation)
         yield _transversality(arc, ahead)

@@ -176,7 +176,7 @@ def costate_deviation(arc: Arc) -> tuple[Deviation, Vector]:
 
     From the end from which errors grow less: what comes down through air forgets how fast it was, so that costates at
     its start follow from those at its end, and not the other way round. Also what errors of them are at the start,
-    scaled, (n,): what they have grown to there, where they come from the end, and else 1.
+    scaled, (n,): what they have grown to there, where they come from the end, and else 1, of what tells.
     """
     pieces, slopes, still = arc.looked_at
     n, unit = len(arc.state_scale), arc.costate_scale[:, None, None]
@@ -203,7 +203,7 @@ def costate_deviation(arc: Arc) -> tuple[Deviation, Vector]:
     back = carried(pieces[::-1], *turned, joints.turned, many * still[n:], sizes).turned
     backwards = back.growth.sum() < ahead.growth.sum() or not np.isfinite(ahead.growth).all()
     chosen, most = back if backwards else ahead, MOST_GROWTH * sizes
-    begun = np.minimum(back.at_end, most) / many if backwards else np.ones(n)
+    begun = (np.minimum(back.at_end, most) if backwards else np.ones(n)) / many
     return replace(chosen, growth=np.minimum(chosen.growth, most), at_end=np.minimum(chosen.at_end, most)), begun
 
 
