@@ -22,7 +22,7 @@ from perilune.atlas.tasks import Task, computed
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Nature
 from perilune.words.watch import silent
-from problems.folded import cusp, cusp_cost, cusp_ends
+from problems.folded import cusp, cusp_cost, cusp_ends, two_cusps, two_cusps_cost
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 
@@ -48,6 +48,17 @@ def test_where_sheets_lie_over_one_another_the_answer_is_the_least_of_all(
     np.testing.assert_allclose(found.objective[found.good], truth[found.good], rtol=0, atol=1e-11)
     alone = atlas.query(**dict(zip("ab", points[found.good][0].tolist(), strict=True)))
     assert alone.objective == pytest.approx(truth[found.good][0], abs=1e-11)
+
+
+def test_where_layers_meet_none_of_them_ends(tmp_path: Path) -> None:
+    """Two cusps at once: between layers corners that either leads to are found from its own side."""
+    axes = {"a": (-1.0, 1.0), "b": (-0.6, 0.5)}
+    atlas = open_atlas(build(two_cusps(0.0, 0.0), axes, tmp_path / "cusps", bricks=2))
+    points = np.random.default_rng(0).uniform(atlas.region.low, atlas.region.high, (400, 2))
+    found = atlas.query_many(points)
+    truth = np.array([two_cusps_cost(*point) for point in points.tolist()])
+    assert found.good.mean() > 0.9
+    np.testing.assert_allclose(found.objective[found.good], truth[found.good], rtol=0, atol=1e-11)
 
 
 def test_a_sheet_is_followed_around_its_fold() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,3 +52,29 @@ def cusp_cost(a: float, b: float) -> float:
     """The least J."""
     x = cusp_ends(a, b)
     return float((x**4 / 4 + a * x**2 / 2 + b * x).min())
+
+
+def two_cusps(a: float, b: float) -> pl.Problem:
+    """Two of them at once, along x and y: J = x^4/4 + (a - 0.3) x^2/2 + b x + y^4/4 - a y^2/2 + (b + 0.1) y.
+
+    Layers of minima begin and end at folds of saddles, and at a maximum of the same sign of det dh/dy.
+    """
+    one = cusp(a, b)
+    phase = pl.Phase(
+        name="way",
+        states=(Variable(name="x", unit="1"), Variable(name="y", unit="1"), Variable(name="c", unit="1/s")),
+        controls=(pl.Bounded(name="u", unit="1/s"), pl.Bounded(name="v", unit="1/s")),
+        dynamics=lambda x, u, p, m: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v)),
+        duration="T",
+    )
+
+    def objective(x: Any, p: Any, m: Any) -> Any:
+        along = x.x**4 / 4 + (p.a - 1.3) * x.x**2 / 2 + p.b * x.x
+        return x.c / p.rate + along + x.y**4 / 4 - (p.a + 1.0) * x.y**2 / 2 + (p.b + 0.1) * x.y
+
+    return replace(one, name="two_cusps", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0), objective=objective)
+
+
+def two_cusps_cost(a: float, b: float) -> float:
+    """The least J."""
+    return cusp_cost(a - 0.3, b) + cusp_cost(-a, b + 0.1)

@@ -25,6 +25,11 @@ SAME = 1e-6  # relative: one extremal
 _ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
 
 
+def same(y: Vector, other: Vector) -> bool:
+    """Whether unknowns are those of one extremal."""
+    return bool(np.linalg.norm(y - other) <= SAME * (1.0 + np.linalg.norm(y)))
+
+
 def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole, Whole]:
     """Edges of cells whose ends do not fit together.
 

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import SAME, covered, torn_edges
+from perilune.atlas.branches import SAME, covered, same, torn_edges
 from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, some
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
@@ -35,7 +35,6 @@ _FINEST = 2**6  # the shortest edge of a cell
 _KINKED = 2**9  # the same where the switches on the way change
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
 _ASTRAY = 1.5  # times as far Newton's method may lead on the way: from farther it does not come back
-_CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
 _MOST = 16  # evaluations for a new corner
 _SOWN = 2 * ENDING  # the largest cells in which a later branch begins
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
@@ -142,7 +141,7 @@ class Brick:
             here = [(b, self.nodes.at(self._keys(np.array(b), place[i]))) for b in alike]
             known = [(self.own[b], known) for b, known in here if known is not None]
             known += [(other, told) for other, there, told in taken if other in alike and there == at]
-            if any(_same(told, row) for _, told in known):
+            if any(same(told, row) for _, told in known):
                 continue
             if before is not None and self._has(before.cells, number, place[i], row):
                 continue
@@ -157,7 +156,7 @@ class Brick:
         """Whether the cells of some branch have an extremal at a place."""
         alike = self._alike(sheet)
         nodes = (self.nodes.at(self._keys(np.array(branch), place)) for branch in alike)
-        if any(known is not None and _same(known, y) for known in nodes):
+        if any(known is not None and same(known, y) for known in nodes):
             return True
         return bool(covered(cells, self.nodes, self.step, alike, place[None], y[None])[0])
 
@@ -186,8 +185,7 @@ class Brick:
         if not len(cell):
             return found
         places, branch = cells.low[cell] + bits(self.d)[end] * cells.size[cell], cells.branch[cell]
-        guess, spread = self._from(cells.corners[cell, begin], places)
-        led, good, _ = self._led(branch, places, guess, spread)
+        led, good, _ = self._led(branch, places, *self._from(cells.corners[cell, begin], places))
         there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
         differs = good & (np.linalg.norm(led.y - there, axis=1) > SAME * (1.0 + np.linalg.norm(there, axis=1)))
         found[cell[differs]] = Status.TORN
@@ -223,7 +221,8 @@ class Brick:
         fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= _SOWN))[0]
         near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
         corners = np.where(np.isin(np.arange(len(halves)), fine)[:, None], halves.corners, -1)
-        corners[fine] = self._filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()]).corners
+        filled = self._filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()])
+        corners[fine] = self._looked_around(filled).corners
         return done, replace(halves, corners=corners)
 
     def _meet(self, done: Cells) -> int:
@@ -252,7 +251,7 @@ class Brick:
             status[here[passed & beyond]] = Status.NO_ANSWER
             # What is clear at all corners is not looked at more closely; but not of the first, which know little.
             clear = here[passed | (cells.size[here] < WHOLE).all(axis=1)]
-            status[clear[self._clearly_below("path", cells.corners[clear])]] = Status.BREAKS
+            status[clear[self.nodes.clearly_below("path", cells.corners[clear], SLACK)]] = Status.BREAKS
         along = np.take_along_axis(cells.size, axis[:, None], axis=1)[:, 0]
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
@@ -275,23 +274,24 @@ class Brick:
         first = self.chart.at(values, guess, holds)
         flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
         second = self.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
-        same = second.orientation == self._orientations[cells.branch]
-        passed: NDArray[np.bool_] = flown & same & (second.length <= self.tolerance)
+        sided = second.orientation == self._orientations[cells.branch]
+        passed: NDArray[np.bool_] = flown & sided & (second.length <= self.tolerance)
         margin = self.borders.margins_of(self._sheets, cells.branch, second)
         beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
 
-    def _clearly_below(self, name: str, corners: Whole) -> NDArray[np.bool_]:
-        """Whether what should not be below zero is so at all corners of cells, by far more than it differs there."""
-        rows = self.nodes.rows(name, corners)
-        most, least = rows.max(axis=1), rows.min(axis=1)
-        with np.errstate(invalid="ignore"):  # where nothing limits them
-            return most < -_CLEARLY * (most - least) - SLACK
-
     def _halved(self, cells: Cells, axis: Whole) -> Cells:
         """Both halves of cells, one after the other, with the corners that they lack."""
-        return self._filled(self._halves(cells, axis), cells)
+        return self._looked_around(self._filled(self._halves(cells, axis), cells))
+
+    def _looked_around(self, cells: Cells) -> Cells:
+        """The same where small cells have what their own corners lead to at those that they lack.
+
+        What is guessed from corners on several layers leads to none of them, and none of them ends there.
+        """
+        self._filled(some(cells, cells.size.max(axis=1, initial=0) <= ENDING))
+        return replace(cells, corners=self._corners(cells.branch, cells.low, cells.size))
 
     def _halves(self, cells: Cells, axis: Whole) -> Cells:
         """Both halves of cells, one after the other."""
@@ -319,17 +319,24 @@ class Brick:
         if not len(cell):
             return cells
         places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
-        _, once = np.unique(self._keys(cells.branch[cell], places), return_index=True)
-        cell, places = cell[once], places[once]
+        keys = self._keys(cells.branch[cell], places)
+        if wholes is not None or near is not None:
+            keys, once = np.unique(keys, return_index=True)
+            cell, places = cell[once], places[once]
         if near is not None:
             guess, spread = self._from(
-                np.array([self._nearest(near[i], at) for i, at in zip(cell, places, strict=True)]), places
+                np.array([self.nodes.nearest(near[i], at) for i, at in zip(cell.tolist(), places, strict=True)]), places
             )
         elif wholes is not None:
             guess, spread = self._guesses(wholes, cell // 2, places)
         else:
             guess, spread = self._guesses(cells, cell, places)
-        self._solved(cells.branch[cell], places, guess, spread)
+        waiting = np.arange(len(keys))
+        while len(waiting):  # from one cell there may be a way to a place, and from another none
+            once = waiting[np.unique(keys[waiting], return_index=True)[1]]
+            self._solved(cells.branch[cell[once]], places[once], guess[once], spread[once])
+            waiting = np.setdiff1d(waiting, once)
+            waiting = waiting[self.nodes.numbers(keys[waiting]) < 0]
         return replace(cells, corners=self._corners(cells.branch, cells.low, cells.size))
 
     def _guesses(self, cells: Cells, cell: Whole, places: Whole) -> tuple[Matrix, Vector]:
@@ -352,10 +359,6 @@ class Brick:
         move = (places - self.nodes.rows("place", nodes)) * self.step
         guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(self.d))
         return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
-
-    def _nearest(self, nodes: Whole, place: Whole) -> int:
-        """Which of some nodes is the nearest to a place."""
-        return int(nodes[np.abs(self.nodes.rows("place", nodes) - place).sum(axis=1).argmin()])
 
     def _led(
         self, branch: Whole, places: Whole, guess: Matrix, spread: Vector
@@ -394,7 +397,3 @@ class Brick:
 
     def _keys(self, branch: Whole, places: Whole) -> Whole:
         return (branch << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)
-
-
-def _same(y: Vector, other: Vector) -> bool:
-    return bool(np.linalg.norm(y - other) <= SAME * (1.0 + np.linalg.norm(y)))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from perilune.words.types import Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a brick
+_CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
 ENDING = 2**8  # the shortest edge of a cell in which a sheet ends, and of those of sheets that are no minima
 
 Whole = NDArray[np.int64]
@@ -121,6 +122,17 @@ class Nodes:
     def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
         """A column of nodes."""
         return self._rows[name][numbers]
+
+    def nearest(self, some: Whole, place: Whole) -> int:
+        """Which of some nodes is the nearest to a place."""
+        return int(some[np.abs(self.rows("place", some) - place).sum(axis=1).argmin()])
+
+    def clearly_below(self, name: str, corners: Whole, slack: float) -> NDArray[np.bool_]:
+        """Whether what should not be below zero is so at all corners of cells, by far more than it differs there."""
+        rows = self.rows(name, corners)
+        most, least = rows.max(axis=1), rows.min(axis=1)
+        with np.errstate(invalid="ignore"):  # where nothing limits them
+            return most < -_CLEARLY * (most - least) - slack
 
     def within(self, branch: int, low: Whole, high: Whole, first: int) -> Whole:
         """The nodes of a branch in a box or on its border from which it goes on: beyond its own it may turn back.
