@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from pathlib import Path
 
@@ -59,6 +60,13 @@ def test_where_layers_meet_none_of_them_ends(tmp_path: Path) -> None:
     truth = np.array([two_cusps_cost(*point) for point in points.tolist()])
     assert found.good.mean() > 0.9
     np.testing.assert_allclose(found.objective[found.good], truth[found.good], rtol=0, atol=1e-11)
+
+
+def test_a_round_in_which_nothing_is_new_is_the_last(tmp_path: Path) -> None:
+    """Neighbours may offer extremals that lead nowhere in a brick, again and again."""
+    store = build(cusp(-1.0, 0.1), {"a": (-1.5, 0.6), "b": (0.0, 0.7)}, tmp_path / "cusp", bricks=2)
+    lines = [json.loads(line) for line in (store / "manifest.jsonl").read_text().splitlines()]
+    assert max(line.get("round", 0) for line in lines) <= 1
 
 
 def test_a_sheet_is_followed_around_its_fold() -> None:

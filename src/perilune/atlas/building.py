@@ -122,8 +122,16 @@ def completed(
         tasks = dict(first_tasks(kept, problem, region, survey, tolerance))
     for number in range(_ROUNDS):
         _complete(kept, region, survey, tasks, number, executor, say)
+        if number and _shards(kept, region, survey, number) == _shards(kept, region, survey, number - 1):
+            break  # neighbours offer what does not lead on
         if not (tasks := dict(tasks_going_on(kept, problem, region, survey, tolerance, number))):
             break
+
+
+def _shards(kept: Store, region: Region, survey: Mapping[str, Any], rounds: int) -> dict[Key, list[str]]:
+    """What the shards of bricks are after so many rounds, by their checksums."""
+    lines = kept.latest(survey, len(region.axes), rounds)
+    return {key: [line[kind]["sha256"] for kind in ("nodes", "cells")] for key, line in lines.items()}
 
 
 def _complete(
