@@ -139,6 +139,13 @@ def test_a_state_that_nearly_rests_tells_at_the_end_of_its_phase(drift: float, r
     assert failed(wrong) == {"go_transversality" if rests else "transversality"}
 
 
+def test_trajectories_in_another_order_are_refused() -> None:
+    solution = pl.solve(late_stop(2.0), level=0)
+    turned = replace(solution, trajectories=tuple(reversed(solution.trajectories)))
+    with pytest.raises(pl.PeriluneError, match=r"not in the order of its phases(.|\n)*got: stop, wait"):
+        pl.verify(turned)
+
+
 @pytest.mark.parametrize("drift", DRIFTS)
 def test_a_parameter_that_is_nearly_nought_has_a_slope(drift: float) -> None:
     J = 0.5 * drift * drift - drift + 1.0

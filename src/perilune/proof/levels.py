@@ -62,7 +62,7 @@ def examine(
     Raises
     ------
     PeriluneError
-        If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase.
+        If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase, or has them in another order.
     """
     demand_level(level, LEVELS)
     tolerance = solution.verification.tolerance if tolerance is None else tolerance
@@ -71,6 +71,13 @@ def examine(
             "the solution lacks trajectories",
             got=f"{len(solution.trajectories)} for {len(solution.problem.phases)} phases",
             expected="one for each phase",
+        )
+    named, phases = [flown.phase for flown in solution.trajectories], [phase.name for phase in solution.problem.phases]
+    if named != phases and set(named) & set(phases):
+        raise PeriluneError(
+            "the trajectories of the solution are not in the order of its phases",
+            got=", ".join(named)[:200],
+            expected=", ".join(phases)[:200],
         )
     checks, notes = list[Check](), _unchecked(solution.problem)
     try:
