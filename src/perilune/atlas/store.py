@@ -40,7 +40,7 @@ except ImportError:  # Windows: two builders may compute the same brick there
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
 FORMAT = {"name": "perilune-atlas", "version": 2}
 _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
-_AGAIN = "build the atlas anew, or what is missing of it: perilune atlas build ... --resume"
+_ANEW = "build the atlas anew: perilune atlas build ... --force"
 
 
 class Store:
@@ -114,7 +114,7 @@ class Store:
                 "this is not an atlas of this version",
                 got=f"format {str(said)[:60]}",
                 expected=str(FORMAT),
-                advice=_AGAIN,
+                advice=_ANEW,
             )
         return found
 

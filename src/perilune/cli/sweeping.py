@@ -119,7 +119,7 @@ def ranges(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]
         key, _, text = (part.strip() for part in range_.partition("="))
         if key in over:
             raise PeriluneError(
-                f"--vary names {key} twice", got=range_, expected="each key once", advice="run a sweep for each range"
+                f"--vary names {key} twice", got=range_, expected="each key once", advice="say each range by itself"
             )
         if key in changed:
             raise PeriluneError(
