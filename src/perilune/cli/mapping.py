@@ -221,9 +221,10 @@ def _described(atlas: Atlas, **more: str) -> Answer:
 
 
 def _query_lines(query: Query) -> list[str]:
+    steps = "1 step" if query.steps == 1 else f"{query.steps} steps"
     return [
         f"read from the atlas in {1e3 * query.latency:.2f} ms: sheet {query.sheet}",
-        f"  what its cell gives is wrong by {query.guess_error:.1e}, polished in {query.steps} step{"s" * (query.steps != 1)} to "
+        f"  what its cell gives is wrong by {query.guess_error:.1e}, polished in {steps} to "
         f"{query.error_bound:.1e} (relative)",
         f"  flown again: ends {query.residual:.1e}, drift of H {query.drift:.1e} (limits 1e-9, canonical)",
     ]
