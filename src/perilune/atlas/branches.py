@@ -8,7 +8,7 @@ edge begins a branch, unless there is one that has it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,29 @@ def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole
         found.append((cell[torn], one[torn], other[torn]))
     cell, one, other = (np.concatenate(part) for part in zip(*found, strict=True))
     return cell, one, other
+
+
+def ending_layers(corners: Whole, torn: Iterable[tuple[int, int]], ends: Iterable[int]) -> NDArray[np.bool_]:
+    """Which corners of a cell lie on layers that end in it.
+
+    Parameters
+    ----------
+    corners
+        Nodes at its corners, -1 for none, (2^d,).
+    torn
+        Its edges that are torn, by the numbers of their corners.
+    ends
+        Corners from which an edge led nowhere.
+    """
+    found, left = np.zeros(len(corners), dtype=bool), list(ends)
+    apart = {frozenset(edge) for edge in torn}
+    while left:
+        corner = left.pop()
+        if not found[corner]:
+            found[corner] = True
+            beside = (corner ^ 1 << axis for axis in range(len(corners).bit_length() - 1))
+            left += [other for other in beside if corners[other] >= 0 and frozenset((corner, other)) not in apart]
+    return found
 
 
 def covered(

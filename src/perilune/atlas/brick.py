@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import SAME, covered, same, torn_edges
+from perilune.atlas.branches import SAME, covered, ending_layers, same, torn_edges
 from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, some
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
@@ -75,6 +75,7 @@ class Brick:
         self.d, self.count = len(low), len(sheets)
         self.nodes, self.own, self._left = Nodes(), list(range(len(sheets))), list[_Extremal]()
         self._looked_at = self._cells_looked_at = 0
+        self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 
     def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None = None) -> Cut:
         """Compute everything.
@@ -95,8 +96,7 @@ class Brick:
         new = self._sown(sheet, place, y, before)
         self._solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
         here = np.setdiff1d(sheet[new], before.cells.branch if before is not None else ())
-        whole = np.full((len(here), self.d), WHOLE)
-        cells = self._filled(self._cells(here, np.zeros_like(whole), whole))
+        cells = self._filled(self._wholes(here))
         while True:
             while len(cells):
                 first = sum(map(len, waves))
@@ -114,9 +114,13 @@ class Brick:
                 waves.append(branch)
 
     def _finished(self, done: Cells) -> Cut:
-        """What is torn the branches of its layers have, if there may be so many."""
-        torn = Status.ENDS if self._left else Status.ABSENT
-        done = replace(done, status=np.where(done.status == Status.TORN, torn, done.status))
+        """Of what is torn other branches have the layers that do not end there, if there may be so many."""
+        status, corners = done.status.copy(), done.corners.copy()
+        for i in np.nonzero(status == Status.TORN)[0].tolist():
+            ending = self._ending[done.box(i)] | bool(self._left)
+            status[i] = Status.ENDS if ending.any() else Status.ABSENT
+            corners[i] = np.where(ending, corners[i], -1) if ending.any() else corners[i]
+        done = replace(done, status=status, corners=corners)
         nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
         return Cut(nodes=nodes, cells=done, own=tuple(self.own))
 
@@ -170,26 +174,30 @@ class Brick:
             self.own.append(sheet)
             self._told()
             self._solved(branch, place[None], y[None], np.full(1, np.inf))
-            root = self._cells(branch, np.zeros((1, self.d), dtype=np.int64), np.full((1, self.d), WHOLE))
+            root = self._wholes(branch)
             return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
         self._left = [(s, place, y) for s, place, y in self._left if not self._has(done, s, place, y)]
         return None
 
     def _torn(self, cells: Cells) -> Whole:
-        """Of cells that do not answer `TORN` where their corners lie on different layers, ENDS if one ends there."""
+        """Of cells that do not answer `TORN` where their corners lie on different layers."""
         found = np.full(len(cells), -1)
-        cell, one, other = torn_edges(self.nodes, cells.corners, cells.size * self.step)
+        torn = cell, one, other = torn_edges(self.nodes, cells.corners, cells.size * self.step)
         cell, begin, end = np.tile(cell, 2), np.append(one, other), np.append(other, one)
         leads = self.nodes.rows("margin", cells.corners[cell, begin]) >= 0
         cell, begin, end = cell[leads], begin[leads], end[leads]
         if not len(cell):
             return found
         places, branch = cells.low[cell] + bits(self.d)[end] * cells.size[cell], cells.branch[cell]
-        led, good, _ = self._led(branch, places, *self._from(cells.corners[cell, begin], places))
+        led, good, _ = self._led(
+            branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step)
+        )
         there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
         differs = good & (np.linalg.norm(led.y - there, axis=1) > SAME * (1.0 + np.linalg.norm(there, axis=1)))
         found[cell[differs]] = Status.TORN
-        found[np.intersect1d(cell[~good], cell[differs])] = Status.ENDS
+        for number in np.unique(cell[differs]).tolist():
+            edges, ends = np.column_stack(torn[1:])[torn[0] == number], begin[~good & (cell == number)]
+            self._ending[cells.box(number)] = ending_layers(cells.corners[number], edges.tolist(), ends.tolist())
         for i in np.nonzero(differs)[0].tolist():
             self._left.append((self.own[int(branch[i])], places[i], led.y[i]))
         return found
@@ -302,6 +310,11 @@ class Brick:
         low = np.stack([cells.low, far], axis=1).reshape(-1, self.d)
         return self._cells(np.repeat(cells.branch, 2), low, np.repeat(size, 2, axis=0))
 
+    def _wholes(self, branch: Whole) -> Cells:
+        return self._cells(
+            branch, np.zeros((len(branch), self.d), dtype=np.int64), np.full((len(branch), self.d), WHOLE)
+        )
+
     def _cells(self, branch: Whole, low: Whole, size: Whole) -> Cells:
         none = np.full(len(branch), -1)
         corners = self._corners(branch, low, size)
@@ -324,9 +337,8 @@ class Brick:
             keys, once = np.unique(keys, return_index=True)
             cell, places = cell[once], places[once]
         if near is not None:
-            guess, spread = self._from(
-                np.array([self.nodes.nearest(near[i], at) for i, at in zip(cell.tolist(), places, strict=True)]), places
-            )
+            begin = [self.nodes.nearest(near[i], at) for i, at in zip(cell.tolist(), places, strict=True)]
+            guess, spread = self.nodes.along_slopes(np.array(begin), places, self.step)
         elif wholes is not None:
             guess, spread = self._guesses(wholes, cell // 2, places)
         else:
@@ -345,20 +357,13 @@ class Brick:
         at = (places - cells.low[cell]) / cells.size[cell]
         away = np.abs(at[:, None] - bits(self.d)[None]).sum(axis=2)
         nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
-        guess, spread = self._from(corners[np.arange(len(cell)), nearest], places)
+        guess, spread = self.nodes.along_slopes(corners[np.arange(len(cell)), nearest], places, self.step)
         full = (corners >= 0).all(axis=1)
         if full.any():
             terms = self.nodes.rows("terms", corners[full])
             guess[full] = interpolated(terms, at[full], size[full])[:, :-1]
             spread[full] = np.linalg.norm(np.ptp(terms[:, :, 0, :-1], axis=1), axis=1)
         return guess, spread
-
-    def _from(self, nodes: Whole, places: Whole) -> tuple[Matrix, Vector]:
-        """y at places along the slopes of nodes, and how much it changes on the way."""
-        terms = self.nodes.rows("terms", nodes)
-        move = (places - self.nodes.rows("place", nodes)) * self.step
-        guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(self.d))
-        return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
 
     def _led(
         self, branch: Whole, places: Whole, guess: Matrix, spread: Vector

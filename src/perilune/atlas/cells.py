@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a brick
 _CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
@@ -60,6 +60,10 @@ class Cells:
 
     def __len__(self) -> int:
         return len(self.branch)
+
+    def box(self, number: int) -> tuple[int, ...]:
+        """By which a cell is known: its branch, and where it lies."""
+        return (int(self.branch[number]), *self.low[number].tolist(), *self.size[number].tolist())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +126,12 @@ class Nodes:
     def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
         """A column of nodes."""
         return self._rows[name][numbers]
+
+    def along_slopes(self, numbers: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
+        """Unknowns at places along the slopes of nodes, and how much they change on the way; `step` is canonical."""
+        terms, move = self.rows("terms", numbers), (places - self.rows("place", numbers)) * step
+        guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(len(step)))
+        return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
 
     def nearest(self, some: Whole, place: Whole) -> int:
         """Which of some nodes is the nearest to a place."""
