@@ -20,14 +20,14 @@ from perilune.words.types import Matrix, Vector
 _TORN, _SMALL = 0.5, 1e-3  # by how much an edge may differ from a trapezoid: of what its slopes say, and of 1 + |y|
 _ALIKE = 1e-3  # relative: what a cell gives, and an extremal that it has
 _AT_ONCE = 64  # places, each of which is compared with all cells
-SAME = 1e-6  # relative: one extremal
+_SAME = 1e-6  # relative: one extremal
 
 _ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
 
 
-def same(y: Vector, other: Vector) -> bool:
-    """Whether unknowns are those of one extremal."""
-    return bool(np.linalg.norm(y - other) <= SAME * (1.0 + np.linalg.norm(y)))
+def same(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
+    """Whether unknowns, in lanes or not, are those of one extremal."""
+    return np.linalg.norm(y - other, axis=-1) <= _SAME * (1.0 + np.linalg.norm(y, axis=-1))
 
 
 def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole, Whole]:

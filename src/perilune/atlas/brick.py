@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import SAME, covered, ending_layers, same, torn_edges
+from perilune.atlas.branches import covered, ending_layers, same, torn_edges
 from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, some
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
@@ -135,7 +135,7 @@ class Brick:
     def _alike(self, sheet: int) -> list[int]:
         """The branches that hold the same as a sheet, on the same side of folds."""
         mine = self.sheets[sheet]
-        return [b for b, s in enumerate(self._sheets) if s.holds == mine.holds and s.orientation == mine.orientation]
+        return [branch for branch, sheet in enumerate(self._sheets) if sheet.alike(mine)]
 
     def _sown(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None) -> list[int]:
         """Which extremals begin or go on with the first branch of their sheet; some others wait for a later one."""
@@ -193,7 +193,7 @@ class Brick:
             branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step)
         )
         there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
-        differs = good & (np.linalg.norm(led.y - there, axis=1) > SAME * (1.0 + np.linalg.norm(there, axis=1)))
+        differs = good & ~same(there, led.y)
         found[cell[differs]] = Status.TORN
         for number in np.unique(cell[differs]).tolist():
             edges, ends = np.column_stack(torn[1:])[torn[0] == number], begin[~good & (cell == number)]

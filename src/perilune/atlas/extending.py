@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.branches import same
 from perilune.atlas.building import completed
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import (
@@ -40,8 +41,6 @@ from perilune.problem.problem import Problem
 from perilune.words.asked import demand_callable, demand_path
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
-
-_SAME = 1e-6  # relative: extremals of one sheet, found twice
 
 
 def extend(
@@ -162,14 +161,10 @@ def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:
 def _is(found: Found, number: int, sheet: Sheet, places: NDArray[np.int64], known: Corners) -> bool:
     """Whether a sheet that was found is one that is known: one extremal in common makes them the same."""
     other = found.sheets[number]
-    if other.holds != sheet.holds or other.orientation != sheet.orientation:
+    if not other.alike(sheet):
         return False
     there = reached_at(places, found.y[number])
-    return any(
-        np.linalg.norm(there[corner] - y) <= _SAME * (1.0 + np.linalg.norm(y))
-        for corner, y in known.items()
-        if corner in there
-    )
+    return any(same(y, there[corner]) for corner, y in known.items() if corner in there)
 
 
 def _rows(sheets: Sequence[Corners], dtype: np.dtype[Any]) -> NDArray[Any]:

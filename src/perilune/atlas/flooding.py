@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import SAME
+from perilune.atlas.branches import same
 from perilune.atlas.cells import ENDING, WHOLE, Status
 from perilune.atlas.sheets import Sheet
 
@@ -91,14 +91,12 @@ def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> NDArray
         if cell["branch"] == cell["sheet"]:  # a later branch has but part of the brick
             low, high = cell["low"], cell["low"] + cell["size"]
             news |= (nodes["sheet"] == cell["sheet"]) & ((nodes["place"] >= low) & (nodes["place"] <= high)).all(axis=1)
-    labels = [(sheet.holds, sheet.orientation) for sheet in sheets]
-    alike = [labels.index(label) for label in labels]
+    alike = [next(i for i, other in enumerate(sheets) if other.alike(sheet)) for sheet in sheets]
     at = dict[tuple[int, ...], list[int]]()
     for row in np.nonzero(((own["place"] == 0) | (own["place"] == WHOLE)).any(axis=1))[0].tolist():
         at.setdefault((alike[int(own["sheet"][row])], *own["place"][row].tolist()), []).append(row)
     for i, node in enumerate(nodes):
         there = own[at.get((alike[int(node["sheet"])], *node["place"].tolist()), [])]
-        y = node["terms"][0, :-1]
-        same = np.linalg.norm(there["terms"][:, 0, :-1] - y, axis=1) <= SAME * (1.0 + np.linalg.norm(y))
-        news[i] = not same.any() and (news[i] or (there["sheet"] == node["sheet"]).any())
+        known_here = same(node["terms"][0, :-1], there["terms"][:, 0, :-1])
+        news[i] = not known_here.any() and (news[i] or (there["sheet"] == node["sheet"]).any())
     return news

@@ -253,11 +253,8 @@ class Atlas(Reader):
     def _answer(self, at: Vector, best: _Offer, tried: list[_Offer], offers: list[_Offer], began: float) -> Mapped:
         polished = best.polished
         assert polished is not None
-        values, charted, steps = (
-            dict(zip(self.region.names, at.tolist(), strict=True)),
-            best.charted,
-            int(polished.steps[0]),
-        )
+        values = dict(zip(self.region.names, at.tolist(), strict=True))
+        charted, steps = best.charted, int(polished.steps[0])
         problem, beside = self.problem, [o.polished for o in tried if o.charted is charted and o.polished is not None]
 
         def solution() -> Solution:

@@ -53,6 +53,10 @@ class Sheet:
         """Whether its extremals can be answers; those that are locally worst are none."""
         return self.nature is not Nature.WORST
 
+    def alike(self, other: Sheet) -> bool:
+        """Whether extremals of another can be layers of this one: they hold the same, on the same side of folds."""
+        return self.holds == other.holds and self.orientation == other.orientation
+
     @property
     def label(self) -> str:
         """What tells it, in words."""

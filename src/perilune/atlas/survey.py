@@ -199,7 +199,7 @@ class Survey:
         """On which sheet an extremal lies: from the nearest corners that one reaches it is carried there."""
         away = np.abs(corners - values).sum(axis=1)
         for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
-            if other.holds != sheet.holds or other.orientation != sheet.orientation:
+            if not other.alike(sheet):
                 continue
             reached = np.nonzero(np.isfinite(there[:, 0]))[0]
             for nearest in reached[np.argsort(away[reached])][:_BESIDE].tolist():
@@ -239,7 +239,7 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
     are kept as those of another.
     """
     for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
-        if other.holds == sheet.holds and other.orientation == sheet.orientation:
+        if other.alike(sheet):
             with np.errstate(invalid="ignore"):
                 same = np.linalg.norm(there - y, axis=1) <= _SAME * (1.0 + np.linalg.norm(y, axis=1))
             if same.any():
