@@ -159,7 +159,7 @@ def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart:
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
     nothing = np.zeros(2 * chart.shooting.plan.held)
     here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
-    again = Reflights(chart.free, chart.conditions)
+    again = Reflights(chart)
     good = again(here.roots.y, chart.p[None], here.roots.choice)
     assert good.good[0] and good.residual[0] < 1e-11 and good.drift[0] < 1e-12
     assert good.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
@@ -181,7 +181,7 @@ def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
     chart = Chart(problem, names, np.array([100.0, 0.1]))
     values = np.array([[problem.given[name].value for name in names]]) / chart.scale
     nothing = np.zeros(2 * chart.shooting.plan.held)
-    again = Reflights(chart.free, chart.conditions)
+    again = Reflights(chart)
     for slope, kept in ((problem.given["corridor_slope"].value, True), (np.radians(30.0), False)):
         values[0, 1] = slope
         here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)

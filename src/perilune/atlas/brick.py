@@ -391,7 +391,7 @@ class Brick:
             branch=branch,
             place=places,
             terms=self.chart.terms(here, holds),
-            margin=self.borders.margins_of(self._sheets, branch, here),
+            margin=np.minimum(self.borders.margins_of(self._sheets, branch, here), flown.pays),
             length=here.length,
             **{name: getattr(flown, name) for name in FLOWN},
         )

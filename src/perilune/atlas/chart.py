@@ -104,13 +104,18 @@ class Chart:
     def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, course: Course = PLAIN) -> None:
         self.user, self.names, self.course = problem, tuple(names), course
         self.problem = course.restated(problem)
-        sizes = sizes_of(self.problem, names, np.asarray(widths, dtype=float).tolist())
+        self._sizes = sizes = sizes_of(self.problem, names, np.asarray(widths, dtype=float).tolist())
         self.free = varied(self.problem, names, sizes)
         self.conditions: Conditions = derive(self.free, course.keep)
         self.p = extremal_parameters(self.free)
         self.shooting = Shooting(self.conditions)
         self.scale = np.array([sizes.get(name, problem.scales.of(problem.unit_of(name))) for name in names])
         self.widths = np.asarray(widths, dtype=float) / self.scale
+
+    @cached_property
+    def user_free(self) -> Problem:
+        """The user's problem with the parameters free, as the one of the chart has them."""
+        return varied(self.user, self.names, self._sizes)
 
     @cached_property
     def varied_at(self) -> list[int]:

@@ -23,6 +23,8 @@ from perilune.structures.restate import part_name, restate
 from perilune.structures.structure import Arc, Structure, conditions_of
 from perilune.words.outcome import PeriluneError
 
+_MOST_ORDER = 2  # of a condition whose multiplier is known while it is ridden (`perilune.atlas.riding`)
+
 
 @dataclass(frozen=True)
 class Course:
@@ -106,12 +108,7 @@ def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
     known = solution.trajectories
     if not isinstance(known, Joined):
         return Course(keep), list(solution.extremals)
-    arcs = [arc for phase in known.structure.phases for arc in phase]
-    if any(arc.along or arc.regimes for arc in arcs):
-        raise PeriluneError(
-            "the answer rides along a condition, or has a singular arc, which an atlas does not follow yet",
-            got=known.structure.text,
-        )
+    _refuse_unknown(solution, known.structure)
     restated, curves = known.restated, known.restated.trajectories
     if not isinstance(curves, Curves):
         raise PeriluneError("of this solution nothing but its curves is known")
@@ -121,3 +118,18 @@ def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
             extremals = [replace(e, nature=n) for e, n in zip(restated.extremals, natures, strict=True)]
             return Course(own, known.structure), extremals
     raise PeriluneError("the control keeps some of the conditions that it can keep, which an atlas does not follow yet")
+
+
+def _refuse_unknown(solution: Solution, structure: Structure) -> None:
+    """Refuse arcs of which a second flight cannot tell whether they pay."""
+    if structure.singular:
+        raise PeriluneError("the answer has a singular arc, which an atlas does not follow yet", got=structure.text)
+    for k, arcs in enumerate(structure.phases):
+        for arc in arcs:
+            for name, condition in conditions_of(solution.problem, k, arc.along).items():
+                if condition.order > _MOST_ORDER:
+                    raise PeriluneError(
+                        f"the answer rides along {name}, of order {condition.order}, whose multiplier is not known",
+                        got=structure.text,
+                        expected=f"a condition that a control moves in its first {_MOST_ORDER} derivatives",
+                    )

@@ -8,6 +8,7 @@ section II.9 (9.10), (9.13).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import product
@@ -16,17 +17,19 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.canonical import PhaseExtremal, hamiltonian_at, limit_symbols
+from perilune.atlas.riding import NOTHING, Rides
+from perilune.conditions.canonical import hamiltonian_at, limit_symbols
 from perilune.conditions.pontryagin import Conditions
-from perilune.problem.controls import Bounded, placed
+from perilune.problem.controls import Bounded, placed, scalars
 from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
 from perilune.problem.symbolic import SYMBOLIC, column, elements, trace_parameters
-from perilune.shooting.settling import Settling, settling
+from perilune.shooting.settling import settling
 
 FAR = 1e30  # stands for infinity: nothing was looked at yet
-NOTHING_SEEN = (FAR, FAR, FAR, -FAR)  # the least condition, the least gain of another control, the least and most H
+# The least condition, the least gain of another control, the least and most H, the least multiplier of what is ridden.
+NOTHING_SEEN = (FAR, FAR, FAR, -FAR, FAR)
 _SUBSTEPS = (2, 4, 6, 8)
+_KEPT = 1e-9  # canonical: by so little a control may miss what is held
 _NEAR = 0.1  # how far from the control that is flown an unbounded one is tried, canonical
 
 
@@ -55,11 +58,11 @@ def _end(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
     return ca.vertcat(state[:n], ca.SX.zeros(n, 1)) if extremal.settles else state[: 2 * n]
 
 
-def ended(conditions: Conditions) -> ca.Function:
+def ended(conditions: Conditions, rides: Rides) -> ca.Function:
     """What the ends say: (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
 
     Choice and results are those of `perilune.atlas.reflight`; seen is the least condition, the least gain of another
-    control, by how much H changes, and J.
+    control, by how much H changes, J, and the least multiplier of what is ridden.
     """
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     free = conditions.free_at.stop - conditions.free_at.start
@@ -74,17 +77,21 @@ def ended(conditions: Conditions) -> ca.Function:
         rows[k] = slice(first + at.start, first + at.stop)
         ends[k][conditions.phases[k].half :] = -plain[rows[k]]  # the costates that its end asks for
     residual, cost = conditions.residual(y, ca.vertcat(*ends), p)
-    path, minimum, drift = ca.SX(FAR), ca.SX(FAR), ca.SX(0.0)
+    path, minimum, drift, pays = ca.SX(FAR), ca.SX(FAR), ca.SX(0.0), ca.SX(FAR)
+    begins = [
+        conditions.starts[k](y, _end(conditions, k - 1, states[k - 1]) if k else ca.SX(0, 1), p)[0]
+        for k in range(len(states))
+    ]
     for k, (extremal, state) in enumerate(zip(conditions.phases, states, strict=True)):
-        condition, gain, least, most = ca.vertsplit(state[-len(NOTHING_SEEN) :])
+        condition, gain, least, most, multiplier = ca.vertsplit(state[-len(NOTHING_SEEN) :])
         path, minimum, change = ca.fmin(path, condition), ca.fmin(minimum, gain), most - least
+        pays = ca.fmin(pays, multiplier)
         if extremal.settles:
             n, lam = extremal.half, y[conditions.costate_at[k]]
-            begin, _ = conditions.starts[k](y, _end(conditions, k - 1, states[k - 1]) if k else ca.SX(0, 1), p)
             residual[rows[k]] = lam - ca.mtimes(
                 settling(extremal).transition(state[: -len(NOTHING_SEEN)]).T, ends[k][n:]
             )
-            values = [hamiltonian_at(extremal, z, p) for z in (ca.vertcat(begin[:n], lam), ends[k])]
+            values = [hamiltonian_at(extremal, z, p) for z in (ca.vertcat(begins[k][:n], lam), ends[k])]
             change = ca.fabs(values[1] - values[0])
         drift = ca.fmax(drift, change)
     ranged = [row for row, _ in conditions.ranges]
@@ -92,41 +99,46 @@ def ended(conditions: Conditions) -> ca.Function:
     residual[conditions.stationarity_at] *= 1 - held[:free]
     for i, (row, nu) in enumerate(conditions.ranges, free):  # one that is not held has no multiplier
         residual[row] = ca.if_else(held[i], residual[row] - told[i], y[nu])
-    found = [residual, ca.vertcat(path, minimum, drift, cost), rates, ranges]
+    jumps, aside = rides.jumps(y, begins, ends, p)
+    path = ca.mmin(ca.vertcat(path, rides.turns(y, begins, ends, p)))
+    pays, minimum = ca.fmin(pays, jumps) + NOTHING, ca.fmin(minimum, -aside)
+    found = [residual, ca.vertcat(path, minimum, drift, cost, pays), rates, ranges]
     return ca.Function("ended", [y, p, ca.vertcat(held, told), *states], [ca.cse(ca.densify(each)) for each in found])
 
 
-def step_along(problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, mode: int) -> ca.Function:
+def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
     """One step: (z and what was seen so far, numbers, free parameters, length) -> the same behind it."""
+    extremal = rides.conditions.phases[k]
     size = 2 * extremal.half
     numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
-    free, h = ca.SX.sym("free", len(problem.free)), ca.SX.sym("h")
-    state = ca.SX.sym("state", size + 4)
+    free, h = ca.SX.sym("free", len(rides.stated.free)), ca.SX.sym("h")
+    state = ca.SX.sym("state", size + len(NOTHING_SEEN))
     z = state[:size]
     after = _extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
-    path, minimum, value = _seen(problem, k, phase, extremal, mode, z, numbers, free)
+    path, minimum, value = _seen(rides, k, mode, z, numbers, free)
     seen = [
         ca.fmin(state[size], path),
         ca.fmin(state[size + 1], minimum),
         ca.fmin(state[size + 2], value),
         ca.fmax(state[size + 3], value),
+        ca.mmin(ca.vertcat(state[size + 4], *rides.pays(k, mode, z, numbers))),
     ]
     out = ca.vertcat(after, *seen)
     return ca.Function("step", [state, numbers, free, h], [ca.cse(out)])
 
 
-def step_settling(
-    problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, made: Settling, mode: int
-) -> ca.Function:
+def step_settling(rides: Rides, k: int, mode: int) -> ca.Function:
     """The same of a phase that settles, with (x, Phi) in the place of z: nothing steers it."""
+    extremal = rides.conditions.phases[k]
+    made = settling(extremal)
     flown, known = made.flown.modes[mode], made.flown.numbers.tolist()
     numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
-    free, h = ca.SX.sym("free", len(problem.free)), ca.SX.sym("h")
+    free, h = ca.SX.sym("free", len(rides.stated.free)), ca.SX.sym("h")
     size = flown.size1_in(0)
     state = ca.SX.sym("state", size + len(NOTHING_SEEN))
     after = _extrapolated(lambda point: flown(point, numbers[known]), state[:size], h)
     still = ca.vertcat(state[: extremal.half], ca.SX.zeros(extremal.half, 1))
-    path, _, _ = _seen(problem, k, phase, extremal, mode, still, numbers, free)
+    path, _, _ = _seen(rides, k, mode, still, numbers, free)
     seen = ca.vertcat(ca.fmin(state[size], path), state[size + 1 :])
     return ca.Function("step", [state, numbers, free, h], [ca.cse(ca.vertcat(after, seen))])
 
@@ -147,36 +159,46 @@ def _extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
     return table[-1]
 
 
-def _seen(
-    problem: Problem, k: int, phase: Phase, extremal: PhaseExtremal, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
-) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """At a point the least condition, the least H of another control beyond that of the one flown, and that H."""
+def _seen(rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """At a point the least condition, the least H of another control beyond that of the one flown, and that H.
+
+    Where something is ridden other controls leave it, and are compared by L.
+    """
+    problem, extremal = rides.stated, rides.conditions.phases[k]
+    phase = problem.phases[k]
     n, p = extremal.state_count, trace_parameters(problem)
     symbols, limits = limit_symbols(problem, p)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
     rates = column(phase.rates(elements(x), elements(u), p.record, SYMBOLIC))
-    held = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
+    path, held = (
+        column(phase.evaluate(name, elements(x), elements(u), p.record, SYMBOLIC)) for name in ("path", "held")
+    )
     bounds = [v.limits(p.record) for v in phase.states]
     room = [(x[i] - ca.SX(low), ca.SX(high) - x[i]) for i, (low, high) in enumerate(bounds)]
+    if rides.along[k]:  # which may ask for more than there is
+        room += [(u[i] - limits[k][c.name][0], limits[k][c.name][1] - u[i]) for i, c in scalars(phase.controls)]
     finite = [ca.SX(e) for pair in room for e in pair if not (ca.SX(e).is_constant() and not np.isfinite(float(e)))]
-    conditions = ca.vertcat(ca.SX(0, 1), held, *finite)
+    conditions = ca.vertcat(ca.SX(0, 1), path, *finite)
     given = numbers[: p.given.numel()]
     plain = numbers[p.given.numel() : p.given.numel() + symbols.numel()]
     known = [p.given, p.free, symbols]
     lam = ca.SX.sym("lam", n)
-    value = ca.Function("value", [x, u, lam, *known], [ca.dot(lam, rates), conditions])
+    value = ca.Function("value", [x, u, lam, *known], [ca.dot(lam, rates), conditions, held])
     control, _, _ = extremal.reports[mode](z, numbers)
     where, costate = z[:n], z[extremal.half : extremal.half + n]
-    best, kept = value(where, control, costate, given, free, plain)
+    best, kept, _ = value(where, control, costate, given, free, plain)
     of_limits = ca.Function(
         "limits", known, [ca.vertcat(ca.SX(0, 1), *(e for pair in limits[k].values() for e in pair))]
     )
+    eta, always = rides.multipliers(k, mode, z, numbers), rides.always(k)
     others = []
     for other in _samples(phase, control, of_limits(given, free, plain)):
-        there, allowed = value(where, other, costate, given, free, plain)
-        gain = there - best
-        if allowed.numel() and ca.depends_on(held, u):
-            gain = ca.if_else(ca.mmin(allowed[: held.numel()]) >= 0, gain, FAR)
+        there, allowed, told = value(where, other, costate, given, free, plain)
+        gain = there - best - ca.dot(eta, told)
+        if allowed.numel() and ca.depends_on(path, u):
+            gain = ca.if_else(ca.mmin(allowed[: path.numel()]) >= 0, gain, FAR)
+        if always:
+            gain = ca.if_else(ca.norm_inf(told[always]) <= _KEPT, gain, FAR)
         others.append(gain)
     least = ca.mmin(ca.vertcat(*others)) if others else ca.SX(FAR)
     return ca.mmin(kept) if kept.numel() else ca.SX(FAR), least, best
@@ -190,7 +212,7 @@ def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
         if isinstance(kind, Bounded):
             low, high = limits[2 * at], limits[2 * at + 1]
             at += 1
-            if kind.bounded:
+            if all(isinstance(limit, str) or math.isfinite(limit) for limit in (kind.lower, kind.upper)):
                 choices.append([flown, low, 0.5 * (low + high), high])
             else:
                 choices.append([flown, *(ca.fmin(ca.fmax(flown + way * _NEAR, low), high) for way in (-1, 1))])

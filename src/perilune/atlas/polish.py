@@ -131,7 +131,8 @@ class Polisher:
         at, rises = y[:, first], flown.rates
         if self._multipliers:
             at, rises = np.hstack([at, flown.ranges]), np.hstack([rises, -y[:, self._multipliers]])
-        inside = self.borders.margins(self.sheets, which, y, at, rises, choice, limits) >= -SLACK
+        margin = self.borders.margins(self.sheets, which, y, at, rises, choice, limits)
+        inside = np.minimum(margin, flown.pays) >= -SLACK
         answers = reached & inside & good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
         return Polished(

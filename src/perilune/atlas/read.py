@@ -121,7 +121,7 @@ class Charted:
         if self.unknowns != len(self.chart.places):
             raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
         self.borders = Borders(self.chart)
-        reflights = Reflights(self.chart.free, self.chart.conditions, tuple(map(int, said["times"])))
+        reflights = Reflights(self.chart, tuple(map(int, said["times"])))
         self.polish = Polisher(self.chart, self.borders, reflights, self.sheets)
         self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
         names = [name for name, _ in self.chart.conditions.unknowns]

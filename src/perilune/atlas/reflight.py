@@ -21,14 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.chart import Chart
 from perilune.atlas.march import NOTHING_SEEN, begun, ended, step_along, step_settling
-from perilune.conditions.pontryagin import Conditions
+from perilune.atlas.riding import Rides
 from perilune.kernels import Map, compile_map
-from perilune.problem.problem import Problem
-from perilune.problem.symbolic import Unnumbered
 from perilune.shooting.newton import Lanes
 from perilune.shooting.propagate import engine, equations
-from perilune.shooting.settling import settling
 from perilune.words.types import Matrix, Vector
 
 STEPS = 48  # of a piece, or a multiple of it
@@ -55,6 +53,8 @@ class Reflown:
         By how much H changes along a phase.
     cost
         J.
+    pays
+        The least multiplier of what is ridden, which is below zero where J falls if the flight leaves it.
     rates
         dJ/dq of each free parameter along the family of extremals, held or not, (lanes, k).
     ranges
@@ -69,6 +69,7 @@ class Reflown:
     minimum: Vector
     drift: Vector
     cost: Vector
+    pays: Vector
     rates: Matrix
     ranges: Matrix
     arcs: tuple[tuple[int, Lanes, tuple[int, ...]], ...]
@@ -101,7 +102,7 @@ class Reflown:
 
     def replace(self, lanes: Lanes, by: Reflown) -> None:
         """Put other flights of the same arcs in the place of some."""
-        for name in ("residuals", "residual", "path", "minimum", "drift", "cost", "rates", "ranges"):
+        for name in ("residuals", "residual", "path", "minimum", "drift", "cost", "pays", "rates", "ranges"):
             getattr(self, name)[lanes] = getattr(by, name)
 
 
@@ -115,25 +116,25 @@ class _Piece:
 
 
 class Reflights:
-    """Flies extremals of a problem a second time.
+    """Flies extremals of a chart a second time.
 
     Parameters
     ----------
-    problem, conditions
-        Whose extremals; the conditions are those of the problem.
+    chart
+        Whose extremals.
     times
         For each phase how many times `STEPS` a piece of it has, as `fine_enough` finds them; once by default.
     """
 
-    def __init__(self, problem: Problem, conditions: Conditions, times: Sequence[int] = ()) -> None:
-        self.problem, self.conditions = problem, conditions
-        self.times = tuple(times) or (1,) * len(conditions.phases)
+    def __init__(self, chart: Chart, times: Sequence[int] = ()) -> None:
+        self.chart, self.conditions = chart, chart.conditions
+        self.times = tuple(times) or (1,) * len(self.conditions.phases)
         self._marches: dict[tuple[int, int], Map] = {}
         self._jumps: dict[tuple[int, int], Map] = {}
 
     @cached_property
-    def _stated(self) -> Problem:
-        return Unnumbered(self.problem).problem
+    def _rides(self) -> Rides:
+        return Rides(self.chart)
 
     @cached_property
     def _begun(self) -> list[Map]:
@@ -141,7 +142,7 @@ class Reflights:
 
     @cached_property
     def _ended(self) -> Map:
-        return compile_map(ended(self.conditions))
+        return compile_map(ended(self.conditions, self._rides))
 
     @cached_property
     def _modes(self) -> list[Map]:
@@ -177,10 +178,10 @@ class Reflights:
             states.append(before)
             gone += [(k, *arc) for arc in arcs]
         residuals, seen, rates, ranges = self._ended(y, p, choice, *states)
-        path, minimum, drift, cost = seen.T
+        path, minimum, drift, cost, pays = seen.T
         return Reflown(
             residuals=residuals, residual=np.abs(residuals).max(axis=1), path=path, minimum=minimum, drift=drift,
-            cost=cost, rates=rates, ranges=ranges, arcs=tuple(gone),
+            cost=cost, pays=pays, rates=rates, ranges=ranges, arcs=tuple(gone),
         )  # fmt: skip
 
     def fine_enough(self, y: Matrix, p: Matrix) -> tuple[int, ...]:
@@ -241,10 +242,6 @@ class Reflights:
 
     def _march(self, k: int, mode: int) -> Map:
         if (k, mode) not in self._marches:
-            stated, extremal = (self._stated, k, self._stated.phases[k]), self.conditions.phases[k]
-            if extremal.settles:
-                step = step_settling(*stated, extremal, settling(extremal), mode)
-            else:
-                step = step_along(*stated, extremal, mode)
-            self._marches[k, mode] = compile_map(step, times=STEPS)
+            step = step_settling if self.conditions.phases[k].settles else step_along
+            self._marches[k, mode] = compile_map(step(self._rides, k, mode), times=STEPS)
         return self._marches[k, mode]

@@ -133,7 +133,7 @@ class Survey:
             return found
         at = np.nonzero(reached)
         y = chart.whole(corners[at[1]] / chart.scale, found.y[at])
-        return replace(found, times=Reflights(chart.free, chart.conditions).fine_enough(y, chart.p[None]))
+        return replace(found, times=Reflights(chart).fine_enough(y, chart.p[None]))
 
     def _solved(self, values: Vector) -> _Solved | None:
         """The extremals at a point; None where there is no answer."""

@@ -100,7 +100,7 @@ def _tools(
     problem: Problem, names: tuple[str, ...], widths: tuple[float, ...], course: Course, times: tuple[int, ...]
 ) -> Any:
     chart = Chart(problem, names, np.array(widths), course)
-    return chart, Borders(chart), Reflights(chart.free, chart.conditions, times)
+    return chart, Borders(chart), Reflights(chart, times)
 
 
 def first_tasks(

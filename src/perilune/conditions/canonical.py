@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.control_law import ControlLaw, minimising_control
-from perilune.conditions.held import Held, held_back, keepable
+from perilune.conditions.held import Held, held_back, held_multipliers, keepable
 from perilune.conditions.singular import Motion
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
@@ -53,6 +53,8 @@ class PhaseExtremal:
         For each mode None, or where its control is found by Newton's method (z, p) -> w and (z, [p; w]) -> z'.
     reports
         (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
+    multipliers
+        (z, p) -> those of the conditions that are held all along the phase, for each mode; none where there is none.
     regimes, held
         For each mode the regime of each scalar control, and the conditions of the path that hold a direction.
     events
@@ -71,6 +73,7 @@ class PhaseExtremal:
     modes: tuple[ca.Function, ...]
     solved: tuple[tuple[ca.Function, ca.Function] | None, ...]
     reports: tuple[ca.Function, ...]
+    multipliers: tuple[ca.Function, ...]
     regimes: tuple[tuple[Regime, ...], ...]
     held: tuple[Held, ...]
     events: tuple[Event, ...]
@@ -174,7 +177,7 @@ def canonical_equations(
     def function(name: str, *expressions: ca.SX) -> ca.Function:
         return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
 
-    laws, flows, solved, reports = [], [], [], []
+    laws, flows, solved, reports, multipliers = [], [], [], [], []
     for f in dynamics.rates:
         hamiltonian = ca.dot(lam[:n], f)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
@@ -201,6 +204,10 @@ def canonical_equations(
         law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion)
         each = zip(law.control, law.room, law.solved, law.held, law.regimes, strict=True)
         for control, room, found, held, regimes in each:
+            if always:
+                holds = [*always.values(), *(kept[name] for name in held)]
+                mu = held_multipliers(phase, hamiltonian, u, holds, regimes)[: len(always)]
+                multipliers.append(function("multipliers", ca.substitute(mu, u, control)))
             whole = moving(control, held, regimes)
             whole += _nowhere(whole, u, z, room)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
@@ -220,6 +227,7 @@ def canonical_equations(
         modes=tuple(function("rhs", rate) for rate in flows),
         solved=tuple(solved),
         reports=tuple(reports),
+        multipliers=tuple(multipliers),
         regimes=tuple(regimes for law in laws for regimes in law.regimes),
         held=tuple(held for law in laws for held in law.held),
         events=events,
@@ -252,7 +260,7 @@ def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX
     """
     number, first = ca.SX(0.0), 0
     for sides, law in zip(dynamics.sides, laws, strict=True):
-        flow = _of_mode(flows[first : first + len(law.control)], law.mode)
+        flow = of_mode(flows[first : first + len(law.control)], law.mode)
 
         def beyond(margin: ca.SX, flow: ca.SX = flow) -> ca.SX:
             rate = ca.jtimes(margin, z, flow)
@@ -270,7 +278,7 @@ def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX
     return number
 
 
-def _of_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
+def of_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
     """The value that belongs to the number of a mode."""
     chosen = values[0]
     for k, value in enumerate(values[1:], 1):
@@ -340,7 +348,7 @@ def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], leas
     half = z.numel() // 2
     x, lam = z[:half], z[half:]
     normal, kept = ca.gradient(margin, x), ca.dot(lam, before[:half])
-    rates = _of_mode([rate[:half] for rate in behind], least)
+    rates = of_mode([rate[:half] for rate in behind], least)
     at = lam
     for _ in range(_REFRACTIONS):
         rate = ca.substitute(rates, lam, at)
@@ -364,9 +372,9 @@ def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX,
 
 def control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
     """The minimising control, that of the mode in which H is least."""
-    return _of_mode([report(z, numbers)[0] for report in extremal.reports], extremal.mode(z, numbers))
+    return of_mode([report(z, numbers)[0] for report in extremal.reports], extremal.mode(z, numbers))
 
 
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
     """H on the minimising control, that of the mode in which it is least."""
-    return _of_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))
+    return of_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))

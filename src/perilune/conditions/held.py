@@ -38,36 +38,40 @@ def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
 def held_back(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX, regimes: Sequence[Regime]
 ) -> ca.SX:
-    """What holding conditions c = 0 adds to -dH/dz: their multipliers mu times dc/dz, as functions of the control u.
+    """What holding conditions c = 0 adds to -dH/dz: their multipliers mu times dc/dz, as functions of the control u."""
+    if not any(ca.depends_on(c, z) for c in held):
+        return ca.SX.zeros(z.numel(), 1)
+    return ca.jtimes(ca.vertcat(*held), z, held_multipliers(phase, hamiltonian, u, held, regimes), True)
+
+
+def held_multipliers(
+    phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], regimes: Sequence[Regime]
+) -> ca.SX:
+    """Multipliers mu of conditions c = 0 that are held, in a column, as functions of the control u.
 
     H - mu.c is stationary in the control: mu of a direction's conditions from the tangents of the sphere and scalars
     between their bounds, that of scalars' conditions from their slopes. `regimes` are those of the scalars.
     """
     places = {at: regime for (at, _), regime in zip(scalars(phase.controls), regimes, strict=True)}
-    total = ca.SX.zeros(z.numel(), 1)
-    if not any(ca.depends_on(c, z) for c in held):
-        return total
-    slopes, rest = ca.gradient(hamiltonian, u), list(held)
+    slopes, rest, found = ca.gradient(hamiltonian, u), list(range(len(held))), ca.SX.zeros(len(held), 1)
     for first, last in directions(phase.controls):
-        own = [c for c in rest if ca.depends_on(c, u[first:last])]
+        own = [i for i in rest if ca.depends_on(held[i], u[first:last])]
         if own:
-            d, c = u[first:last], ca.vertcat(*own)
+            d, c = u[first:last], ca.vertcat(*(held[i] for i in own))
             sphere = ca.SX.eye(d.numel()) - ca.mtimes(d, d.T)
             between = [at for at, regime in places.items() if regime == "interior"]
             free = ca.vertcat(ca.SX(0, 1), *(u[i] for i in between))
             G = ca.horzcat(ca.mtimes(ca.jacobian(c, d), sphere), ca.jacobian(c, free))
-            mu = ca.solve(
+            found[own] = ca.solve(
                 ca.mtimes(G, G.T), ca.mtimes(G, ca.vertcat(slopes[first:last], *(slopes[i] for i in between)))
             )
-            total += ca.jtimes(c, z, mu, True)
-            slopes -= ca.jtimes(c, u, mu, True)
-            rest = [c for c in rest if not any(ca.is_equal(c, other) for other in own)]
+            slopes -= ca.jtimes(c, u, found[own], True)
+            rest = [i for i in rest if i not in own]
     if rest:
-        told, c = [at for at, regime in places.items() if regime == "held"], ca.vertcat(*rest)
+        told, c = [at for at, regime in places.items() if regime == "held"], ca.vertcat(*(held[i] for i in rest))
         C = ca.jacobian(c, ca.vertcat(*(u[at] for at in told)))
-        mu = ca.solve(ca.mtimes(C, C.T), ca.mtimes(C, ca.vertcat(*(slopes[at] for at in told))))
-        total += ca.jtimes(c, z, mu, True)
-    return total
+        found[rest] = ca.solve(ca.mtimes(C, C.T), ca.mtimes(C, ca.vertcat(*(slopes[at] for at in told))))
+    return found
 
 
 def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] | None:
