@@ -15,8 +15,8 @@ def _variables(**units: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name, unit=unit) for name, unit in units.items())
 
 
-def nearest_to_zero(end: float = 0.5, most: float = 1.0) -> pl.Problem:
-    """From x = 1 m to `end` in 2 s with the least int x^2, |x'| <= 1 m/s: down, along x = 0, and up.
+def nearest_to_zero(end: float = 0.5, most: float = 1.0, way: float = 1.0) -> pl.Problem:
+    """From x = 1 m to `end` in 2 s with the least `way` int x^2, |x'| <= 1 m/s: down, along x = 0, and up.
 
     The slope of H is the costate of x, whose second derivative is -2 u: the singular control is 0.
     """
@@ -24,7 +24,7 @@ def nearest_to_zero(end: float = 0.5, most: float = 1.0) -> pl.Problem:
         name="go",
         states=_variables(x="m", c="m^2*s"),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=most),),
-        dynamics=lambda x, u, p, m: (u.u, x.x * x.x),
+        dynamics=lambda x, u, p, m: (u.u, way * x.x * x.x),
         duration="T",
         end=lambda x, p, m: (x.x - p.end,),
         end_conditions=_variables(there="m"),

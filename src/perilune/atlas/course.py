@@ -114,7 +114,8 @@ def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
         raise PeriluneError("of this solution nothing but its curves is known")
     for own in ((), keepable_conditions(restated.problem)):
         if derive(restated.problem, own) is curves.conditions:
-            natures = [extremal.nature for extremal in solution.extremals]
+            # Behind those of its arcs a solution lists others, without arcs, that break the path.
+            natures = [extremal.nature for extremal in solution.extremals[: len(restated.extremals)]]
             extremals = [replace(e, nature=n) for e, n in zip(restated.extremals, natures, strict=True)]
             return Course(own, known.structure), extremals
     raise PeriluneError("the control keeps some of the conditions that it can keep, which an atlas does not follow yet")
@@ -122,10 +123,10 @@ def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
 
 def _refuse_unknown(solution: Solution, structure: Structure) -> None:
     """Refuse arcs of which a second flight cannot tell whether they pay."""
-    if structure.singular:
-        raise PeriluneError("the answer has a singular arc, which an atlas does not follow yet", got=structure.text)
     for k, arcs in enumerate(structure.phases):
         for arc in arcs:
+            if arc.along and any(regime == "singular" for _, regime in arc.regimes):
+                raise PeriluneError("a control is singular on an arc that rides along a condition", got=structure.text)
             for name, condition in conditions_of(solution.problem, k, arc.along).items():
                 if condition.order > _MOST_ORDER:
                     raise PeriluneError(

@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from perilune.atlas import singular
 from perilune.atlas.riding import NOTHING, Rides
 from perilune.conditions.canonical import hamiltonian_at, limit_symbols
 from perilune.conditions.pontryagin import Conditions
@@ -116,12 +117,13 @@ def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
     z = state[:size]
     after = _extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
     path, minimum, value = _seen(rides, k, mode, z, numbers, free)
+    bent = singular.bent(rides.stated, rides.stated.phases[k], extremal, mode, z, numbers, free)
     seen = [
         ca.fmin(state[size], path),
         ca.fmin(state[size + 1], minimum),
         ca.fmin(state[size + 2], value),
         ca.fmax(state[size + 3], value),
-        ca.mmin(ca.vertcat(state[size + 4], *rides.pays(k, mode, z, numbers))),
+        ca.mmin(ca.vertcat(state[size + 4], *rides.pays(k, mode, z, numbers), *bent)),
     ]
     out = ca.vertcat(after, *seen)
     return ca.Function("step", [state, numbers, free, h], [ca.cse(out)])
@@ -173,9 +175,17 @@ def _seen(rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
     path, held = (
         column(phase.evaluate(name, elements(x), elements(u), p.record, SYMBOLIC)) for name in ("path", "held")
     )
-    bounds = [v.limits(p.record) for v in phase.states]
-    room = [(x[i] - ca.SX(low), ca.SX(high) - x[i]) for i, (low, high) in enumerate(bounds)]
-    if rides.along[k]:  # which may ask for more than there is
+    room = list[tuple[ca.SX, ca.SX]]()
+    for i, state in enumerate(phase.states):
+        # A bound that is a number is so in SI, one that a parameter holds in its canonical unit.
+        unit, stated = problem.scales.of(state.unit), (state.lower, state.upper)
+        share = problem.size_of(state) / unit
+        low, high = (
+            ca.SX(limit) / (1.0 if isinstance(named, str) else unit)
+            for limit, named in zip(state.limits(p.record), stated, strict=True)
+        )
+        room.append((share * x[i] - low, high - share * x[i]))
+    if rides.along[k] or rides.singular(k):  # which may ask for more than there is
         room += [(u[i] - limits[k][c.name][0], limits[k][c.name][1] - u[i]) for i, c in scalars(phase.controls)]
     finite = [ca.SX(e) for pair in room for e in pair if not (ca.SX(e).is_constant() and not np.isfinite(float(e)))]
     conditions = ca.vertcat(ca.SX(0, 1), path, *finite)

@@ -114,7 +114,11 @@ class Rides:
                 entered=entered,
             )
 
-    # -- along an arc ---------------------------------------------------------------------------------------------
+    def singular(self, part: int) -> bool:
+        """Whether a control is singular along a part."""
+        return bool(self._arcs) and any(regime == "singular" for _, regime in self._arcs[part][1].regimes)
+
+    # -- along an arc -------------------------------------------------------------------------------------------------
 
     def pays(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> list[ca.SX]:
         """The multiplier mu of each condition that is ridden, over 1 + |eta|."""
@@ -145,7 +149,7 @@ class Rides:
             found.append(ca.jtimes(found[-1], symbol, rate))
         return [ca.substitute(each, symbol, z) for each in found]
 
-    # -- where a condition is met and left ---------------------------------------------------------------------------------
+    # -- where a condition is met and left ----------------------------------------------------------------------------
 
     def turns(self, y: ca.SX, begins: Sequence[ca.SX], ends: Sequence[ca.SX], p: ca.SX) -> ca.SX:
         """What must not be negative for S not to be so just before it is met and just behind, where nothing else looks.

@@ -8,8 +8,10 @@ Where such a walk ends it is followed around the fold at which it does, to the s
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,7 @@ Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by t
 
 _SAME = 1e-7  # relative: an extremal that lies on a sheet already
 _MOST_SHEETS, _AROUND = 16, 4  # of a chart; walks of a sheet that are followed around the folds at which they ended
+_HALVINGS = 3  # times that a point is looked at between answers of two kinds
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
 _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
 _MOST = 20  # evaluations of a step
@@ -112,14 +115,30 @@ class Survey:
             self.watch(f"survey: point {number + 1} of {len(tried)}")
             if (answer := self._solved(values)) is not None:
                 solved.append(answer)
+        solved += self._between(solved)
         charts = [found for course, own in _courses(solved) if (found := self._found(course, own, corners)).sheets]
         if not charts:
             raise PeriluneError(
                 "there is nothing to map",
-                got="; ".join(self.notes)[:300] or "no extremals",
+                got="; ".join(self.notes)[:300] or "extremals that Newton's method does not follow from where they are",
                 advice="solve the problem at one point of the region first: perilune solve",
             )
         return charts
+
+    def _between(self, solved: Sequence[_Solved]) -> list[_Solved]:
+        """Answers halfway between points whose answers go through different things: others may lie between these."""
+        pairs, looked, found = list(combinations(solved, 2)), Counter[frozenset[str]](), list[_Solved]()
+        while pairs:
+            one, other = pairs.pop(0)
+            kinds = frozenset((one.course.text, other.course.text))
+            if len(kinds) < 2 or looked[kinds] >= _HALVINGS:
+                continue
+            looked[kinds] += 1
+            self.watch("survey: between points whose answers have different arcs")
+            if (answer := self._solved(0.5 * (one.values + other.values))) is not None:
+                found.append(answer)
+                pairs = [(one, answer), (answer, other), *pairs]
+        return found
 
     def _found(self, course: Course, solved: Sequence[_Solved], corners: Matrix) -> Found:
         """The sheets of one chart."""

@@ -1,0 +1,138 @@
+"""Atlases of answers that ride along a condition on states, against closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perilune import Indirect, Problem, Scales
+from perilune.atlas import building
+from perilune.atlas.chart import Chart
+from perilune.atlas.course import course_of
+from perilune.atlas.query import open_atlas
+from perilune.atlas.reflight import SLACK, Reflights
+from perilune.methods.search import Search
+from perilune.words.types import Matrix
+from perilune.words.watch import silent
+from problems.constrained import (
+    brachistochrone,
+    brachistochrone_truth,
+    bryson_denham,
+    bryson_denham_truth,
+    drawn_off,
+    parked,
+    speed_limit,
+    speed_limit_truth,
+)
+from problems.ridden import string
+from problems.singular import nearest_to_zero
+
+build = partial(building.build, sample=0)  # proofs have tests of their own
+
+
+def _all_of_bryson_denham(ceiling: float) -> float:
+    return bryson_denham_truth(ceiling) if ceiling < 0.25 else 2.0
+
+
+@pytest.mark.parametrize(
+    ("problem", "axis", "low", "high", "truth", "arcs"),
+    [
+        (bryson_denham(0.2), "ceiling", 0.1, 0.45, _all_of_bryson_denham, {"", "t", "r"}),
+        (parked(0.2), "ceiling", 0.15, 0.25, lambda l: 2 / (9 * l), {"r"}),  # up to the end
+        (brachistochrone(), "offset", 0.08, 0.12, lambda offset: brachistochrone_truth(offset)[2], {"r"}),
+        (speed_limit(40.0), "limit", 38.0, 42.0, lambda limit: -speed_limit_truth(limit)[2], {"r"}),  # by its throttle
+    ],
+    ids=["bryson-denham", "parked", "brachistochrone", "speed limit"],
+)
+def test_answers_that_ride_along_a_condition_are_those_of_closed_forms(
+    problem: Problem,
+    axis: str,
+    low: float,
+    high: float,
+    truth: Callable[[float], float],
+    arcs: set[str],
+    tmp_path: Path,
+) -> None:
+    """Free, touching and riding along, each where it is the answer: beyond, one goes through or leaves to gain."""
+    atlas = open_atlas(build(problem, {axis: (low, high)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(low, high, (300, 1))
+    found = atlas.query_many(points)
+    assert found.good.all()
+    np.testing.assert_allclose(found.objective, [truth(value) for value in points[:, 0].tolist()], rtol=1e-10)
+    labels = [label for charted in atlas.charted for label in charted.labels]
+    met = {labels[number] for number in found.sheet}
+    assert {"r" if "along" in label else "t" if "touches" in label else "" for label in met} == arcs
+    alone = atlas.query(**{axis: float(points[0, 0])})
+    assert alone.objective == pytest.approx(truth(float(points[0, 0])), rel=1e-10)
+    assert alone.verification is not None
+
+
+@pytest.mark.parametrize(
+    ("problem", "name"),
+    [(drawn_off(), "T"), (string(1.2, 0.8, 1.0, 0.9).problem, "k"), (bryson_denham(0.12), "ceiling")],
+    ids=["drawn off", "string", "bryson-denham"],
+)
+@pytest.mark.parametrize(("arc", "later"), [(0, -1e-3), (0, 1e-3), (1, -1e-3), (1, 1e-3), (0, -1e-6), (1, 1e-6)])
+def test_who_meets_or_leaves_what_is_ridden_at_another_time_is_no_answer(
+    problem: Problem, name: str, arc: int, later: float
+) -> None:
+    """A ms or a us off, all else solved for, something speaks against it: the path, the control, a jump or mu."""
+    search = Search(Indirect(), problem, silent)
+    course, extremals = course_of(Indirect().answer(search), search.answering.keep)
+    value = problem.given[name].value
+    chart = Chart(problem, [name], np.array([0.1 * value]), course)
+    again, held = Reflights(chart), chart.shooting.plan.held
+    y, values = chart.told(np.array(extremals[0].unknowns))[None], np.array([[value]]) / chart.scale
+    here = chart.solve(values, y, _nothing(chart))
+    flown = again(here.roots.y, chart.p[None], here.roots.choice)
+    assert flown.good[0] and flown.pays[0] >= 0
+    holds = _nothing(chart)
+    at = chart.free.free_names.index(f"T-{arc + 1}")
+    holds[0, at], holds[0, held + at] = 1.0, here.roots.y[0, chart.conditions.free_at][at] + later
+    moved = chart.solve(values, here.y, holds, limit=40)
+    assert moved.converged[0]
+    flown = again(moved.roots.y, chart.p[None], moved.roots.choice)
+    assert not flown.good[0] or flown.pays[0] < -SLACK
+
+
+@pytest.mark.parametrize("length", [3.0, 0.3])
+def test_bounds_of_states_that_are_numbers_are_kept_in_any_units(length: float, tmp_path: Path) -> None:
+    """Bryson and Denham's with x <= 0.2 m and another speed: J = v^2 times that of l/v."""
+    problem = replace(bryson_denham(0.2, as_bound=True), scales=Scales(length=length, time=1.0, mass=1.0))
+    atlas = open_atlas(build(problem, {"speed": (0.7, 1.3)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(0.7, 1.3, (300, 1))
+    found = atlas.query_many(points)
+    assert found.good.all()
+    truth = [v * v * _all_of_bryson_denham(0.2 / v) for v in points[:, 0].tolist()]
+    np.testing.assert_allclose(found.objective, truth, rtol=1e-10)
+
+
+def test_singular_arcs_are_mapped(tmp_path: Path) -> None:
+    """Down to 0 at full speed, along it, and up: J = (start^3 + end^3)/3."""
+    problem = nearest_to_zero()
+    atlas = open_atlas(build(problem, {"start": (0.8, 1.2)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(0.8, 1.2, (100, 1))
+    found = atlas.query_many(points)
+    assert found.good.all()
+    np.testing.assert_allclose(found.objective, (points[:, 0] ** 3 + 0.125) / 3, rtol=1e-10)
+
+
+def test_a_singular_control_that_is_the_worst_is_told() -> None:
+    """Farthest from zero in its place: the same arcs are an extremal, and Kelley's condition has the other sign."""
+    for way in (1.0, -1.0):
+        problem = nearest_to_zero(way=way)
+        search = Search(Indirect(), nearest_to_zero(), silent)
+        course, extremals = course_of(Indirect().answer(search), search.answering.keep)
+        chart = Chart(problem, ["start"], np.array([0.1]), course)
+        y = chart.told(np.array(extremals[0].unknowns))[None]
+        flown = Reflights(chart)(chart.whole(np.array([[1.0]]) / chart.scale, y), chart.p[None], _nothing(chart))
+        assert bool(flown.pays[0] > 0) is (way > 0)
+
+
+def _nothing(chart: Chart) -> Matrix:
+    return np.zeros((1, 2 * chart.shooting.plan.held))
