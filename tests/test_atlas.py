@@ -17,6 +17,7 @@ from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -391,8 +392,8 @@ def test_no_shard_is_read_from_elsewhere(copy: Path) -> None:
 
 
 def test_other_directories_are_refused(copy: Path, tmp_path: Path) -> None:
-    with pytest.raises(PeriluneError, match="other axes"):
-        build(cho_landing(), {"vehicle.thrust": (430.0, 450.0)}, copy)
+    with pytest.raises(PeriluneError, match=r"other axes(.|\n)*perilune atlas extend"):
+        build(cho_landing(), {"vehicle.thrust": (430.0, 460.0), **dict(list(AXES.items())[1:])}, copy)
     with pytest.raises(PeriluneError, match="given"):
         build(cho_landing().with_given(vehicle_mass=310.0), AXES, copy)
     with pytest.raises(PeriluneError, match="tolerance"):
@@ -450,9 +451,19 @@ def atlas_objective(directory: str) -> float:
     return open_atlas(directory).query(vehicle_thrust=440.0, retro_specific_impulse=300.0).objective
 
 
-@pytest.mark.parametrize("text", ["vehicle.thrust=450:430 N", "vehicle.thrust=430:450:10 N", "vehicle.thrust=430 N"])
-def test_ranges_that_are_none_are_refused(text: str, tmp_path: Path) -> None:
-    assert run(["atlas", "build", HYBRID, "--vary", text, "--out", str(tmp_path / "a")]) == 2
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("450:430 N", "is empty"),
+        ("430:450:10 N", "two parts"),
+        ("430 N", "two parts"),
+        ("430:nan N", "not a quantity: a number and a unit\n  got: 'nan N'"),
+        ("-inf:450 N", "not a quantity: a number and a unit\n  got: '-inf N'"),
+    ],
+)
+def test_ranges_that_are_none_are_refused(text: str, words: str, tmp_path: Path, capsys: Any) -> None:
+    order = ["atlas", "build", HYBRID, "--vary", f"vehicle.thrust={text}", "--out", str(tmp_path / "a")]
+    assert run(order) == 2 and words in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
 
 

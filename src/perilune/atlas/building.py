@@ -69,7 +69,7 @@ def build(
     method
         By which the survey solves from nothing, ``Indirect()`` by default.
     watch
-        Receives lines of text.
+        Receives lines of text, and each iteration of what the survey solves (`perilune.words.watch`).
     bricks
         How many there are along each axis, for as many as that can be computed at once; 8 of one axis, 4 along each of
         two, 2 of more, if it is not told. Those of an atlas that is there stay.

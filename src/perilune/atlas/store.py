@@ -79,7 +79,10 @@ class Store:
         said, found = json.loads(json.dumps(finite(dict(header)))), self.header()
         differs = [name for name, value in said.items() if name != "versions" and found.get(name) != value]
         if differs:
-            raise _unusable(self.directory, f"an atlas of other {', '.join(differs)}", "the same atlas")
+            got, advice = f"an atlas of other {', '.join(differs)}", "choose another directory"
+            if differs == ["axes"]:
+                advice = f"perilune atlas extend makes ranges wider, and completes what was made so; or {advice}"
+            raise _unusable(self.directory, got, "the same atlas", advice)
 
     def begin(self, header: Mapping[str, Any]) -> None:
         """Write the header, unless another builder did; arguments and errors of `prepare`."""
@@ -301,10 +304,8 @@ def ours(name: str) -> bool:
     return name in (HEADER, MANIFEST) or name.startswith((".claim-", ".writing-")) or bool(_OURS.fullmatch(name))
 
 
-def _unusable(place: Path, got: str, expected: str) -> PeriluneError:
-    return PeriluneError(
-        f"this atlas cannot be used: {place}", got=got, expected=expected, advice="choose another directory"
-    )
+def _unusable(place: Path, got: str, expected: str, advice: str = "choose another directory") -> PeriluneError:
+    return PeriluneError(f"this atlas cannot be used: {place}", got=got, expected=expected, advice=advice)
 
 
 def _unwritable(name: str, error: OSError) -> PeriluneError:

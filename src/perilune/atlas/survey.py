@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.branches import same
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import seed_type
 from perilune.atlas.course import Course, course_of
@@ -36,7 +37,6 @@ from perilune.words.watch import Watch
 
 Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
 
-_SAME = 1e-7  # relative: an extremal that lies on a sheet already
 _MOST_SHEETS, _AROUND = 16, 4  # of a chart; walks of a sheet that are followed around the folds at which they ended
 _HALVINGS = 3  # times that a point is looked at between answers of two kinds
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
@@ -84,7 +84,7 @@ class Survey:
     problem, region, method
         What is mapped, and how it is solved from nothing.
     watch
-        Receives lines of text.
+        Receives lines of text, and each iteration of what is solved.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ class Survey:
             reached = np.nonzero(np.isfinite(there[:, 0]))[0]
             for nearest in reached[np.argsort(away[reached])][:_BESIDE].tolist():
                 here = carried(known.chart, known.borders, other, corners[nearest], there[nearest], values[None])[0]
-                if np.linalg.norm(here - y) <= _SAME * (1.0 + np.linalg.norm(y)):
+                if same(y, here):
                     return number
         return None
 
@@ -259,12 +259,10 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
     """
     for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
         if other.alike(sheet):
-            with np.errstate(invalid="ignore"):
-                same = np.linalg.norm(there - y, axis=1) <= _SAME * (1.0 + np.linalg.norm(y, axis=1))
-            if same.any():
+            if (common := same(y, there)).any():
                 known = _offered(replace(known, y=known.y.copy()), number, sheet)
                 known.y[number] = np.where(np.isfinite(there), there, y)
-                y = np.where((same | ~np.isfinite(there[:, 0]))[:, None], np.nan, y)
+                y = np.where((common | ~np.isfinite(there[:, 0]))[:, None], np.nan, y)
     if not np.isfinite(y[:, 0]).any():
         return known
     return replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))

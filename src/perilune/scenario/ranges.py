@@ -11,6 +11,7 @@ from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity
 
 MOST_STEPS = 10_000
+_BARE = r"[-+]?nan|[-+]?inf|[-+\d.]+(?:[eE][-+]?\d+)?"  # what stands before a unit; if it is a number its reader says
 _ENDS = 'for example --vary "vehicle.thrust=350:650 N", or with a unit in each part'
 _ADVICE = 'for example --vary "retro.delta_v=0:1600:50 m/s", or with a unit in each part'
 
@@ -74,6 +75,5 @@ def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice
         raise PeriluneError(
             f"the range of {key} must have {many} parts", got=repr(text[:60]), expected=form, advice=advice
         )
-    last_unit = re.sub(r"^[-+\d.]+([eE][-+]?\d+)?\s*", "", parts[-1])
-    bare = r"[-+\d.]+([eE][-+]?\d+)?"
-    return known[key], [f"{part} {last_unit}" if re.fullmatch(bare, part) else part for part in parts]
+    last_unit = re.sub(rf"^(?:{_BARE})\s*", "", parts[-1])
+    return known[key], [f"{part} {last_unit}" if re.fullmatch(_BARE, part) else part for part in parts]
