@@ -18,7 +18,8 @@ from perilune.atlas import sampling
 from perilune.atlas.building import build
 from perilune.atlas.extending import extend
 from perilune.atlas.query import open_atlas
-from perilune.atlas.sampling import Certificate, Sample, assured, drawn_at_random, drawn_thin, may_be_answers, sample_of
+from perilune.atlas.read import may_be_answers
+from perilune.atlas.sampling import Certificate, Sample, assured, drawn_at_random, drawn_thin, sample_of
 from perilune.atlas.store import MANIFEST
 from perilune.cli import run
 from perilune.solve import prove

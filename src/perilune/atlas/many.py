@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,13 @@ from perilune.problem.preflight import possible, preflight
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
-CLEARLY = 1e-3  # relative: cells give J to 1e-6 where one step is enough, and are never so wrong
+_CLEARLY = 1e-3  # relative: cells give J to 1e-6 where one step is enough, and are never so wrong
 _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits into a cache
+
+
+def clearly_worse(cost: Any, best: Any) -> Any:
+    """Whether what a cell gives for J cannot be better than what was found, numbers or arrays."""
+    return cost > best + _CLEARLY * (1.0 + abs(best))
 
 
 class Answered(IntEnum):
@@ -136,7 +142,7 @@ class _Work:
             here = cost[chosen, np.arange(len(some))]
             best = self.cost[some]
             with np.errstate(invalid="ignore"):
-                going &= np.isfinite(here) & ~(here > best + CLEARLY * (1.0 + np.abs(best)))
+                going &= np.isfinite(here) & ~clearly_worse(here, best)
             for number, offer in enumerate(offers):
                 lanes = np.nonzero(going & (chosen == number))[0]
                 ends, breaks = np.isnan(offer.y[lanes, 0]), offer.breaks[lanes]

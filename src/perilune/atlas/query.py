@@ -19,10 +19,9 @@ import numpy as np
 
 from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.hermite import interpolated
-from perilune.atlas.many import CLEARLY, Answers, answers
+from perilune.atlas.many import Answers, answers, clearly_worse
 from perilune.atlas.polish import Polished
-from perilune.atlas.read import SERVING, Charted, Reader
-from perilune.atlas.reflight import SLACK
+from perilune.atlas.read import SERVING, Charted, Reader, may_be_answers
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
@@ -154,7 +153,7 @@ class Atlas(Reader):
         tried, doubt, breaking, best = list[_Offer](), None, None, None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
-            if best is not None and offer.cost > best.cost + CLEARLY * (1.0 + abs(best.cost)):
+            if best is not None and clearly_worse(offer.cost, best.cost):
                 break
             if offer.breaks:
                 breaking = breaking or offer
@@ -306,12 +305,9 @@ class Atlas(Reader):
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
                 continue
-            minimum, nodes = np.array([sheet.minimum for sheet in charted.sheets]), brick.nodes
-            good = (nodes["margin"] >= 0) & minimum[nodes["sheet"]]
-            good &= (nodes["residual"] <= SLACK) & (nodes["path"] >= -SLACK)
-            if not good.any():
+            values = brick.nodes["values"][may_be_answers(brick.nodes, charted.sheets)]
+            if not len(values):
                 continue
-            values = nodes["values"][good]
             away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
             if away.min() < least:
                 least, row = float(away.min()), values[away.argmin()].tolist()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from perilune.atlas.course import course_from
 from perilune.atlas.hermite import bits
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.polish import Polished, Polisher
-from perilune.atlas.reflight import Reflights
+from perilune.atlas.reflight import SLACK, Reflights
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
@@ -262,6 +262,13 @@ class Reader:
                 self._bricks.pop(next(iter(self._bricks)))
             self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
         return self._bricks[key]
+
+
+def may_be_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:
+    """Which nodes of a shard may be answers: within their sheet, and borne out by their second flight."""
+    minimum = np.array([sheet.minimum for sheet in sheets])
+    good = (nodes["margin"] >= 0) & (nodes["residual"] <= SLACK) & (nodes["path"] >= -SLACK)
+    return good & minimum[nodes["sheet"]]
 
 
 def _refuse_wild(nodes: NDArray[Any], cells: NDArray[Any], d: int, sheets: int, name: str) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.lines import refuse_no_sample, told_of_damage
 from perilune.atlas.query import Atlas, Mapped, open_atlas
-from perilune.atlas.reflight import SLACK
+from perilune.atlas.read import may_be_answers
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import MANIFEST, Store
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
@@ -126,13 +126,6 @@ def proved_text(proved: int, drawn: int) -> str:
 def unproved_text(atlas: Atlas, one: Certificate) -> str:
     """Which, and why."""
     return f"at {atlas.region.told(one.values)}: level {one.level}, not {', '.join(one.failed[:3])}"
-
-
-def may_be_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:
-    """Which nodes of a shard may be answers: within their sheet, and borne out by their second flight."""
-    minimum = np.array([sheet.minimum for sheet in sheets])
-    good = (nodes["margin"] >= 0) & (nodes["residual"] <= SLACK) & (nodes["path"] >= -SLACK)
-    return good & minimum[nodes["sheet"]]
 
 
 def thin_ones(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.query import Atlas
-from perilune.atlas.sampling import may_be_answers, sample_of
+from perilune.atlas.read import may_be_answers
+from perilune.atlas.sampling import sample_of
 from perilune.io.export import versions
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import quotient

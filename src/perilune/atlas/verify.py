@@ -11,11 +11,11 @@ import numpy as np
 
 from perilune.atlas.columns import cell_type, node_type
 from perilune.atlas.query import Atlas
+from perilune.atlas.read import may_be_answers
 from perilune.atlas.sampling import (
     assured,
     certified,
     drawn_at_random,
-    may_be_answers,
     proved_text,
     unproved_text,
 )
