@@ -440,6 +440,7 @@ def test_the_command_line_builds_asks_and_goes_on(tmp_path: Path, capsys: pytest
     assert run(["atlas", "query", out, *at, "--prove", "3"]) == 0
     assert "level 3" in capsys.readouterr().out
     assert run(["atlas", "query", out, "--at", "vehicle.thrust=440 N", "--at", "retro.specific_impulse=1 km"]) == 2
+    assert "retro.specific_impulse - the unit has the wrong dimension" in capsys.readouterr().err
     assert run(["atlas", "query", out, "--at", "vehicle.thrust"]) == 2
     assert run(["atlas", "query", str(tmp_path), *at]) == 2
     assert run(["atlas", "info", out]) == 0

@@ -119,6 +119,24 @@ def test_figures_have_colours_where_there_is_an_answer_and_name_what_they_show(j
     assert kinds[0, 4] != kinds[8, 4]  # through the jump
 
 
+def test_sheets_that_are_called_alike_are_counted_together(jump: Atlas) -> None:
+    shown = sliced(jump, points=9)
+    alike = replace(shown, sheets=("one",) * len(shown.sheets))
+    assert alike.counts == {"one": 81} and len(shown.counts) == 2
+
+
+def test_no_lines_are_drawn_through_what_is_but_rounding(jump: Atlas) -> None:
+    """Where no retro burn pays it is zero, to the last bits."""
+    shown = sliced(jump, points=9)
+    burn, noise = shown.answers.free["retro_delta_v"], np.random.default_rng(1).normal(size=81)
+    drawn = [
+        atlas_maps(replace(shown, answers=replace(shown.answers, free={"retro_delta_v": values})))
+        for values in (burn, burn + 1e-13 * noise)
+    ]
+    lines = [len(figures["free_retro_delta_v"].axes[0].collections) for figures in drawn]
+    assert lines[0] == lines[1] > 1
+
+
 def test_what_has_no_answer_is_left_out_and_said(weak: Atlas) -> None:
     drawn = atlas_maps(sliced(weak, points=50))
     assert np.isnan(drawn["objective"].axes[0].lines[0].get_ydata()).any()

@@ -5,6 +5,7 @@ The points of a slice are asked as any others are (`perilune.atlas.many`), so a 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -78,9 +79,11 @@ class Slice:
     @property
     def counts(self) -> dict[str, int]:
         """How many points have an answer on each sheet, and how many have none for each reason."""
-        good = self.answers.sheet[self.answers.good]
-        found = {label: int((good == number).sum()) for number, label in enumerate(self.sheets)}
-        found |= {text: int((self.why == number).sum()) for number, text in enumerate(self.reasons)}
+        found = Counter[str]()
+        for number, label in enumerate(self.sheets):  # two of them may be called alike
+            found[label] += int((self.answers.sheet == number).sum())
+        for number, text in enumerate(self.reasons):
+            found[text] += int((self.why == number).sum())
         return {text: count for text, count in found.items() if count}
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from perilune.cli.answer import Answer
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
 from perilune.cli.sweeping import elsewhere, ranges, varied
-from perilune.words.declared import parameter_name
+from perilune.words.declared import named, parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity, told
 
@@ -181,7 +181,10 @@ def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
             raise unknown_name("axis", key, [axis.key for axis in axes.values()])
         if name in found:
             raise PeriluneError(f"--at names {key} twice", got=stated[:60], expected="each axis once")
-        found[name] = parse_quantity(text, axes[name].unit)
+        try:
+            found[name] = parse_quantity(text, axes[name].unit)
+        except PeriluneError as error:
+            raise named(key, error) from None
     return found
 
 

@@ -26,6 +26,7 @@ _SHEETS = (BLUE, ORANGE, GREEN, SKY, PURPLE, VERMILION)
 _NOTHING = ("#D0D0D0", "#8C8C8C", "#404040", "#F0E0E0", "#B8A8A8")  # by their reason
 _EMPTY = "#ECECEC"  # where there is no answer, in all other figures
 _FINEST = 1e-16  # what is less is not told from nothing
+_SAME = 1e-9  # relative: by less a quantity does not change, it is rounded
 _DOTS = 3000  # nodes that are drawn one by one
 
 
@@ -149,7 +150,7 @@ def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
         _legend(figure, panel.get_legend_handles_labels()[0])
         return figure
     if len(known):
-        same = np.ptp(known) <= 1e-9 * np.abs(known).max()
+        same = np.ptp(known) <= _SAME * np.abs(known).max()
         span = {"vmin": known[0] - 1, "vmax": known[0] + 1} if same else {}
         drawn = _filled(shown, panel, along, values, cmap="viridis", **span)
         bar = figure.colorbar(drawn, ax=panel, pad=0.02)
@@ -162,10 +163,11 @@ def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
 
 def _equal(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> None:
     """Lines of equal value, of each sheet for itself: between two of them the value may jump."""
-    levels = np.quantile(values[np.isfinite(values)], np.linspace(0.1, 0.9, 7))
+    known = values[np.isfinite(values)]
+    levels, least = np.quantile(known, np.linspace(0.1, 0.9, 7)), _SAME * np.abs(known).max()
     for number in range(len(shown.sheets)):
         here = np.where(shown.answers.sheet == number, values, np.nan).reshape(shown.shape).T
-        if np.isfinite(here[:-1, :-1] + here[1:, 1:]).any() and np.nanmin(here) < np.nanmax(here):
+        if np.isfinite(here[:-1, :-1] + here[1:, 1:]).any() and np.nanmax(here) - np.nanmin(here) > least:
             inside = levels[(levels > np.nanmin(here)) & (levels < np.nanmax(here))]
             if len(inside := np.unique(inside)):
                 panel.contour(
@@ -193,6 +195,7 @@ def _sheets(shown: Slice) -> Figure:
         for value, kind in zip(along[0].tolist(), number.tolist(), strict=True):
             panel.axvspan(value - half, value + half, color=kinds[kind][1], linewidth=0)
         panel.set_yticks([])
+        panel.grid(False)
     met = [kind for i, kind in enumerate(kinds) if (number == i).any()]
     _legend(figure, [Patch(color=colour, label=_wrapped(label)) for label, colour in met])
     return figure
@@ -216,7 +219,8 @@ def _nodes(shown: Slice) -> Figure:
         panel.semilogy(along[0], 100.0 * shown.size[:, 0], color=BLUE, drawstyle="steps-mid")
         panel.set_ylabel("cell (% of the range)")
         panel.yaxis.set_major_formatter("{x:g}")
-        panel.yaxis.set_minor_formatter("{x:g}")
+        low, high = panel.get_ylim()
+        panel.yaxis.set_minor_formatter("{x:g}" if high < 10.0 * low else NullFormatter())  # there is room for few
         return figure
     density = 1.0 / shown.size.prod(axis=1)
     if np.isfinite(density).any():
