@@ -17,7 +17,9 @@ from perilune.atlas.building import build
 from perilune.atlas.query import open_atlas
 from perilune.atlas.sampling import sample_of
 from perilune.cli import run
+from perilune.families import cluster as on_cluster
 from perilune.families.cluster import cluster
+from perilune.families.elsewhere import answers
 from perilune.words.outcome import PeriluneError
 
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
@@ -34,7 +36,7 @@ def test_a_worker_that_is_killed_is_no_loss(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
     build(cho_landing(), AXES, tmp_path / "here", sample=0)
     killed = list[int]()
-    quiet = {"dashboard_address": None, "silence_logs": 50}
+    quiet = {"dashboard_address": ":0", "silence_logs": 50}
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **quiet) as local:
 
         def watch(line: object) -> None:
@@ -55,6 +57,23 @@ def test_a_worker_that_is_killed_is_no_loss(tmp_path: Path) -> None:
                 waiting.result()
     assert killed and shards(tmp_path / "here") == shards(tmp_path / "there")
     assert sample_of(open_atlas(tmp_path / "there")).proved == 1
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")  # of Dask itself
+def test_where_nobody_computes_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    monkeypatch.setattr(on_cluster, "_LOOK", 0.1)
+
+    def tell(line: str) -> None:
+        raise KeyboardInterrupt(line)  # as a user who reads it may
+
+    quiet = {"dashboard_address": ":0", "silence_logs": 50}
+    with distributed.LocalCluster(n_workers=0, processes=False, protocol="tcp://", **quiet) as local:
+        with cluster(local.scheduler_address, tell) as machines, pytest.raises(KeyboardInterrupt, match="no worker"):
+            next(answers(machines, iter([("one", (sorted, [2, 1]))])))
+        local.scale(1)
+        with cluster(local.scheduler_address, tell) as machines:
+            assert list(answers(machines, iter([("one", (sorted, [2, 1]))]))) == [("one", [1, 2])]
 
 
 def test_threads_make_the_same_nodes(tmp_path: Path) -> None:

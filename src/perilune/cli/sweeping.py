@@ -100,7 +100,7 @@ def elsewhere(order: Namespace) -> Iterator[Submits | None]:
         raise PeriluneError("--workers and --scheduler say two places at once", expected="one of the two")
     from perilune.families.cluster import cluster
 
-    with cluster(order.scheduler) as machines:
+    with cluster(order.scheduler, note) as machines:
         yield machines
 
 

@@ -11,15 +11,18 @@ from __future__ import annotations
 
 import logging
 import re
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from socket import create_connection
 from typing import Any
 
 from perilune.words.outcome import PeriluneError
+from perilune.words.watch import silent
 
 _PATIENCE = 10  # seconds, for a scheduler that does not answer
+_LOOK = 5.0  # seconds between looks whether there are workers
 _ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?(?P<host>[\w.-]{1,253}|\[[0-9a-fA-F:]+\]):(?P<port>\d{1,5})", re.ASCII)
 
 
@@ -30,14 +33,27 @@ class Cluster:
     ----------
     client
         A ``distributed.Client``.
+    tell
+        Receives a line when there is no worker left that could compute.
     """
 
-    def __init__(self, client: Any) -> None:
-        self.client = client
+    def __init__(self, client: Any, tell: Callable[[str], None] = silent) -> None:
+        self.client, self._tell = client, tell
+        self._look, self._there = time.monotonic() + _LOOK, True
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> _Future:
         """Begin a call; each is its own, also where another has the same arguments."""
         return _Future(self.client.submit(function, *arguments, pure=False))
+
+    def waited(self) -> None:
+        """Look now and then whether anybody computes; calls wait for workers as long as they have to."""
+        if time.monotonic() < self._look:
+            return
+        before, self._look = self._there, time.monotonic() + _LOOK
+        with suppress(OSError):  # a scheduler that is gone gives up its calls
+            self._there = bool(self.client.nthreads())
+        if before and not self._there:
+            self._tell("no worker is there to compute: waiting for a `dask worker`, or for Ctrl-C")
 
 
 class _Future:
@@ -65,13 +81,15 @@ class _Future:
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Cluster]:
+def cluster(address: str, tell: Callable[[str], None] = silent) -> Iterator[Cluster]:
     """The cluster of a scheduler, for as long as the block lasts.
 
     Parameters
     ----------
     address
         Of its scheduler: ``tcp://10.0.0.1:8786``.
+    tell
+        As of `Cluster`.
 
     Raises
     ------
@@ -90,7 +108,7 @@ def cluster(address: str) -> Iterator[Cluster]:
     except (OSError, ValueError) as error:
         raise _silent(address, str(error)) from error
     with _quiet(), client:
-        yield Cluster(client)
+        yield Cluster(client, tell)
 
 
 @contextmanager

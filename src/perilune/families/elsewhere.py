@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator
 from concurrent.futures import BrokenExecutor
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from perilune.words.outcome import PeriluneError
 
@@ -23,6 +23,14 @@ class Submits(Protocol):
         """Begin a call; what is returned has ``result``, ``cancel`` and ``add_done_callback``."""
 
 
+@runtime_checkable
+class Waits(Protocol):
+    """An executor that knows why nothing may come back."""
+
+    def waited(self) -> None:
+        """Called again and again while nothing comes back."""
+
+
 def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD) -> Iterator[tuple[Name, Any]]:
     """What each call returns, with its name, in the order in which they come back; `ahead` are begun at once."""
     begun: dict[Name, Any] = {}
@@ -38,6 +46,8 @@ def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = 
             try:
                 name = back.get(timeout=_PATIENCE)
             except Empty:
+                if isinstance(executor, Waits):
+                    executor.waited()
                 continue
             yield name, begun.pop(name).result()
     finally:
