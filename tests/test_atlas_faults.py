@@ -226,6 +226,15 @@ def test_no_space_for_a_header_is_said(tmp_path: Path, monkeypatch: pytest.Monke
     assert [path.name for path in (tmp_path / "full").iterdir()] == [MANIFEST]
 
 
+def test_what_dead_and_other_builders_leave_is_removed(copy: Path) -> None:
+    whole = snapshot(copy)
+    shard = next(name for name in whole if name.endswith(".npy"))
+    (copy / f".writing-1-{shard}").write_bytes(whole[shard][:50])  # of one that was killed
+    (copy / ".claim-0-0-0").touch()  # of one that looked when another had just let go
+    build(cho_landing(), AXES, copy)
+    assert snapshot(copy) == whole
+
+
 def test_a_line_that_was_not_written_whole_is_no_line(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.add({"kind": "brick", "name": "a"})

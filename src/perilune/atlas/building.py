@@ -126,6 +126,7 @@ def completed(
             break  # neighbours offer what does not lead on
         if not (tasks := dict(tasks_going_on(kept, problem, region, survey, tolerance, number))):
             break
+    kept.tidy()
 
 
 def _shards(kept: Store, region: Region, survey: Mapping[str, Any], rounds: int) -> dict[Key, list[str]]:

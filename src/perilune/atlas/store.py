@@ -277,6 +277,15 @@ class Store:
         """Remove the file by which a brick was claimed; whoever opens another sees that the brick is there."""
         (self.directory / f".claim-{name}").unlink(missing_ok=True)
 
+    def tidy(self) -> None:
+        """Remove what builders leave who are killed, or come too late, of what is there meanwhile."""
+        for file in self.directory.glob(".writing-*"):
+            if (self.directory / file.name.split("-", 2)[-1]).exists():
+                file.unlink(missing_ok=True)
+        for file in self.directory.glob(".claim-*"):
+            if self.there(name := file.name.removeprefix(".claim-")):
+                self.settled(name)
+
     def _put(self, name: str, content: bytes) -> None:
         temporary = self.directory / f".writing-{os.getpid()}-{name}"
         try:
@@ -312,7 +321,7 @@ def _unwritable(name: str, error: OSError) -> PeriluneError:
     return PeriluneError(
         "the atlas cannot be written", got=f"{name}: {error.strerror}",
         expected="a directory that you may write, with space left",
-        advice="what is there is kept: make space, and go on with --resume",
+        advice="what is there is kept: make space, and give the same order again (atlas build: with --resume)",
     )  # fmt: skip
 
 
