@@ -122,6 +122,22 @@ def test_an_atlas_grows_and_nothing_is_computed_again(low: Path) -> None:
         build(cho_landing(), BOTH, low)
 
 
+def test_units_of_what_is_there_stay_when_the_region_grows(tmp_path: Path) -> None:
+    """The canonical unit of a parameter follows its range where that is narrow; nodes are in that of their chart."""
+    mu = cho_landing().given["body_gravitational_parameter"].value
+    key, (low, middle, high) = "body.gravitational_parameter", (mu * (1 + k * 6e-5) for k in (0, 1, 3))
+    one, other = (
+        build(cho_landing(), {key: ends}, tmp_path / str(ends[0]), bricks=2) for ends in ((low, middle), (middle, high))
+    )
+    sheets = len(open_atlas(one).charted[0].sheets)
+    merge(one, other, tmp_path / "merged")
+    extend(one, {key: (low, high)})
+    assert len(open_atlas(one).charted) == 1 and len(open_atlas(one).charted[0].sheets) == sheets
+    for place in (one, tmp_path / "merged"):
+        found = open_atlas(place).query_many(np.linspace(low, high, 9)[:, None])
+        assert found.good.all() and found.guess_error.max() < 1e-9
+
+
 def test_sheets_that_are_new_reach_into_what_was_there(low: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first survey is made to miss the better sheet; a wider one finds it, and no brick of it was there."""
     lines = [json.loads(line) for line in (low / MANIFEST).read_text().splitlines()]

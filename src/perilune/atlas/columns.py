@@ -15,6 +15,7 @@ from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
+from perilune.words.types import Vector
 
 MOST_NOTES = 100
 
@@ -70,6 +71,11 @@ def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
     """The region of a survey: that of the header, unless it states edges of its own."""
     with told_of_damage(MANIFEST):
         return stated_region(region, survey["edges"]) if "edges" in survey else region
+
+
+def widths_of(chart: Mapping[str, Any], region: Region) -> Vector:
+    """Lengths of the ranges [SI] by which a chart's canonical units were chosen; a region that grows keeps them."""
+    return np.array(chart.get("widths", region.high - region.low), dtype=float)
 
 
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:

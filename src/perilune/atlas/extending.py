@@ -26,6 +26,7 @@ from perilune.atlas.columns import (
     seed_type,
     sheets_of,
     survey_region,
+    widths_of,
 )
 from perilune.atlas.course import course_from
 from perilune.atlas.lines import told_of_damage
@@ -109,18 +110,20 @@ def _extended(
     kept: Store, problem: Problem, region: Region, wide: Region, survey: Mapping[str, Any], method: Indirect, say: Watch
 ) -> dict[str, Any]:
     """The line of the wider survey, behind its shards."""
-    surveyed, found = Survey(problem=problem, region=wide, method=method, watch=say), list[Found]()
+    widths = widths_of(survey["charts"][0], region)
+    surveyed, found = Survey(problem=problem, region=wide, method=method, watch=say, widths=widths), list[Found]()
     with suppress(PeriluneError):  # nothing at the points that were tried: what is known is carried on all the same
         found = surveyed.run()
     places, values = wide.corners()
     charts, unmet = list[tuple[dict[str, Any], NDArray[Any]]](), [list(range(len(one.sheets))) for one in found]
     for said in survey["charts"]:
+        said = {**said, "widths": widths_of(said, region).tolist()}
         rows = kept.shard(said["seeds"], seed_type(len(wide.axes), said["unknowns"]))
         alike = next((i for i, one in enumerate(found) if _equations(said_of(one)) == _equations(said)), -1)
         left = unmet[alike] if alike >= 0 else []
         sheets = sheets_of(said)
         known = [_corners_of(rows, number) for number in range(len(sheets))]
-        chart = Chart(problem, wide.names, wide.high - wide.low, course_from(said))
+        chart = Chart(problem, wide.names, np.array(said["widths"]), course_from(said))
         borders = Borders(chart)
         for number, sheet in enumerate(sheets):
             same = [n for n in left if _is(found[alike], n, sheet, places, known[number])]
@@ -148,9 +151,9 @@ def _extended(
 
 
 def _equations(said: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What of a chart's line says which equations its extremals solve."""
+    """What of a chart's line says which equations its extremals solve, and in which units."""
     course = course_from(said)
-    return course.keep, course.text, said["unknowns"]
+    return course.keep, course.text, said["unknowns"], said["widths"]
 
 
 def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:

@@ -61,6 +61,8 @@ def refuse_no_survey(line: Mapping[str, Any]) -> None:
     for chart in charts:
         _demand(_whole(chart.get("unknowns")) and 0 < chart["unknowns"] <= _MOST_UNKNOWNS, "how many unknowns")
         _demand(_shard(chart.get("seeds")), "the shard of a survey")
+        widths = chart.get("widths", [])
+        _demand(_all(widths, int, float) and all(0 < width < math.inf for width in widths), "the widths of a chart")
         times = chart.get("times")
         _demand(_all(times, int) and all(0 < n <= _MOST_TIMES for n in times), "how finely extremals are flown again")
         without = chart.get("without", [])

@@ -26,6 +26,7 @@ from perilune.atlas.columns import (
     node_type,
     seed_type,
     survey_region,
+    widths_of,
 )
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.store import HEADER, Store, clear
@@ -214,7 +215,8 @@ def _lines(kept: Store, one: _Part, other: _Part, region: Region, watch: Watch) 
             rows["corner"] += by
             without = sorted({*map(tuple, chart.get("without", ())), *leaves})
             seeds = kept.put(f"survey-{len(lines)}.npy", rows)
-            lines.append({**chart, "without": [list(place) for place in without], "seeds": seeds})
+            widths = widths_of(chart, part.region).tolist()
+            lines.append({**chart, "widths": widths, "without": [list(place) for place in without], "seeds": seeds})
     edges = [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     notes = list(dict.fromkeys([*one.survey.get("notes", []), *other.survey.get("notes", [])]))[:MOST_NOTES]
     digest = digest_of([edges, lines])

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.chart import Chart
-from perilune.atlas.columns import cell_type, header_region, node_type, seed_type, sheets_of, survey_region
+from perilune.atlas.columns import (
+    cell_type,
+    header_region,
+    node_type,
+    seed_type,
+    sheets_of,
+    survey_region,
+    widths_of,
+)
 from perilune.atlas.course import course_from
 from perilune.atlas.hermite import bits
 from perilune.atlas.lines import told_of_damage
@@ -117,7 +125,7 @@ class Charted:
 
     def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
         self.sheets, self.unknowns = sheets_of(said), said["unknowns"]
-        self.chart = Chart(problem, region.names, region.high - region.low, course_from(said))
+        self.chart = Chart(problem, region.names, widths_of(said, region), course_from(said))
         if self.unknowns != len(self.chart.places):
             raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
         self.borders = Borders(self.chart)

@@ -57,12 +57,15 @@ class Found:
         Unknowns of each at the corners of bricks, NaN where it does not reach, (sheets, corners, n).
     times
         How finely they are flown again (`perilune.atlas.reflight.Reflights`).
+    widths
+        Of `Chart` [SI].
     """
 
     chart: Chart
     borders: Borders
     sheets: tuple[Sheet, ...]
     y: NDArray[np.float64]
+    widths: Vector
     times: tuple[int, ...] = ()
 
 
@@ -85,6 +88,8 @@ class Survey:
         What is mapped, and how it is solved from nothing.
     watch
         Receives lines of text, and each iteration of what is solved.
+    widths
+        Lengths of ranges [SI] by which canonical units are chosen; those of the region if it is not told.
 
     Attributes
     ----------
@@ -96,6 +101,7 @@ class Survey:
     region: Region
     method: Indirect
     watch: Watch
+    widths: Vector | None = None
     notes: list[str] = field(default_factory=list)
 
     def run(self) -> list[Found]:
@@ -142,9 +148,10 @@ class Survey:
 
     def _found(self, course: Course, solved: Sequence[_Solved], corners: Matrix) -> Found:
         """The sheets of one chart."""
-        chart = Chart(self.problem, self.region.names, self.region.high - self.region.low, course)
+        widths = self.region.high - self.region.low if self.widths is None else self.widths
+        chart = Chart(self.problem, self.region.names, widths, course)
         empty = np.empty((0, len(corners), len(chart.places)))
-        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty)
+        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=widths)
         for point in solved:
             found = self._with(found, corners, point.values, point.extremals)
         reached = np.isfinite(found.y[:, :, 0])
@@ -271,8 +278,8 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
 def said_of(found: Found) -> dict[str, Any]:
     """What a survey's line says of a chart."""
     sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
-    course = found.chart.course.document()
-    return {**course, "times": list(found.times), "unknowns": found.y.shape[2], "sheets": sheets}
+    said = {"widths": found.widths.tolist(), "times": list(found.times), "unknowns": found.y.shape[2]}
+    return {**found.chart.course.document(), **said, "sheets": sheets}
 
 
 def seeds(places: NDArray[np.int64], y: NDArray[np.float64]) -> NDArray[Any]:

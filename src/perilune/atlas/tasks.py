@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from perilune.atlas.brick import Brick
 from perilune.atlas.cells import WHOLE, Cells, Cut
 from perilune.atlas.chart import Chart
-from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of
+from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of, widths_of
 from perilune.atlas.course import Course, course_from
 from perilune.atlas.flooding import Key, Shards, spilled
 from perilune.atlas.hermite import bits
@@ -163,7 +163,7 @@ def _task(
     return Task(
         problem=problem,
         names=region.names,
-        widths=region.high - region.low,
+        widths=widths_of(chart, region),
         course=course_from(chart),
         times=tuple(chart["times"]),
         sheets=sheets_of(chart),
