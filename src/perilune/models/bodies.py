@@ -139,6 +139,16 @@ def known_like(body: Body) -> Body | None:
     return next((known for known in BODIES.values() if body.resembles(known)), None)
 
 
+def told_as(body: Body) -> str:
+    """Name under which other programs know a body: that of the known one of its size and pull, else its own.
+
+    "" where its own is that of another.
+    """
+    known = {**BODIES, **PLANETS}
+    like = next((k.name for k in known.values() if body.resembles(k)), "")
+    return like or ("" if body.name.lower() in known else body.name)
+
+
 def recognised(body: Body) -> Body:
     """The body with the name and the air of the known one of its size and pull, if there is one."""
     like = known_like(body)

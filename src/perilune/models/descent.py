@@ -15,7 +15,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from perilune.models.bodies import MOON, Body, oblate
+from perilune.models.bodies import MOON, Body, oblate, told_as
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
 from perilune.models.descent_frames import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
@@ -43,7 +43,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.preflight import Finding
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given
-from perilune.problem.views import History, Views
+from perilune.problem.views import History, Space, Views
 from perilune.words.declared import quantity, record, span, words
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -81,6 +81,7 @@ _VIEWS = Views(
     radius="body_radius",
     frame=INERTIAL_AXES,
 )
+_SPACE = Space(rotation="body_rotation_rate", longitude="longitude", latitude="latitude", height="altitude")
 
 
 # What of the burn holds, or means something, in a free fall as well.
@@ -338,7 +339,7 @@ def powered_descent(
         results=landing,
         result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
-        views=_VIEWS,
+        views=replace(_VIEWS, space=replace(_SPACE, body=told_as(body))),
         declared=(choices, *stated),
         ranges=_ranges,
         preflight=partial(_preflight, to_site=target == "site", body=body),

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models.bodies import MOON, Body
+from perilune.models.bodies import MOON, Body, told_as
 from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, spent
 from perilune.models.landing_preflight import compare_landing, perilune_speed
 from perilune.models.limits import braking, exhaust_speed
@@ -31,7 +31,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Free, Variable
 from perilune.problem.verification import Check
-from perilune.problem.views import Beside, History, Views
+from perilune.problem.views import Beside, History, Space, Views
 from perilune.words.asked import demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
@@ -145,6 +145,11 @@ _VIEWS = Views(
     frame="inertial axes: x from the centre to the start of the Hohmann transfer, z along the body's rotation",
     label="hybrid, ΔV = {delta_v:.1f} m/s",
     beside=Beside(given=(("retro_delta_v", 0.0),), label="ordinary, no retro burn"),
+)
+_SPACE = Space(
+    rotation="body_rotation_rate",
+    chosen="The model is planar: its plane is the equator, flown along the rotation, and longitude 0 is where the "
+    "Hohmann transfer starts, half a revolution before the begin of the flight.",
 )
 
 
@@ -267,7 +272,7 @@ def hybrid_landing(
         ranges=_ranges,
         preflight=partial(compare_landing, body=body),
         bookkeeping=bookkeeping,
-        views=_VIEWS,
+        views=replace(_VIEWS, space=replace(_SPACE, body=told_as(body))),
         scales=Scales(length=speed * time, time=time, mass=float(vehicle.mass)),
     )
     return problem if burn.delta_v is None else problem.with_given(retro_delta_v=burn.delta_v)

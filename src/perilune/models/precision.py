@@ -16,7 +16,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.models.bodies import MOON, Body, UniformGravity, oblate
+from perilune.models.bodies import MOON, Body, UniformGravity, oblate, told_as
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
 from perilune.models.corridor import NONE, Corridor, above_slope, conditions, kept, kept_falling
@@ -42,7 +42,7 @@ from perilune.problem.declared import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Variable
-from perilune.problem.views import History, Views
+from perilune.problem.views import History, Space, Views
 from perilune.words.asked import demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
@@ -233,7 +233,7 @@ def precision_landing(
     if approach.longest_coast is not None:
         fall = with_coast(phases[0], kept_falling, _WITHOUT_THRUST)
         phases, links, free = (*fall, *phases[1:]), (at_ignition, *links), (*free, FREE)
-    views = replace(_VIEWS, radius="", frame="") if flat else _VIEWS
+    views = _seen(body)
     return Problem(
         name="precision_landing",
         title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on {body.titled}",
@@ -253,6 +253,13 @@ def precision_landing(
         views=views if corridor.slope is None else replace(views, floor="glide slope"),
         scales=Scales(length=way or 1.0, time=ranges[free[0].name][2], mass=float(vehicle.mass)),
     )
+
+
+def _seen(body: Body | UniformGravity) -> Views:
+    """The views; flat ground is nowhere in space."""
+    if isinstance(body, UniformGravity):
+        return replace(_VIEWS, radius="", frame="")
+    return replace(_VIEWS, space=Space(body=told_as(body), rotation="body_rotation_rate"))
 
 
 def _ground(body: Body | UniformGravity, site: Site | None, j2: float) -> tuple[Any, ...]:

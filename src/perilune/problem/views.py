@@ -112,6 +112,36 @@ class Dispersion:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Space:
+    """Where in space a flight is, for programs that know bodies and times: what `Phase.inertial` is relative to.
+
+    Its axes are those of the body itself at the begin of the flight: z along its rotation, x to longitude 0.
+
+    Parameters
+    ----------
+    body
+        Name of the body at the origin, in lower case: ``moon``; "" of one that has none.
+    rotation
+        Name of the parameter that is the rate of the body's rotation [rad/s].
+    epoch
+        Time at the begin of the flight in ISO 8601, UTC unless it says otherwise; "" where it may begin at any time.
+    longitude, latitude, height
+        Names of outputs that place the point below the vehicle, and of the height above the body's surface (its
+        ellipsoid, where it has one); "" where there are none.
+    chosen
+        What was chosen where the model leaves a direction open, in a sentence; "" where it leaves none.
+    """
+
+    body: str = ""
+    rotation: str = ""
+    epoch: str = ""
+    longitude: str = ""
+    latitude: str = ""
+    height: str = ""
+    chosen: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Views:
     """How a problem is looked at.
 
@@ -140,6 +170,8 @@ class Views:
         By what the landing point moves, or None.
     floor
         What the fourth value of `Phase.track` is, the least height there [m]; "" where there is none.
+    space
+        Where in space the flight is, or None.
     """
 
     histories: tuple[History, ...] = ()
@@ -153,6 +185,7 @@ class Views:
     ground: Ground | None = None
     corridor: Corridor | None = None
     dispersion: Dispersion | None = None
+    space: Space | None = None
 
 
 def check_views(
@@ -172,10 +205,12 @@ def check_views(
     moved = views.dispersion
     by = moved.disturbances if moved else ()
     axes = (*moved.position, *moved.velocity) if moved else ()
+    placed = (views.space.longitude, views.space.latitude, views.space.height) if views.space else ()
+    turning = views.space.rotation if views.space else ""
     disturbed = [name for d in by for name in (*d.without, *(share[0] for share in d.shares))]
     asked = (
-        ("quantity", [views.height, *views.peaks, *ground, *shown, *axes], quantities),
-        ("parameter", [views.radius, *(name for name, _ in fixed), *disturbed], parameters),
+        ("quantity", [views.height, *views.peaks, *ground, *shown, *axes, *placed], quantities),
+        ("parameter", [views.radius, turning, *(name for name, _ in fixed), *disturbed], parameters),
         ("phase", [*(d.begins for d in by), *([moved.track] if moved else [])], phases),
         ("result", [name for _, name, _, _ in Formatter().parse(views.label) if name], results),
     )

@@ -15,7 +15,7 @@ from typing import Any
 
 from perilune.models import atmosphere, ellipsoid
 from perilune.models.atmosphere import Air
-from perilune.models.bodies import EARTH, Planet
+from perilune.models.bodies import EARTH, Planet, told_as
 from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
@@ -351,7 +351,14 @@ def deorbit_entry(
         objective_scale=_size_of(objective_unit, time),
         results=told_results,
         result_variables=told.of_flight(names),
-        views=told.views(air=flown is not None, heat=nose, coasts=_is_the_earth(body), given=given),
+        views=told.views(
+            air=flown is not None,
+            heat=nose,
+            coasts=_is_the_earth(body),
+            given=given,
+            body=told_as(body),
+            epoch=epoch or "",
+        ),
         declared=stated,
         preflight=partial(compare_return, angles=angles, air=flown, drifts="drift" in names),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),

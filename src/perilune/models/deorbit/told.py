@@ -17,7 +17,7 @@ from perilune.models.deorbit.orbit import AXIS
 from perilune.models.deorbit.records import exhaust_speed, throttled
 from perilune.models.rotating import INERTIAL_AXES, Triple, combine, cross, dot, gravity, seen_inertially
 from perilune.problem.variables import Variable
-from perilune.problem.views import Corridor, Dispersion, Disturbance, Ground, History, Views
+from perilune.problem.views import Corridor, Dispersion, Disturbance, Ground, History, Space, Views
 
 PLACED = (
     Variable(name="altitude", unit="m"),
@@ -169,7 +169,7 @@ def dispersion(given: Iterable[str]) -> Dispersion:
     )  # fmt: skip
 
 
-def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str]) -> Views:
+def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str], body: str, epoch: str) -> Views:
     """Figures of a return, with air or without, with heat or without, over a body whose coasts are known or not."""
     peaks = (("dynamic_pressure", "load") if air else ()) + (("heat_rate",) if air and heat else ())
     return Views(
@@ -192,4 +192,8 @@ def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str]) -> Views
             height="altitude", speed="speed", equal=peaks[1:], position=("x", "y", "z"), velocity=("vx", "vy", "vz")
         ) if air else None,
         dispersion=dispersion(given) if air else None,
+        space=Space(
+            body=body, rotation="body_rotation_rate", epoch=epoch,
+            longitude="longitude", latitude="latitude", height="altitude",
+        ),
     )  # fmt: skip

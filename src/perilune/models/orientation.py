@@ -1,0 +1,148 @@
+"""How bodies are turned in space: axes that turn with a body, in those of the ICRF, at a time.
+
+Elements of the IAU/IAG working group (Archinal et al. 2018, Celest. Mech. Dyn. Astr. 130:22; Mars those of 2009, which
+need no series, Archinal et al. 2011): right ascension and declination of the pole, and the angle W of the prime
+meridian from the node of the body's equator, with T centuries and d days of TDB since J2000,
+
+    alpha = a0 + a1 T + sum a_k sin E_k,  delta = d0 + d1 T + sum d_k cos E_k,  W = w0 + w1 d + w2 d^2 + sum w_k sin E_k
+
+The Earth's are too rough for that: its pole is the celestial intermediate one by its leading terms, and it is turned by
+the Earth rotation angle (IERS Conventions 2010, section 5.4 and equations 5.15, 5.16).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from perilune.words.outcome import unknown_name
+from perilune.words.types import Matrix
+
+_J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
+_TDB = 69.184  # s, ahead of UTC since 2017; which leap seconds come nobody knows
+_SECONDS = np.pi / 180 / 3600  # of arc
+
+
+@dataclass(frozen=True, kw_only=True)
+class Elements:
+    """Elements of one body [deg]; angles E_k as constants and rates per century, amplitudes in their order."""
+
+    pole_right_ascension: tuple[float, float]
+    pole_declination: tuple[float, float]
+    meridian: tuple[float, float, float]
+    angles: tuple[tuple[float, float], ...] = ()
+    right_ascension: tuple[float, ...] = ()
+    declination: tuple[float, ...] = ()
+    turned: tuple[float, ...] = ()
+    told: str = ""
+
+
+_IAU = "IAU/IAG elements of 2015"
+ELEMENTS = {
+    "moon": Elements(
+        pole_right_ascension=(269.9949, 0.0031), pole_declination=(66.5392, 0.0130),
+        meridian=(38.3213, 13.17635815, -1.4e-12),
+        angles=(
+            (125.045, -1935.5364525), (250.089, -3871.0729050), (260.008, 475263.3328725), (176.625, 487269.6299850),
+            (357.529, 35999.0509575), (311.589, 964468.4993100), (134.963, 477198.8693250), (276.617, 12006.3007650),
+            (34.226, 63863.5132425), (15.134, -5806.6093575), (119.743, 131.8406400), (239.961, 6003.1503825),
+            (25.053, 473327.7964200),
+        ),
+        right_ascension=(-3.8787, -0.1204, 0.0700, -0.0172, 0.0, 0.0072, 0.0, 0.0, 0.0, -0.0052, 0.0, 0.0, 0.0043),
+        declination=(1.5419, 0.0239, -0.0278, 0.0068, 0.0, -0.0029, 0.0009, 0.0, 0.0, 0.0008, 0.0, 0.0, -0.0009),
+        turned=(
+            3.5610, 0.1208, -0.0642, 0.0158, 0.0252, -0.0066, -0.0047, -0.0046, 0.0028, 0.0052, 0.0040, 0.0019, -0.0044
+        ),
+        told=f"{_IAU}, which keep within some 150 m on the ground to the mean-Earth axes of an ephemeris",
+    ),
+    "mercury": Elements(
+        pole_right_ascension=(281.0103, -0.0328), pole_declination=(61.4155, -0.0049),
+        meridian=(329.5988, 6.1385108, 0.0), told=f"{_IAU} without libration, which turns by 0.011 deg at most",
+    ),
+    "mars": Elements(
+        pole_right_ascension=(317.68143, -0.1061), pole_declination=(52.88650, -0.0609),
+        meridian=(176.630, 350.89198226, 0.0), told="IAU/IAG elements of 2009",
+    ),
+    "europa": Elements(
+        pole_right_ascension=(268.08, -0.009), pole_declination=(64.51, 0.003), meridian=(36.022, 101.3747235, 0.0),
+        angles=((355.80, 1191.3), (119.90, 262.1), (229.80, 64.3), (352.25, 2382.6)),
+        right_ascension=(1.086, 0.060, 0.015, 0.009), declination=(0.468, 0.026, 0.007, 0.002),
+        turned=(-0.980, -0.054, -0.014, -0.008), told=_IAU,
+    ),
+    "ceres": Elements(
+        pole_right_ascension=(291.418, 0.0), pole_declination=(66.764, 0.0), meridian=(170.650, 952.1532, 0.0),
+        told=_IAU,
+    ),
+}  # fmt: skip
+_EARTH = "leading terms of its precession and nutation, UT1 taken as UTC, no polar motion: some 500 m on the ground"
+
+
+def axes_in_space(body: str, epoch: datetime) -> Matrix:
+    """Matrix from axes that turn with a body to those of the ICRF, both from its centre.
+
+    Parameters
+    ----------
+    body
+        ``earth``, or a name in `ELEMENTS`.
+    epoch
+        With its time zone.
+
+    Raises
+    ------
+    PeriluneError
+        If the body's orientation is not known here.
+    """
+    if body == "earth":
+        return _earth(epoch)
+    found = _elements(body)
+    days = ((epoch - _J2000).total_seconds() + _TDB) / 86400
+    centuries = days / 36525
+    angles = np.radians([constant + rate * centuries for constant, rate in found.angles])
+    ascension = _sum(found.pole_right_ascension, centuries) + float(np.dot(found.right_ascension, np.sin(angles)))
+    declination = _sum(found.pole_declination, centuries) + float(np.dot(found.declination, np.cos(angles)))
+    meridian = _sum(found.meridian, days) + float(np.dot(found.turned, np.sin(angles)))
+    node, tilt, turn = np.radians([ascension + 90, 90 - declination, meridian])
+    return _about_z(node) @ _about_x(tilt) @ _about_z(turn)
+
+
+def told_orientation(body: str) -> str:
+    """By what the orientation of a body is known, and how well, in words."""
+    return _EARTH if body == "earth" else _elements(body).told
+
+
+def _elements(body: str) -> Elements:
+    known = sorted((*ELEMENTS, "earth"))
+    if body not in ELEMENTS:
+        raise unknown_name("body whose orientation in space is known", body or "a body without a name", known)
+    return ELEMENTS[body]
+
+
+def _sum(coefficients: Sequence[float], x: float) -> float:
+    return sum(c * x**k for k, c in enumerate(coefficients))
+
+
+def _earth(epoch: datetime) -> Matrix:
+    days = (epoch - _J2000).total_seconds() / 86400
+    t = (days + _TDB / 86400) / 36525
+    node = np.radians(125.04455501 - 1934.13626197 * t)
+    twice_sun = 2 * np.radians(280.4665 + 36000.7698 * t)  # mean longitude
+    x = 2004.191898 * t - 0.4297829 * t**2 - 0.016617 - 6.844318 * np.sin(node) - 0.523908 * np.sin(twice_sun)
+    y = -0.006951 - 0.025896 * t - 22.4072747 * t**2 + 9.205236 * np.cos(node) + 0.573033 * np.cos(twice_sun)
+    x, y = x * _SECONDS, y * _SECONDS
+    a = 0.5 + (x * x + y * y) / 8
+    pole = np.array([[1 - a * x * x, -a * x * y, x], [-a * x * y, 1 - a * y * y, y], [-x, -y, 1 - a * (x * x + y * y)]])
+    turns = 0.7790572732640 + 0.00273781191135448 * days + days % 1.0
+    return pole @ _about_z(2 * np.pi * turns + x * y / 2)
+
+
+def _about_z(angle: float) -> Matrix:
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _about_x(angle: float) -> Matrix:
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
