@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,7 @@ _EXPORTS = {
     "load": "perilune.io.reload",
     "guess": "perilune.problem.guess",
     "save": "perilune.io.export",
+    "export": "perilune.io.exports.writing",
     "opposite": "perilune.problem.opposite",
     "preflight": "perilune.problem.preflight",
     "solve": "perilune.solve",
@@ -76,6 +78,7 @@ __all__ = [
     "Variable",
     "Verification",
     "atlas",
+    "export",
     "guess",
     "load",
     "models",
@@ -88,10 +91,22 @@ __all__ = [
     "verify",
 ]
 
+# What methods of a solution do by rooms above theirs, which know it and which it does not know.
+_METHODS = {
+    "plot": "perilune.report.shown",
+    "animate": "perilune.report.animated",
+    "solution_page": "perilune.report.pages",
+    "problem_page": "perilune.report.pages",
+    "verification_page": "perilune.report.pages",
+    "to_xarray": "perilune.io.exports.writing",
+    "to_dataframe": "perilune.io.exports.writing",
+}
+
 if TYPE_CHECKING:
     from perilune import atlas, models
     from perilune.families.sweep import sweep
     from perilune.io.export import save
+    from perilune.io.exports.writing import export
     from perilune.io.reload import load
     from perilune.methods.genetic import Genetic
     from perilune.methods.hybrid import Hybrid
@@ -135,5 +150,10 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What is loaded on first use is there as well, to be completed and to be offered for a misspelt name."""
-    return sorted({*globals(), *_EXPORTS})
+    """The public names, also those that are loaded on first use; nothing that happens to be imported here."""
+    return sorted({*__all__, "__all__", "__doc__", "__version__"})
+
+
+def _method(name: str) -> Callable[..., Any]:
+    """What a method of this name does."""
+    return getattr(importlib.import_module(_METHODS[name]), name)

@@ -1,4 +1,4 @@
-"""The command line: ``perilune solve | sweep | check | opportunities | verify | reproduce | new | doctor``.
+"""The command line: ``perilune COMMAND``; `perilune.cli.arguments` lists the commands.
 
 Answers go to stdout, progress and refusals to stderr; with ``--json`` stdout holds exactly one JSON document,
 for a refusal too. Exit codes: 0 done and proved, 1 a fault of this program, 2 bad scenario or usage, 3

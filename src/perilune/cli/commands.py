@@ -151,6 +151,23 @@ def _verify(typed: Namespace) -> Answer:
     return _solution_answer(proved_directory(typed.directory, typed.level), typed.verbose)
 
 
+def _export(typed: Namespace) -> Answer:
+    from perilune.io.exports.provenance import provenance
+    from perilune.io.exports.writing import refuse_unwritable, write
+    from perilune.io.reload import opened
+    from perilune.solve import prove
+
+    refuse_unwritable(typed.out, typed.format, typed.force)
+    loaded, document = opened(typed.directory)
+    solution = prove(loaded, typed.prove)
+    about = provenance(solution, document=document)
+    write(solution, typed.out, typed.format, about, epoch=typed.epoch, force=typed.force)
+    size = typed.out.stat().st_size
+    told = {"written": str(typed.out), "format": typed.format, "bytes": size, "proof": about["proof"]}
+    text = f"written to {typed.out}: {typed.format}, {size / 2**10:.0f} KiB; proof: {about['proof']}"
+    return Answer(text=text, document=told, exit_code=solution.outcome.exit_code if typed.prove else 0)
+
+
 def _reproduce(typed: Namespace) -> Answer:
     from perilune.reproductions.papers import reproduce as reproduce_paper
 
@@ -200,6 +217,7 @@ COMMANDS: dict[str, Callable[[Namespace], Answer]] = {
     "opportunities": _opportunities,
     "atlas": _atlas,
     "verify": _verify,
+    "export": _export,
     "reproduce": _reproduce,
     "new": _new,
     "doctor": _doctor,

@@ -36,9 +36,9 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
 from perilune.problem.tolerance import Tolerance, unit_of
 from perilune.problem.variables import Given
-from perilune.problem.verification import Verification
+from perilune.problem.verification import LEVEL_NAMES, Verification
 from perilune.words.asked import demand_path
-from perilune.words.bounded import bounded_text
+from perilune.words.bounded import bounded_text, one_line
 from perilune.words.declared import keys_of, made_of
 from perilune.words.outcome import Outcome, PeriluneError
 
@@ -70,13 +70,30 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     PeriluneError
         If the file is missing, too large, not of this format, altered, or does not fit its own problem.
     """
+    return opened(directory, problem_from_scenario)[0]
+
+
+def opened(
+    directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None
+) -> tuple[Solution, Mapping[str, Any]]:
+    """As `load`, with the tree that the file holds."""
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
     path = demand_path(directory, "the directory of a saved solution")
     document = _document(path)
     problem = read_problem(document, problem_from_scenario)
     found = read_answer(document, problem, read_trajectories(document, problem))
-    return replace(found, repeated=Repeated.of(path, document))
+    return replace(found, repeated=Repeated.of(path, document)), document
+
+
+def claims_of(document: Mapping[str, Any]) -> tuple[str, str, dict[str, str]]:
+    """What a file says of itself that nothing here has seen: level of its proof, scenario, versions of programs."""
+    level = int(number(part(document, "verification", dict), "level", "verification"))
+    if not 0 <= level < len(LEVEL_NAMES):
+        refuse("verification.level", str(level), f"0 to {len(LEVEL_NAMES) - 1}")
+    told = {one_line(str(name)): one_line(str(v)) for name, v in part(document, "versions", dict).items()}
+    scenario = "" if document.get("scenario") is None else _scenario_text(document)
+    return f"level {level}: {LEVEL_NAMES[level]}", scenario, told
 
 
 def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:

@@ -34,6 +34,7 @@ from perilune.problem.controls import Control, scalars
 from perilune.problem.declared import given_of
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
 from perilune.problem.phase import Phase
+from perilune.problem.shown import ShownProblem
 from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, positive_scale
 from perilune.problem.verification import Check
@@ -49,8 +50,7 @@ _NOTHING = 1e-18  # of a canonical unit
 STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
 MOST_TOLD = 4  # values that were given later, in a heading
 BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
-# Of what a state reaches: so much rounds, some hundred times the last digit, beside limits of 3e-10 of a size.
-ROUNDS = 1e-4
+ROUNDS = 1e-4  # of what a state reaches: some hundred times the last digit, beside limits of 3e-10 of a size
 
 
 def borne_out(scale: float, unit: float, reached: float) -> float:
@@ -74,8 +74,8 @@ def likely(unit: float, reached: float) -> float:
     return min(max(unit, reached / BEYOND), BEYOND * reached) if reached > _NOTHING * unit else unit
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Problem(ShownProblem):
     """Phases, links, parameters and the objective.
 
     Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process

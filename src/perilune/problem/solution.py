@@ -21,12 +21,14 @@ from perilune.problem.extremal import Extremal
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.peaks import peaks
 from perilune.problem.problem import Problem
+from perilune.problem.shown import ShownSolution
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Check, Verification
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, Outcome, PeriluneError
 from perilune.words.same import same_fields
 from perilune.words.types import Matrix, Vector
+from perilune.words.units import told
 from perilune.words.watch import Iteration
 
 _ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
@@ -210,8 +212,8 @@ class Statistics:
     claimed: bool = False
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Solution:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Solution(ShownSolution):
     """An answer of any method. Solutions are equal when everything in them is.
 
     Parameters
@@ -279,6 +281,13 @@ class Solution:
 
     def __hash__(self) -> int:
         return hash((self.problem, self.method, self.outcome, tuple(self.free)))
+
+    def __repr__(self) -> str:
+        problem = self.problem
+        free = [f"{name} = {told(value, problem.unit_of(name))}" for name, value in self.free.items()]
+        numbers = [f"J = {told(self.objective, problem.objective_unit)}", *free]
+        proof = f"{self.outcome.name}, {self.verification.title}"
+        return f"<Solution of {problem.name} by {self.method}: {proof}; {', '.join(numbers)}>"
 
     @property
     def parameters(self) -> Any:

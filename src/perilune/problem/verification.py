@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from perilune.problem.tolerance import Tolerance
+from perilune.words.face import method
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked")
 LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # that may be asked for
@@ -60,7 +61,7 @@ class Check:
         return f"limit {self.limit:.{digits}g}{own}"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Verification:
     """All checks made of one solution.
 
@@ -123,6 +124,14 @@ class Verification:
     def failed(self) -> tuple[Check, ...]:
         """The checks that did not pass."""
         return tuple(c for c in self.checks if not c.passed)
+
+    def __repr__(self) -> str:
+        checks = f"; {len(self.checks) - len(self.failed)} of {len(self.checks)} checks passed" if self.checks else ""
+        failed = f"; failed: {', '.join(check.name for check in self.failed)}" if self.failed else ""
+        return f"<Verification {self.title}{checks}{failed}>"
+
+    def _repr_html_(self) -> str:
+        return method("verification_page")(self)
 
     def __str__(self) -> str:
         lines = [self.headline + (f", flown: {self.text}" if self.text else "")]

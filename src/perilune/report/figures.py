@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -18,7 +21,7 @@ from perilune.report.style import save
 from perilune.report.track import track
 from perilune.words.bounded import one_line
 
-__all__ = ["label", "save", "solution_figures"]
+__all__ = ["drawings", "label", "save", "solution_figures"]
 
 
 def solution_figures(solution: Solution, beside: Solution | None = None) -> dict[str, Figure]:
@@ -31,26 +34,31 @@ def solution_figures(solution: Solution, beside: Solution | None = None) -> dict
     beside
         Another flight of the same problem, drawn with it.
     """
+    return {name: draw() for name, draw in drawings(solution, beside).items()}
+
+
+def drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Callable[[], Figure]]:
+    """What draws each of `solution_figures`, by name."""
     flights = {label(s): s for s in (solution, beside) if s is not None}
     first = solution.problem.phases[0]
     known = {name for k in range(len(solution.problem.phases)) for name in columns(solution, k, np.zeros(1))}
-    made = {
-        shown.name: history(flights, shown)
+    made: dict[str, Callable[[], Figure]] = {
+        shown.name: partial(history, flights, shown)
         for shown in solution.problem.views.histories or _generic(solution.problem)
         if known & set(shown.quantities)
     }
     views = solution.problem.views
     if views.ground is not None:
-        made["ground_track"] = ground_track(solution, views.ground)
+        made["ground_track"] = partial(ground_track, solution, views.ground)
     if views.corridor is not None:
-        made["corridor"] = corridor(solution, views.corridor)
+        made["corridor"] = partial(corridor, solution, views.corridor)
     if first.track is not None:
-        made["track"] = track(flights)
+        made["track"] = partial(track, flights)
     elif first.inertial is not None and solution.problem.views.radius:
-        made["path"] = path_over_limb(flights)
+        made["path"] = partial(path_over_limb, flights)
     if solution.trajectories[0].costate is not None:
-        made["costates"] = costates(solution)
-        made["hamiltonian"] = optimality(solution)
+        made["costates"] = partial(costates, solution)
+        made["hamiltonian"] = partial(optimality, solution)
     return made
 
 

@@ -25,7 +25,7 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     """Path of each flight from ignition to touchdown, thrust shown by strokes along the exhaust."""
     first = next(iter(flights.values()))
     radius = getattr(first.parameters, first.problem.views.radius)
-    plane = _plane(first)
+    plane = plane_of_flight(first)
     paths = {who: _path(solution, plane, radius) for who, solution in flights.items()}
     begin = min(float(phi[0]) for phi, _ in paths.values())
     end = max(float(phi[-1]) for phi, _ in paths.values())
@@ -79,7 +79,7 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     return figure
 
 
-def _plane(solution: Solution) -> Matrix:
+def plane_of_flight(solution: Solution) -> Matrix:
     """Unit vectors, as rows: up at ignition, and ahead along the horizon there, in the inertial axes."""
     position, velocity, _ = (vector[:, 0] for vector in solution.inertial(0, np.zeros(1)))
     up = position / np.linalg.norm(position)

@@ -169,7 +169,7 @@ def dispersion(given: Iterable[str]) -> Dispersion:
     )  # fmt: skip
 
 
-def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str], body: str, epoch: str) -> Views:
+def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = "") -> Views:
     """Figures of a return, with air or without, with heat or without, over a body whose coasts are known or not."""
     peaks = (("dynamic_pressure", "load") if air else ()) + (("heat_rate",) if air and heat else ())
     return Views(

@@ -1,0 +1,94 @@
+"""Options that commands share, as argparse is told of them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def whole(least: int, most: int | None = None) -> Callable[[str], int]:
+    """What reads a whole number in a range."""
+
+    def read(text: str) -> int:
+        number = int(text)
+        if number < least or (most is not None and number > most):
+            raise argparse.ArgumentTypeError(f"{number} is not {_range(least, most)}")
+        return number
+
+    read.__name__ = "whole number"  # what argparse calls it
+    return read
+
+
+def real(text: str) -> float:
+    """Read a number."""
+    return float(text)
+
+
+real.__name__ = "number"  # what argparse calls it
+
+
+def _range(least: int, most: int | None) -> str:
+    return f"at least {least}" if most is None else f"from {least} to {most}"
+
+
+Option = tuple[tuple[str, ...], dict[str, Any]]  # its flags, and what argparse is told of it
+
+
+def option(*flags: str, **settings: Any) -> Option:
+    """Flags of an option, and what it is."""
+    return flags, settings
+
+
+def switch(flag: str, about: str, **settings: Any) -> Option:
+    """Something that is on or off."""
+    return option(flag, action="store_true", help=about, **settings)
+
+
+def level(least: int, usual: int) -> Option:
+    """The level of a proof."""
+    text = f"Verification level to prove, {_range(least, 3)}" + ("; 0 for none" if not least else "")
+    help_ = f"{text}. Usually {usual}."
+    return option("--level", metavar="LEVEL", type=whole(least, 3), default=usual, help=help_)
+
+
+FILE = option("file", metavar="FILE", type=Path, help="Scenario in TOML; `perilune new` writes one.")
+SET = option(
+    "--set",
+    dest="changes",
+    metavar="KEY=VALUE",
+    action="append",
+    default=[],
+    help='Change a value, e.g. "vehicle.thrust=500 N"; may be repeated.',
+)
+OUT = option("--out", metavar="DIR", type=Path, help="Write everything into this directory.")
+JSON = switch("--json", "One JSON document on stdout.", dest="as_json")
+VERBOSE = switch("--verbose", "Show every iteration on stderr, and every check.")
+FORCE = switch("--force", "Replace what an earlier run wrote there.")
+NO_CACHE = switch("--no-cache", "Compile anew and keep no machine code on disk.")
+METHOD = option(
+    "--method",
+    metavar="METHOD",
+    default="indirect",
+    help="indirect (unless given); direct, which also flies along a limit; hybrid: genetic search, then direct.",
+)
+SETTINGS = (
+    option("--nodes", metavar="N", type=whole(0), help="Points of the direct method's first mesh. Usually 20."),
+    option(
+        "--tolerance",
+        metavar="PART",
+        type=real,
+        help="Relative error at which the direct method's mesh has converged. Usually 1e-6. "
+        "What a proof may leave open is stated in the file, under [proof].",
+    ),
+    option(
+        "--no-polish",
+        dest="polish",
+        action="store_const",
+        const=False,
+        help="Leave the direct method's answer as its mesh has it, and do not make it exact by Newton's method.",
+    ),
+    option("--starts", metavar="N", type=whole(0), help="Random starts of the indirect method. Usually 24."),
+    option("--seed", metavar="N", type=whole(0), help="Of random starts, and of the genetic search. Usually 0."),
+)

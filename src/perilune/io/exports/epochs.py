@@ -1,0 +1,67 @@
+"""Times of a flight as formats write them: an epoch that somebody stated, and seconds after it."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from perilune.problem.problem import Problem
+from perilune.words.asked import refused
+from perilune.words.outcome import PeriluneError
+
+_EXAMPLE = "2030-01-01T00:00:00"
+
+
+def epoch_of(problem: Problem, stated: str | datetime | None) -> datetime | None:
+    """UTC at the begin of the flight: what is stated, else what the problem says, else None.
+
+    Raises
+    ------
+    PeriluneError
+        If what is stated is no time, or another than the problem's own.
+    """
+    own = problem.views.space.epoch if problem.views.space is not None else ""
+    if stated is None:
+        return _instant(own) if own else None
+    if isinstance(stated, type) or not isinstance(stated, str | datetime):
+        raise refused(stated, f'a text such as "{_EXAMPLE}", or a datetime', "an epoch")
+    found = _instant(stated)
+    if own and found != _instant(own):
+        raise PeriluneError(
+            "the problem has an epoch of its own", got=str(stated), expected=own,
+            advice="leave the epoch out, or solve the problem at the other one",
+        )  # fmt: skip
+    return found
+
+
+def needed_epoch(problem: Problem, stated: str | datetime | None, form: str) -> datetime:
+    """The same for a format that has no times without one.
+
+    Raises
+    ------
+    PeriluneError
+        If there is none.
+    """
+    found = epoch_of(problem, stated)
+    if found is None:
+        raise PeriluneError(
+            f"{form} needs the time at which the flight begins, and {problem.name} states none",
+            expected="UTC in ISO 8601",
+            advice=f'--epoch {_EXAMPLE} (in Python epoch="{_EXAMPLE}")',
+        )
+    return found
+
+
+def _instant(stated: str | datetime) -> datetime:
+    try:
+        found = datetime.fromisoformat(stated) if isinstance(stated, str) else stated
+        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+    except (ValueError, OverflowError):
+        raise PeriluneError(
+            "the epoch is no time", got=repr(stated)[:60], expected=f'UTC in ISO 8601, as "{_EXAMPLE}"'
+        ) from None
+
+
+def stamp(epoch: datetime, seconds: float) -> str:
+    """A time after the epoch in ISO 8601, UTC without a letter, to a nanosecond. No leap second is put in."""
+    whole, rest = divmod(1000 * epoch.microsecond + round(seconds * 1e9), 1_000_000_000)
+    return f"{epoch.replace(microsecond=0) + timedelta(seconds=whole):%Y-%m-%dT%H:%M:%S}.{rest:09d}"

@@ -1,0 +1,107 @@
+"""The way of a flight in space, at so many times that cubic Hermite interpolation between them loses a millimetre.
+
+Axes are inertial, those of the body itself at the begin of the flight, or turn with the body (`Leg.turning`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from perilune.problem.solution import Solution
+from perilune.problem.views import Space
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+
+LOST = 1e-3  # m, between two times
+_HALVED = 12  # times, at most
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """One phase.
+
+    Parameters
+    ----------
+    phase
+        Its name.
+    time
+        From the begin of the flight [s], shape (n,), increasing.
+    position, velocity, push
+        [m], [m/s], acceleration by thrust [m/s^2], each (3, n).
+    lost
+        Most that interpolation of position and velocity loses half-way between two times [m].
+    """
+
+    phase: str
+    time: Vector
+    position: Matrix
+    velocity: Matrix
+    push: Matrix
+    lost: float
+
+    @property
+    def powered(self) -> bool:
+        """Whether there is thrust on it."""
+        return bool(np.any(self.push))
+
+    def turned(self, matrix: Matrix) -> Leg:
+        """The same in other axes that do not turn."""
+        return replace(self, position=matrix @ self.position, velocity=matrix @ self.velocity, push=matrix @ self.push)
+
+    def turning(self, rate: float) -> Leg:
+        """The same in axes that turn about z at a rate [rad/s]; velocities are beside them."""
+        sine, cosine = np.sin(rate * self.time), np.cos(rate * self.time)
+        x, y = rate * self.position[1], -rate * self.position[0]
+        beside = self.velocity + np.array([x, y, np.zeros_like(x)])
+
+        def back(v: Matrix) -> Matrix:
+            return np.array([cosine * v[0] + sine * v[1], cosine * v[1] - sine * v[0], v[2]])
+
+        return replace(self, position=back(self.position), velocity=back(beside), push=back(self.push))
+
+
+def space_of(solution: Solution, form: str) -> Space:
+    """Where in space the flight is, for a format that has no other places.
+
+    Raises
+    ------
+    PeriluneError
+        If the problem does not say it.
+    """
+    problem = solution.problem
+    unseen = [phase.name for phase in problem.phases if phase.inertial is None]
+    if problem.views.space is None or unseen:
+        what = f"its phase {unseen[0]} states no inertial view" if unseen else "it states no body in space"
+        raise PeriluneError(
+            f"{form} needs a place in space, and {problem.name} has none", got=what,
+            expected="Phase(inertial=...) of every phase, and Views(space=Space(...)); flat ground is nowhere",
+            advice="csv, parquet and netcdf need neither",
+        )  # fmt: skip
+    return problem.views.space
+
+
+def legs(solution: Solution) -> list[Leg]:
+    """The phases in inertial axes; a phase without length has none."""
+    found, begin = [], 0.0
+    for k, trajectory in enumerate(solution.trajectories):
+        if trajectory.duration > 0:
+            found.append(_leg(solution, k, begin))
+        begin += trajectory.duration
+    return found
+
+
+def _leg(solution: Solution, k: int, begin: float) -> Leg:
+    t = np.unique(solution.trajectories[k].time)
+    for _ in range(_HALVED):
+        r, v, push = solution.inertial(k, t)
+        middle, width = 0.5 * (t[1:] + t[:-1]), np.diff(t)
+        between = 0.5 * (r[:, 1:] + r[:, :-1]) - 0.125 * width * np.diff(v, axis=1)
+        lost = np.linalg.norm(between - solution.inertial(k, middle)[0], axis=0)
+        if not (bad := lost > LOST).any():
+            break
+        t = np.union1d(t, middle[bad])
+    return Leg(
+        phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push, lost=float(lost.max())
+    )

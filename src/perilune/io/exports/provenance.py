@@ -1,0 +1,60 @@
+"""Where an export comes from: words that stand in every file, so that nobody has to ask for the run behind it.
+
+A proof is told as far as it is known: of a solution that was loaded and not proved again only what its file claims.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from perilune.io.export import results, versions
+from perilune.io.files import finite
+from perilune.io.reload import claims_of
+from perilune.problem.solution import Solution
+
+
+def provenance(solution: Solution, scenario_text: str | None = None, document: Any = None) -> dict[str, str]:
+    """Words about a solution, by name.
+
+    Parameters
+    ----------
+    solution
+        What is exported.
+    scenario_text
+        The scenario that its problem was made of, if it was.
+    document
+        What ``solution.json`` holds, of a solution that was loaded.
+    """
+    problem, views = solution.problem, solution.problem.views
+    claimed, scenario, made_by = claims_of(document) if document is not None else ("", "", {})
+    proof = solution.verification.title
+    if claimed and not solution.verification.checks:
+        proof = f"not proved again; its file claims {claimed}"
+    found = {
+        "title": problem.heading,
+        "source": _program(made_by or versions()),
+        "method": solution.method,
+        "outcome": solution.outcome.name,
+        "proof": proof,
+        "objective": f"{float(solution.objective)!r} {problem.objective_unit}",
+        "free_parameters": _parameters({name: (value, problem.unit_of(name)) for name, value in solution.free.items()}),
+        "given_parameters": _parameters({name: (g.value, g.unit) for name, g in problem.given.items()}),
+        "results": _parameters({name: (r["value"], r["unit"]) for name, r in results(solution).items()}),
+        "frame": views.frame,
+        "chosen": views.space.chosen if views.space is not None else "",
+        "body": views.space.body if views.space is not None else "",
+        "scenario": scenario_text or scenario,
+    }
+    return {name: text for name, text in found.items() if text}
+
+
+def _program(found: Mapping[str, str]) -> str:
+    own, *others = (f"{name} {version}" for name, version in found.items())
+    return f"{own} ({', '.join(others)})"
+
+
+def _parameters(values: Mapping[str, tuple[float, str]]) -> str:
+    """JSON of values with their units."""
+    return json.dumps(finite({name: [float(value), unit] for name, (value, unit) in values.items()}))

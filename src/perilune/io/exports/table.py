@@ -1,0 +1,118 @@
+"""A flight as one table: all phases below each other at the nodes of their states, each column with what it is.
+
+The columns are those of `perilune.io.columns`: outputs, states, controls, costates and H, angles in degrees and
+everything else in SI; and where the problem says where in space it flies, position, velocity and acceleration by thrust
+in inertial axes. What a phase does not have is NaN in it. Where a phase ends and the next begins a time stands twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from perilune.io.columns import Column, columns
+from perilune.problem.solution import Solution
+from perilune.problem.views import Space
+from perilune.words.types import Vector
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """One column of the table.
+
+    Parameters
+    ----------
+    name, unit, about
+        ``about`` says what it is.
+    values
+        Shape (n,).
+    placed
+        ``longitude``, ``latitude`` or ``height``, where it places the point below the vehicle or the vehicle above it.
+    """
+
+    name: str
+    unit: str
+    about: str
+    values: Vector
+    placed: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightTable:
+    """All columns; `time` is in seconds from the begin of the flight, `phase` the number of each row's phase."""
+
+    time: Vector
+    phase: np.ndarray
+    phases: tuple[str, ...]
+    fields: tuple[Field, ...]
+
+    @property
+    def phase_names(self) -> np.ndarray:
+        """Name of each row's phase."""
+        return np.array(self.phases)[self.phase]
+
+
+def flight_table(solution: Solution) -> FlightTable:
+    """The table of a solution."""
+    parts, times, begin = [], [], 0.0
+    for k, trajectory in enumerate(solution.trajectories):
+        found = columns(solution, k)
+        del found["time"]
+        parts.append(found | {column.name: column for column in _in_space(solution, k, trajectory.time)})
+        times.append(begin + trajectory.time)
+        begin += trajectory.duration
+    lengths = [len(time) for time in times]
+    told, placed = _told(solution), _placed(solution.problem.views.space)
+    names = {name: part[name].unit for part in parts for name in part}
+    return FlightTable(
+        time=np.concatenate(times),
+        phase=np.repeat(np.arange(len(times), dtype=np.int8), lengths),
+        phases=tuple(phase.name for phase in solution.problem.phases),
+        fields=tuple(
+            Field(
+                name=name,
+                unit=unit,
+                about=told.get(name) or name.replace("_", " "),
+                values=np.concatenate([
+                    part[name].values if name in part else np.full(length, np.nan)
+                    for part, length in zip(parts, lengths, strict=True)
+                ]),
+                placed=placed.get(name, ""),
+            )
+            for name, unit in names.items()
+        ),
+    )  # fmt: skip
+
+
+def _in_space(solution: Solution, k: int, t: Vector) -> Iterator[Column]:
+    if solution.problem.phases[k].inertial is None:
+        return
+    for stem, unit, rows in zip(("", "v", "thrust_"), ("m", "m/s", "m/s^2"), solution.inertial(k, t), strict=True):
+        for axis, values in zip(_AXES, rows, strict=True):
+            yield Column(name=f"inertial_{stem}{axis}", unit=unit, values=values)
+
+
+def _told(solution: Solution) -> dict[str, str]:
+    """What each column is, in words."""
+    phases = solution.problem.phases
+    told = {"H": "Hamiltonian, minimised by the control"}
+    for phase in phases:
+        for v in (*phase.output_variables, *phase.states):
+            told[v.name] = v.description or v.label
+        told |= {f"lambda_{v.name}": f"costate of {v.name}: derivative of the least J by it" for v in phase.states}
+        for control in phase.controls:
+            told |= {name: f"control, component of {control.kind}" for name in control.names}
+    for stem, what in (("", "position"), ("v", "velocity"), ("thrust_", "acceleration by thrust")):
+        told |= {f"inertial_{stem}{axis}": f"{what} along {axis} in inertial axes" for axis in _AXES}
+    return told
+
+
+def _placed(space: Space | None) -> dict[str, str]:
+    if space is None:
+        return {}
+    names = {space.longitude: "longitude", space.latitude: "latitude", space.height: "height"}
+    return {name: kind for name, kind in names.items() if name}

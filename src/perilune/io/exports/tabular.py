@@ -1,0 +1,166 @@
+"""The table of a flight in files and frames that know nothing of flights: CSV, Parquet, NetCDF, pandas, xarray.
+
+NetCDF follows the CF conventions: each variable has its units and a long_name, time counts from the epoch where there
+is one, and where longitude, latitude and height are known the file is a trajectory of its discrete geometries. It is of
+the classic format with 64-bit offsets, which SciPy writes.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from perilune.io.columns import rounded
+from perilune.io.exports.epochs import stamp
+from perilune.io.exports.table import Field, FlightTable
+from perilune.words.outcome import PeriluneError
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+_CONVENTIONS = "CF-1.11"
+# Attributes that the conventions have for a place; heights are above the body's sphere, or ellipsoid.
+_PLACES = {
+    "longitude": {"standard_name": "longitude", "units": "degrees_east"},
+    "latitude": {"standard_name": "latitude", "units": "degrees_north"},
+    "height": {"standard_name": "height_above_reference_ellipsoid", "positive": "up"},
+}
+_CF_UNITS = {"deg": "degree"}  # UDUNITS knows no "deg"
+_DIMENSION = "obs"
+
+
+def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
+    """One row of names with units, then numbers that read back to the last bit; angles without the rounding of pi."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        stamps = [] if epoch is None else [("utc", "", [stamp(epoch, float(t)) for t in table.time])]
+        cells = [
+            (f.name, f.unit, [repr(rounded(v, f.unit)) if math.isfinite(v) else "" for v in f.values.tolist()])
+            for f in table.fields
+        ]
+        shown = [
+            ("time", "s", list(map(repr, table.time.tolist()))), *stamps,
+            ("phase", "", table.phase_names.tolist()), *cells,
+        ]  # fmt: skip
+        writer.writerow([f"{name} [{unit}]" if unit else name for name, unit, _ in shown])
+        writer.writerows(zip(*(column for _, _, column in shown), strict=True))
+
+
+def write_parquet(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
+    """One column each, with its unit and what it is; the provenance as JSON under the key ``perilune``."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise _missing("Parquet", "pyarrow") from None
+    utc = {} if epoch is None else {"epoch": f"{stamp(epoch, 0.0)}Z"}
+    fields = [
+        pa.field("time", pa.float64(), nullable=False, metadata={"unit": "s", "about": _TIME}),
+        pa.field("phase", pa.string(), nullable=False, metadata={"unit": "", "about": "phase of the flight"}),
+        *(pa.field(f.name, pa.float64(), metadata={"unit": f.unit, "about": f.about}) for f in table.fields),
+    ]
+    schema = pa.schema(fields, metadata={"perilune": json.dumps({**about, **utc})})
+    arrays = [pa.array(table.time), pa.array(table.phase_names.tolist())]
+    arrays += [pa.array(f.values, from_pandas=True) for f in table.fields]  # what a phase does not have is null
+    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
+
+
+def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
+    """By SciPy, as the conventions have it."""
+    from scipy.io import netcdf_file
+
+    with netcdf_file(str(path), "w", version=2) as file:
+        for name, text in _file_attributes(table, about, epoch).items():
+            setattr(file, name, text.encode())
+        file.createDimension(_DIMENSION, len(table.time))
+        for name, (values, attributes) in _variables(table, epoch).items():
+            dimensions = (_DIMENSION,)
+            if values.dtype.kind == "S":
+                values, dimensions = np.frombuffer(values.tobytes(), dtype="S1"), ("name_length",)
+                file.createDimension(*dimensions, len(values))
+            variable = file.createVariable(name, values.dtype.newbyteorder(">"), dimensions)
+            variable[:] = values
+            for key, value in attributes.items():
+                setattr(variable, key, value.encode() if isinstance(value, str) else value)
+
+
+def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | None) -> xarray.Dataset:
+    """The same as a data set of xarray, in which longitude, latitude, height, time and phase are coordinates."""
+    try:
+        import xarray
+    except ImportError:
+        raise _missing("a data set of xarray", "xarray") from None
+    variables = {
+        name: xarray.Variable((_DIMENSION,) if values.ndim else (), values, attributes)
+        for name, (values, attributes) in _variables(table, epoch).items()
+    }
+    found = xarray.Dataset(variables, attrs=_file_attributes(table, about, epoch)).set_coords(["time", "phase"])
+    return xarray.decode_cf(found)
+
+
+def frame_of(table: FlightTable, about: Mapping[str, str]) -> pandas.DataFrame:
+    """The same as a frame of pandas, its index the time [s]; units and provenance in `attrs`."""
+    try:
+        import pandas
+    except ImportError:
+        raise _missing("a frame of pandas", "pandas") from None
+    found = pandas.DataFrame(
+        {"phase": table.phase_names, **{f.name: f.values for f in table.fields}},
+        index=pandas.Index(table.time, name="time"),
+    )
+    found.attrs = {"units": {"time": "s", **{f.name: f.unit for f in table.fields}}, **about}
+    return found
+
+
+_TIME = "time from the begin of the flight"
+_TRAJECTORY = "trajectory"
+
+
+def _is_geometry(table: FlightTable, epoch: datetime | None) -> bool:
+    """Whether each row has a place and a time, as a trajectory of the conventions must."""
+    return epoch is not None and {f.placed for f in table.fields} >= set(_PLACES)
+
+
+def _file_attributes(table: FlightTable, about: Mapping[str, str], epoch: datetime | None) -> dict[str, str]:
+    geometry = {"featureType": "trajectory"} if _is_geometry(table, epoch) else {}
+    return {"Conventions": _CONVENTIONS, **geometry, **about}
+
+
+def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
+    """Values and attributes of each variable."""
+    time: dict[str, Any] = {"units": "s", "long_name": _TIME}
+    if epoch is not None:
+        since = f"seconds since {stamp(epoch, 0.0).replace('T', ' ')[:-3]}"
+        time = {"standard_name": "time", "long_name": "UTC", "units": since, "calendar": "standard"}
+    phase = {
+        "long_name": "phase of the flight", "flag_meanings": " ".join(table.phases),
+        "flag_values": np.arange(len(table.phases), dtype=np.int8),
+    }  # fmt: skip
+    found = {"time": (table.time, time), "phase": (table.phase, phase)}
+    places = [f.name for f in table.fields if f.placed]
+    if _is_geometry(table, epoch):
+        found[_TRAJECTORY] = (np.array(b"flight"), {"cf_role": "trajectory_id", "long_name": "name of the flight"})
+    for f in table.fields:
+        found[f.name] = (f.values, _attributes(f, places))
+    return found
+
+
+def _attributes(f: Field, places: list[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {"units": _CF_UNITS.get(f.unit, f.unit), "long_name": f.about, **_PLACES.get(f.placed, {})}
+    if not np.isfinite(f.values).all():
+        found["_FillValue"] = np.float64(np.nan)
+    if not f.placed:
+        found["coordinates"] = " ".join(["time", *places])
+    return found
+
+
+def _missing(what: str, package: str) -> PeriluneError:
+    return PeriluneError(f"{what} needs {package}, which is not installed", advice="pip install 'perilune[export]'")

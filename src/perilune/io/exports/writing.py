@@ -1,0 +1,158 @@
+"""The verb: a solution into one file of a format. It is written to the side and renamed when it is whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from perilune.io.exports.epochs import epoch_of, needed_epoch
+from perilune.io.exports.provenance import provenance
+from perilune.problem.solution import Solution
+from perilune.words.asked import demand, demand_path, refused
+from perilune.words.outcome import PeriluneError, unknown_name
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+FORMATS = ("netcdf", "csv", "parquet", "oem", "czml")
+_TIMED = {"oem": "an orbit ephemeris message (OEM)", "czml": "CZML"}  # that have no times without an epoch
+
+
+def export(
+    solution: Solution,
+    file: str | Path,
+    format: str = "netcdf",
+    *,
+    epoch: str | datetime | None = None,
+    scenario_text: str | None = None,
+    force: bool = False,
+) -> Path:
+    """Write a solution into one file for other programs.
+
+    Parameters
+    ----------
+    solution
+        As a method or `perilune.load` gives it.
+    file
+        Where.
+    format
+        ``netcdf`` (CF conventions), ``csv``, ``parquet``, ``oem`` (CCSDS, version 2.0) or ``czml`` (Cesium).
+    epoch
+        Time at the begin of the flight in ISO 8601, UTC unless it says otherwise. ``oem`` and ``czml`` need one, where
+        the problem states none.
+    scenario_text
+        The scenario that the problem was made of, to stand in the file.
+    force
+        Whether a file that is there may be replaced.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    PeriluneError
+        If the format is not known or does not fit the problem, an epoch is missing, the file is there already or cannot
+        be written, or a package is not installed.
+    """
+    demand(solution, Solution, "a solution to export", "perilune.load(DIR) reads one that was saved")
+    if not isinstance(scenario_text, str | None):
+        raise refused(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
+    return write(solution, file, format, provenance(solution, scenario_text), epoch=epoch, force=force)
+
+
+def write(
+    solution: Solution,
+    file: str | Path,
+    format: str,
+    about: Mapping[str, str],
+    *,
+    epoch: str | datetime | None = None,
+    force: bool = False,
+) -> Path:
+    """As `export`, with what is to be said of the solution (`perilune.io.exports.provenance`)."""
+    path = refuse_unwritable(file, format, force)
+    found = needed_epoch(solution.problem, epoch, _TIMED[format]) if format in _TIMED else None
+    beside = path.with_name(f".{path.name}-writing-{os.getpid()}")
+    try:
+        _writer(format)(solution, about, found or epoch_of(solution.problem, epoch), beside)
+        os.replace(beside, path)
+    except OSError as error:
+        raise PeriluneError(
+            "the export cannot be written", got=f"{path}: {error.strerror or error}",
+            expected="a place that you may write, with space left",
+        ) from error  # fmt: skip
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+    return path
+
+
+def refuse_unwritable(file: str | Path, format: str, force: bool) -> Path:
+    """The file as a path; refuses a format that there is not, and a file that must not be replaced."""
+    path = demand_path(file, "the file of an export")
+    if format not in FORMATS:
+        raise unknown_name("format", str(format), FORMATS)
+    if path.is_dir() or (path.exists() and not force):
+        what = "the file is a directory" if path.is_dir() else "the file is there already"
+        advice = "choose another name" + ("" if path.is_dir() else ", or --force (in Python force=True)")
+        raise PeriluneError(what, got=str(path), advice=advice)
+    return path
+
+
+def _writer(format: str) -> Callable[[Solution, Mapping[str, str], Any, Path], None]:
+    """What writes a format; loaded when it is asked for."""
+    if format == "oem":
+        from perilune.io.exports.oem import write_oem
+
+        return write_oem
+    if format == "czml":
+        from perilune.io.exports.czml import write_czml
+
+        return write_czml
+    from perilune.io.exports import tabular
+    from perilune.io.exports.table import flight_table
+
+    written = getattr(tabular, f"write_{format}")
+    return lambda solution, about, epoch, path: written(flight_table(solution), about, epoch, path)
+
+
+def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xarray.Dataset:
+    """The flight as a data set of xarray: what ``format="netcdf"`` writes, opened.
+
+    Parameters
+    ----------
+    solution, epoch
+        As for `export`.
+
+    Raises
+    ------
+    PeriluneError
+        If xarray is not installed.
+    """
+    from perilune.io.exports.table import flight_table
+    from perilune.io.exports.tabular import dataset_of
+
+    demand(solution, Solution, "a solution to export")
+    return dataset_of(flight_table(solution), provenance(solution), epoch_of(solution.problem, epoch))
+
+
+def to_dataframe(solution: Solution) -> pandas.DataFrame:
+    """The flight as a frame of pandas, its index the time from the begin of the flight [s].
+
+    Raises
+    ------
+    PeriluneError
+        If pandas is not installed.
+    """
+    from perilune.io.exports.table import flight_table
+    from perilune.io.exports.tabular import frame_of
+
+    demand(solution, Solution, "a solution to export")
+    return frame_of(flight_table(solution), provenance(solution))

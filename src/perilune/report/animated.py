@@ -1,0 +1,169 @@
+"""The flight as it goes: the way with the vehicle on it, its thrust, the clock and the height.
+
+The way is seen from the side, distance along the ground against height, each to its own scale, the exhaust at its
+true angle to the horizon; a problem that is nowhere in space shows its first history with a point that runs along it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from perilune.io.columns import flight_columns
+from perilune.problem.solution import Solution
+from perilune.report.limb import plane_of_flight
+from perilune.report.style import BLUE, GREY, STYLE, VERMILION, new_figure
+from perilune.report.track import path
+from perilune.words.asked import demand, demand_path, refused
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Matrix, Vector
+
+_FRAMES = 15  # a second
+_FASTEST, _LONGEST = 0.2, 120.0  # s
+_STROKE = 0.2  # of the height of the picture, for the largest thrust
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Way:
+    """What is drawn: places (2, n) at times (n,), exhaust (2, n) in parts of the largest thrust, texts of the axes."""
+
+    time: Vector
+    places: Matrix
+    exhaust: Matrix
+    labels: tuple[str, str]
+
+
+def animate(
+    solution: Solution, file: str | Path | None = None, *, seconds: float = 8.0, force: bool = False
+) -> FuncAnimation:
+    """Show a flight as it goes.
+
+    Parameters
+    ----------
+    solution
+        What to show.
+    file
+        A GIF to write; None writes nothing.
+    seconds
+        How long it takes to show the flight.
+    force
+        Whether a file that is there may be replaced.
+
+    Returns
+    -------
+    FuncAnimation
+        Of matplotlib; in a notebook ``IPython.display.HTML(animation.to_jshtml())`` shows it.
+
+    Raises
+    ------
+    PeriluneError
+        If the file is there already or cannot be written, or the time is none to show a flight in.
+    """
+    demand(solution, Solution, "a solution to show")
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not _FASTEST <= seconds <= _LONGEST:
+        raise refused(seconds, f"seconds, {_FASTEST:g} to {_LONGEST:g}", "a time to show a flight in")
+    target = None if file is None else demand_path(file, "the file of an animation")
+    if target is not None and target.exists() and not force:
+        raise PeriluneError("the file is there already", got=str(target), advice="choose another name, or force=True")
+    with matplotlib.rc_context(STYLE):
+        made = _animation(_way(solution, round(_FRAMES * seconds)))
+        if target is not None:
+            _written(made, target)
+    return made
+
+
+def _written(made: FuncAnimation, target: Path) -> None:
+    beside = target.with_name(f".{target.name}-writing-{os.getpid()}.gif")
+    try:
+        made.save(beside, writer=PillowWriter(fps=_FRAMES), dpi=100)
+        os.replace(beside, target)
+    except OSError as error:
+        raise PeriluneError("the animation cannot be written", got=f"{target}: {error.strerror or error}") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _way(solution: Solution, frames: int) -> _Way:
+    """The way at times that are evenly apart."""
+    whole = sum(trajectory.duration for trajectory in solution.trajectories)
+    time = np.linspace(0.0, whole, max(frames, 2))
+    problem = solution.problem
+    if all(phase.inertial is not None for phase in problem.phases) and problem.views.radius:
+        return _in_space(solution, time)
+    if all(phase.track is not None for phase in problem.phases):
+        sampled = path(solution)
+        each = sampled.shape[1] // len(solution.trajectories)
+        lengths = [np.linspace(0.0, t.duration, each) for t in solution.trajectories]
+        begins = np.cumsum([0.0, *(t.duration for t in solution.trajectories[:-1])])
+        at = np.concatenate([begin + length for begin, length in zip(begins, lengths, strict=True)])
+        rows = np.array([np.interp(time, at, sampled[k]) for k in (0, 2)]) / 1e3
+        return _Way(time=time, places=rows, exhaust=np.zeros((2, len(time))), labels=("downrange (km)", "height (km)"))
+    name = problem.views.histories[0].quantities[0] if problem.views.histories else problem.phases[0].state_names[0]
+    parts = flight_columns(solution, name)
+    at, values = (np.concatenate(rows) for rows in zip(*((t, column.values) for t, column in parts), strict=True))
+    rows = np.array([time, np.interp(time, at, values)])
+    labels = ("time (s)", f"{name.replace('_', ' ')} ({parts[0][1].unit})")
+    return _Way(time=time, places=rows, exhaust=np.zeros((2, len(time))), labels=labels)
+
+
+def _in_space(solution: Solution, time: Vector) -> _Way:
+    radius = getattr(solution.parameters, solution.problem.views.radius)
+    plane, begin, parts = plane_of_flight(solution), 0.0, []
+    for k, trajectory in enumerate(solution.trajectories):
+        last = k == len(solution.trajectories) - 1
+        end = begin + trajectory.duration
+        here = time[(time >= begin) & ((time < end) | last)]
+        r, _, push = solution.inertial(k, np.clip(here - begin, 0.0, trajectory.duration))
+        parts.append(np.concatenate([plane @ r, plane @ push, np.linalg.norm(r, axis=0)[None]]))
+        begin = end
+    above, ahead, out, on, distance = np.concatenate(parts, axis=1)
+    angle = np.unwrap(np.arctan2(ahead, above))
+    cosine, sine = np.cos(angle), np.sin(angle)
+    push = np.array([on * cosine - out * sine, out * cosine + on * sine])
+    most = float(np.linalg.norm(push, axis=0).max()) or 1.0
+    places = np.array([radius * angle, distance - radius]) / 1e3
+    return _Way(time=time, places=places, exhaust=-push / most, labels=("along the ground (km)", "height (km)"))
+
+
+def _animation(way: _Way) -> FuncAnimation:
+    figure, axes = new_figure(height=2.6, width=5.0)
+    FigureCanvasAgg(figure)
+    along, height = way.places
+    axes.plot(along, height, color=GREY, linewidth=0.8)
+    (flown,) = axes.plot([], [], color=BLUE)
+    (stroke,) = axes.plot([], [], color=VERMILION, linewidth=2.0)
+    (vehicle,) = axes.plot([], [], "o", color="black", markersize=5, zorder=5)
+    axes.set(xlabel=way.labels[0], ylabel=way.labels[1])
+    axes.margins(0.08, 0.12)
+    title = axes.set_title(" ", fontsize=8)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # else every frame is laid out again
+    box = axes.get_window_extent()
+    reach = _STROKE * np.array([np.ptp(axes.get_xlim()) * box.height / box.width, np.ptp(axes.get_ylim())])
+    draw = _drawn(way, reach, (flown, stroke, vehicle, title))
+    return FuncAnimation(
+        figure, draw, frames=len(way.time), interval=1000 / _FRAMES, blit=False, cache_frame_data=False
+    )
+
+
+def _drawn(way: _Way, reach: Vector, parts: tuple) -> Callable[[int], tuple]:
+    flown, stroke, vehicle, title = parts
+    what, _, unit = way.labels[1].removesuffix(")").partition(" (")
+
+    def draw(i: int) -> tuple:
+        here = way.places[:, i]
+        flown.set_data(way.places[0, : i + 1], way.places[1, : i + 1])
+        end = here + reach * way.exhaust[:, i]
+        stroke.set_data([here[0], end[0]], [here[1], end[1]])
+        vehicle.set_data([here[0]], [here[1]])
+        title.set_text(f"{way.time[i]:.1f} s, {what} {here[1]:.3f} {unit}")
+        return parts
+
+    return draw

@@ -1,0 +1,144 @@
+"""What an export says of itself, what is refused, and the command."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from command_line import HYBRID, ROOT, read_json
+from perilune.cli import run
+from perilune.io.exports.epochs import stamp
+from perilune.io.exports.path import LOST, legs
+from perilune.models.bodies import MARS, Body
+from perilune.models.landing import Orbit, Vehicle, hybrid_landing
+from perilune.problem.solution import Solution
+from perilune.scenario import load_file
+from perilune.words.outcome import PeriluneError
+
+EPOCH = "2030-01-01T00:00:00"
+Loose: Any = pl
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda s, f: Loose.export(s.problem, f), ("not a solution to export", "Problem", "perilune.load")),
+        (lambda s, f: Loose.export(s, None), ("not the file of an export", "None")),
+        (lambda s, f: pl.export(s, f, "hdf5"), ("no format of this name", "'hdf5'", "netcdf")),
+        (lambda s, f: Loose.export(s, f, 3), ("no format of this name", "'3'")),
+        (lambda s, f: pl.export(s, f, "oem"), ("(OEM) needs the time", "--epoch 2030-01-01T00:00:00", "epoch=")),
+        (lambda s, f: pl.export(s, f, "czml"), ("CZML needs the time", "hybrid_landing states none")),
+        (lambda s, f: pl.export(s, f, "oem", epoch="tomorrow"), ("epoch is no time", "'tomorrow'")),
+        (lambda s, f: Loose.export(s, f, "oem", epoch=2030), ("not an epoch", "2030")),
+        (lambda s, f: Loose.export(s, f, epoch=datetime), ("not an epoch", "the class datetime")),
+        (lambda s, f: Loose.export(s, f, scenario_text=3), ("not the text of a scenario", "3")),
+        (lambda s, f: pl.export(s, f.parent), ("is a directory",)),
+        (lambda s, f: pl.export(s, f.parent / "nowhere" / "x.nc"), ("cannot be written", "No such file")),
+    ],
+)  # fmt: skip
+def test_an_export_that_cannot_be_made_is_refused(
+    hybrid: Solution, tmp_path: Path, ask: Callable[[Any, Path], Any], words: tuple[str, ...]
+) -> None:
+    with pytest.raises(PeriluneError) as caught:
+        ask(hybrid, tmp_path / "flight")
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+    assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize(("package", "form"), [("pyarrow", "parquet"), ("pandas", None), ("xarray", None)])
+def test_what_is_not_installed_is_one_sentence(
+    hybrid: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, form: str | None
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(PeriluneError, match=package) as missing:
+        if form is not None:
+            pl.export(hybrid, tmp_path / "flight", form)
+        elif package == "pandas":
+            hybrid.to_dataframe()
+        else:
+            hybrid.to_xarray()
+    assert missing.value.advice == "pip install 'perilune[export]'" and not os.listdir(tmp_path)
+
+
+def test_flat_ground_is_nowhere_in_space(tmp_path: Path) -> None:
+    flat = pl.solve(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem, level=0)
+    for form in ("oem", "czml"):
+        with pytest.raises(PeriluneError, match="needs a place in space, and precision_landing has none"):
+            pl.export(flat, tmp_path / "flight", form, epoch=EPOCH)
+    assert "inertial_x" not in pl.export(flat, tmp_path / "flight.csv", "csv").read_text().splitlines()[0]
+
+
+def test_a_body_that_nobody_knows_is_not_placed(hybrid: Solution, tmp_path: Path) -> None:
+    own = Body(name="vesta", gravitational_parameter=4.9e12, radius=1.9e6, rotation_rate=0.0)
+    vehicle, orbit = Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0), Orbit(
+        parking_altitude=100e3, perilune_altitude=15e3
+    )  # fmt: skip
+    space = hybrid_landing(vehicle, None, orbit, own).views.space
+    assert space is not None and space.body == "vesta"
+    views = replace(hybrid.problem.views, space=space)
+    with pytest.raises(PeriluneError, match="no body whose orientation in space is known") as refused:
+        pl.export(replace(hybrid, problem=hybrid.problem.changed(views=views)), tmp_path / "x", "oem", epoch=EPOCH)
+    assert "moon" in str(refused.value)
+    named = replace(own, name="moon")
+    for body, name in ((named, ""), (replace(MARS, name="red"), "mars")):
+        seen = hybrid_landing(replace(vehicle, thrust=2000.0), None, orbit, body).views.space
+        assert seen is not None and seen.body == name
+
+
+def test_a_planar_flight_says_which_plane_was_chosen(hybrid: Solution, tmp_path: Path) -> None:
+    text = pl.export(hybrid, tmp_path / "flight.oem", "oem", epoch=EPOCH).read_text()
+    comments = " ".join(line.removeprefix("COMMENT ") for line in text.splitlines() if line.startswith("COMMENT"))
+    assert "its plane is the equator" in comments and "IAU/IAG elements" in comments and "level 0" in comments
+    assert text.isascii() and max(map(len, text.splitlines())) <= 254
+
+
+def test_an_epoch_is_read_as_it_is_meant(hybrid: Solution, tmp_path: Path) -> None:
+    east = timezone(timedelta(hours=2))
+    said = [EPOCH, "2030-01-01T02:00:00+02:00", datetime(2030, 1, 1, 2, tzinfo=east), datetime(2030, 1, 1)]
+    files = [pl.export(hybrid, tmp_path / f"{i}", "csv", epoch=epoch) for i, epoch in enumerate(said)]
+    assert len({file.read_bytes() for file in files}) == 1
+    assert files[0].read_text().splitlines()[1].split(",")[1] == "2030-01-01T00:00:00.000000000"
+    assert stamp(datetime(2030, 1, 1, 23, 59, 59, 999999, tzinfo=UTC), 1e-6) == "2030-01-02T00:00:00.000000000"
+    own = load_file(ROOT / "examples" / "minimum_duration_return.toml", ["problem.epoch=2026-06-01T12:00:00Z"]).problem
+    moved = replace(hybrid, problem=hybrid.problem.changed(views=replace(hybrid.problem.views, space=own.views.space)))
+    with pytest.raises(PeriluneError, match="epoch of its own"):
+        pl.export(moved, tmp_path / "x", "csv", epoch=EPOCH)
+
+
+def test_the_way_in_space_loses_no_millimetre(ordinary: Solution) -> None:
+    (leg,) = legs(ordinary)
+    assert 0 < leg.lost < LOST and np.all(np.diff(leg.time) > 0)
+    still = leg.turning(0.0)
+    np.testing.assert_array_equal(still.velocity, leg.velocity)
+
+
+def test_the_command_exports_what_was_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place, file = str(tmp_path / "run"), tmp_path / "flight.czml"
+    scenario = load_file(HYBRID)
+    pl.save(pl.solve(scenario.problem, level=1), place, scenario.text)
+    ask = ["export", place, "--format", "czml", "--out", str(file), "--json"]
+    assert run(ask) == 2
+    assert "--epoch" in capsys.readouterr().out
+    assert run([*ask, "--epoch", EPOCH]) == 0
+    told = read_json(capsys.readouterr().out)
+    assert (
+        told["bytes"] == file.stat().st_size and told["proof"] == "not proved again; its file claims level 1: feasible"
+    )
+    (vehicle,) = [packet for packet in json.loads(file.read_text()) if packet["id"] == "vehicle"]
+    assert "perilune_altitude" in vehicle["description"] and "its file claims level 1" in vehicle["description"]
+    assert run([*ask, "--epoch", EPOCH]) == 2
+    capsys.readouterr()
+    assert run([*ask, "--epoch", EPOCH, "--force", "--prove", "1"]) == 0
+    assert read_json(capsys.readouterr().out)["proof"] == "level 1: feasible"
+    assert run(["export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
+    assert sorted(os.listdir(tmp_path)) == ["flight.czml", "run"]

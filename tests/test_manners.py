@@ -1,0 +1,101 @@
+"""What Python and a notebook show of problems, solutions and proofs, and what loading the package costs."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+import perilune as pl
+from command_line import ENVIRONMENT, ROOT
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.report.shown import plot
+from perilune.scenario import load_file
+from perilune.words.outcome import PeriluneError
+
+
+def test_a_line_says_what_it_is(landing: Problem, hybrid: Solution) -> None:
+    proved = pl.prove(hybrid, 1)
+    assert repr(landing) == (
+        "<Problem hybrid_landing: 300 kg lander from 15 km to the Moon; descent (5 states); "
+        "free: retro_delta_v, flight_time; least J in kg>"
+    )
+    assert repr(hybrid) == (
+        "<Solution of hybrid_landing by indirect: SOLVED, level 0: unverified; J = -160.619 kg, "
+        "retro_delta_v = 1200.94 m/s, flight_time = 286.864 s>"
+    )
+    assert re.fullmatch(r"<Verification level 1: feasible; (\d+) of \1 checks passed>", repr(proved.verification))
+    assert repr(pl.Verification()) == "<Verification level 0: unverified>"
+    first, *others = proved.verification.checks
+    failed = replace(proved.verification, checks=(replace(first, value=1.0), *others))
+    assert repr(failed).endswith(f"checks passed; failed: {first.name}>")
+
+
+def test_a_notebook_shows_pages_without_a_network(hybrid: Solution) -> None:
+    proved = pl.prove(hybrid, 1)
+    page = proved._repr_html_()
+    assert "PROVED, level 1: feasible" in page and "landed mass" in page and "160.61858" in page
+    (source,) = re.findall(r'src="([^"]{30})', page)
+    assert source.startswith("data:image/svg+xml;base64,") and "http" not in re.sub(r'src="[^"]*"', "", page)
+    assert "retro_delta_v" in proved.problem._repr_html_() and "objective" in proved.verification._repr_html_()
+    evil = replace(hybrid, problem=hybrid.problem.changed(title="<script>alert(1)</script>"))
+    assert "<script" not in evil._repr_html_() + evil.problem._repr_html_()
+
+
+def test_figures_are_asked_for_by_name(hybrid: Solution) -> None:
+    assert isinstance(hybrid.plot(), Figure) and isinstance(hybrid.plot("altitude"), Figure)
+    asks: list[tuple[Callable[[], Any], str]] = [
+        (lambda: hybrid.plot("altitud"), "did you mean 'altitude'"),
+        (lambda: hybrid.plot(3), "not a figure to show"),  # pyright: ignore[reportArgumentType]
+        (lambda: plot(hybrid.problem), "not a solution to show"),  # pyright: ignore[reportArgumentType]
+        (lambda: hybrid.animate(seconds=0), "seconds, 0.2 to 120"),
+    ]
+    for ask, words in asks:
+        with pytest.raises(PeriluneError) as refused:
+            ask()
+        assert words in str(refused.value)
+
+
+def test_a_flight_moves(hybrid: Solution, tmp_path: Path) -> None:
+    file = tmp_path / "flight.gif"
+    hybrid.animate(file, seconds=0.4)
+    with Image.open(file) as shown:
+        assert shown.n_frames == 6  # pyright: ignore[reportAttributeAccessIssue]
+    with pytest.raises(PeriluneError, match="there already"):
+        hybrid.animate(file)
+
+
+def test_flights_that_are_nowhere_in_space_move_too(tmp_path: Path) -> None:
+    flat = pl.solve(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem, level=0)
+    for solution, label in ((flat, "downrange (km)"), (_bare(flat), "time (s)")):
+        drawn: Any = solution.animate(tmp_path / "flight.gif", seconds=0.2, force=True)
+        assert drawn._fig.axes[0].get_xlabel() == label
+
+
+def _bare(solution: Solution) -> Solution:
+    """The same flight without any view of its way."""
+    phases = tuple(replace(phase, track=None) for phase in solution.problem.phases)
+    return replace(solution, problem=solution.problem.changed(phases=phases))
+
+
+def test_only_public_names_are_offered() -> None:
+    assert set(dir(pl)) == {*pl.__all__, "__all__", "__doc__", "__version__"}
+    assert all(getattr(pl, name) is not None for name in pl.__all__)
+    for name in ("importlib", "sys", "annotations", "Any"):
+        assert name not in dir(pl)
+
+
+def test_loading_the_package_loads_nothing_large() -> None:
+    large = "numpy scipy casadi matplotlib pandas xarray pyarrow rich llvmlite"
+    program = f"import sys, perilune, perilune.cli; print([n for n in {large.split()} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,202 @@
+"""Solutions for other programs: read back by libraries that did not write them, the same to 1e-9.
+
+By its name among the last, as `test_xarray_and_parquet.py`: these libraries scatter the memory of a process.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import perilune as pl
+from command_line import ROOT
+from perilune.io.columns import columns
+from perilune.models.orientation import axes_in_space
+from perilune.problem.solution import Solution
+from perilune.scenario import load_file
+
+NEEDS = "needs the extra 'test'"
+EPOCH = "2026-06-01T12:00:00"
+RETURN = ROOT / "examples" / "minimum_duration_return.toml"
+QUIET = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def returned() -> Solution:
+    """Two phases of different columns, from orbit through the air; its epoch is the problem's own."""
+    return pl.solve(load_file(RETURN, [f"problem.epoch={EPOCH}Z"]).problem, level=0)
+
+
+@pytest.fixture(scope="module")
+def descent() -> Solution:
+    """Its states are positions and velocities in axes that turn with the Moon."""
+    return pl.solve(load_file(ROOT / "examples" / "polar_descent.toml").problem, level=0)
+
+
+def expected(solution: Solution) -> dict[str, np.ndarray]:
+    """Each column over all phases, NaN where a phase has none."""
+    parts = [columns(solution, k) for k in range(len(solution.trajectories))]
+    names = dict.fromkeys(name for part in parts for name in part)
+    return {
+        name: np.concatenate([part[name].values if name in part else np.nan * part["time"].values for part in parts])
+        for name in names
+    }
+
+
+def begins(solution: Solution) -> np.ndarray:
+    """Begin of each row's phase."""
+    lengths = [trajectory.duration for trajectory in solution.trajectories]
+    return np.repeat(np.cumsum([0.0, *lengths[:-1]]), [len(t.time) for t in solution.trajectories])
+
+
+def body_fixed(solution: Solution, k: int, t: np.ndarray) -> np.ndarray:
+    """Position and velocity out of states that are Cartesian beside the body, (n, 6)."""
+    return np.asarray(solution.trajectories[k].state(t))[:, :6]
+
+
+@QUIET
+def test_netcdf_is_read_by_another_library(returned: Solution, tmp_path: Path) -> None:
+    netcdf4 = pytest.importorskip("netCDF4", reason=NEEDS)
+    with netcdf4.Dataset(pl.export(returned, tmp_path / "flight.nc", scenario_text="a = 'ü'")) as found:
+        rows = expected(returned)
+        np.testing.assert_allclose(found["time"][:], rows.pop("time") + begins(returned), rtol=1e-15)
+        for name, values in rows.items():
+            np.testing.assert_array_equal(np.ma.filled(found[name][:], np.nan), values, err_msg=name)
+        assert found.Conventions.startswith("CF-") and found.featureType == "trajectory"
+        assert (
+            found["time"].units == "seconds since 2026-06-01 12:00:00.000000" and found["time"].standard_name == "time"
+        )
+        assert found["altitude"].standard_name == "height_above_reference_ellipsoid" and found["altitude"].units == "m"
+        assert (found["longitude"].units, found["latitude"].units) == ("degrees_east", "degrees_north")
+        assert found["path_angle"].units == "degree" and "costate of vx" in found["lambda_vx"].long_name
+        assert found["load"].coordinates == "time altitude longitude latitude"
+        assert found["phase"].flag_meanings.split()[found["phase"][-1]] == "entry"
+        assert "perilune" in found.source and found.proof == "level 0: unverified" and found.scenario == "a = 'ü'"
+        assert json.loads(found.results)["flight_time"] == [returned.results["flight_time"].value, "s"]
+
+
+@QUIET
+def test_xarray_opens_what_a_solution_makes(returned: Solution, hybrid: Solution, tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray", reason=NEEDS)
+    made = returned.to_xarray()
+    with xarray.open_dataset(pl.export(returned, tmp_path / "flight.nc"), engine="scipy") as found:
+        assert found.attrs == made.attrs and {"time", "longitude", "altitude"} <= set(found.coords)
+        for name in found.variables:
+            np.testing.assert_array_equal(found[name], made[name], err_msg=str(name))
+    assert made["time"][0] == np.datetime64("2026-06-01T12:00:00")
+    whole = returned.results["flight_time"].value
+    assert (made["time"][-1] - made["time"][0]) / np.timedelta64(1, "ns") == pytest.approx(1e9 * whole, abs=1.0)
+    plain = hybrid.to_xarray()  # without an epoch, and with nothing that places it over the ground
+    assert plain["time"].attrs["units"] == "s" and "featureType" not in plain.attrs
+    np.testing.assert_array_equal(plain["r"], hybrid.trajectories[0].state.values[:, 0])
+
+
+def test_pandas_and_csv_agree(returned: Solution, tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas", reason=NEEDS)
+    frame, rows = returned.to_dataframe(), expected(returned)
+    np.testing.assert_allclose(frame.index, rows.pop("time") + begins(returned), rtol=1e-15)
+    for name, values in rows.items():
+        np.testing.assert_array_equal(frame[name], values, err_msg=name)
+    assert frame.attrs["units"]["load"] == "1" and frame["phase"].iloc[-1] == "entry"
+    file = pl.export(returned, tmp_path / "flight.csv", "csv")
+    read = pandas.read_csv(file)
+    assert read["utc"].iloc[0] == "2026-06-01T12:00:00.000000000"
+    for name in frame.columns[1:]:
+        (heading,) = [h for h in read.columns if h.partition(" [")[0] == name]
+        np.testing.assert_allclose(read[heading], frame[name], rtol=1e-14, err_msg=name)
+    with file.open(newline="", encoding="utf-8") as opened:
+        assert next(csv.reader(opened))[:4] == ["time [s]", "utc", "phase", "altitude [m]"]
+
+
+def test_parquet_is_read_by_another_library(returned: Solution, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="needs the extra 'export'")
+    duckdb = pytest.importorskip("duckdb", reason=NEEDS)
+    file = pl.export(returned, tmp_path / "flight.parquet", "parquet")
+    rows = expected(returned)
+    rows["time"] = rows["time"] + begins(returned)
+    found = duckdb.sql(f"SELECT {', '.join(rows)} FROM read_parquet('{file}')").fetchall()
+    for (name, values), column in zip(rows.items(), zip(*found, strict=True), strict=True):
+        np.testing.assert_allclose(np.array(column, dtype=float), values, rtol=1e-15, err_msg=name)
+    (phases,) = duckdb.sql(f"SELECT list(DISTINCT phase ORDER BY phase) FROM read_parquet('{file}')").fetchall()[0]
+    assert phases == ["burn", "entry"]
+    about = duckdb.sql(f"SELECT key, value FROM parquet_kv_metadata('{file}')").fetchall()
+    told = json.loads({bytes(key): bytes(value) for key, value in about}[b"perilune"])
+    assert told["epoch"].startswith(EPOCH) and "perilune" in told["source"]
+
+
+@pytest.mark.filterwarnings("ignore")  # of times that the tables of astropy do not reach
+def test_an_orbit_message_is_read_by_another_library(returned: Solution, tmp_path: Path) -> None:
+    oem = pytest.importorskip("oem", reason=NEEDS)
+    message = oem.OrbitEphemerisMessage.open(pl.export(returned, tmp_path / "flight.oem", "oem"))
+    begin, epoch = 0.0, datetime.fromisoformat(EPOCH).replace(tzinfo=UTC)
+    to_icrf, rate = axes_in_space("earth", epoch), returned.parameters.body_rotation_rate
+    for k, segment in enumerate(message):
+        states, duration = list(segment.states), returned.trajectories[k].duration
+        assert {s.frame for s in states} == {"ICRF"} and {s.center for s in states} == {"EARTH"}
+        assert segment.metadata["TIME_SYSTEM"] == "UTC" and segment.metadata["INTERPOLATION_DEGREE"] == 3
+        seconds = np.array([(s.epoch - message_start(message)).sec for s in states])
+        state = body_fixed(returned, k, np.clip(seconds - begin, 0.0, duration))
+        turn = Rotation.from_rotvec(np.outer(rate * seconds, [0.0, 0.0, 1.0]))
+        carried = state[:, 3:] + rate * np.cross([0.0, 0.0, 1.0], state[:, :3])
+        for said, fixed in (([s.position for s in states], state[:, :3]), ([s.velocity for s in states], carried)):
+            inertial = turn.apply(fixed) @ to_icrf.T
+            # Times have nanoseconds, in which 8 km/s go 8e-6 m.
+            np.testing.assert_allclose(1e3 * np.array(said), inertial, rtol=0, atol=1e-9 * np.abs(inertial).max())
+        begin += duration
+    middle = segment.states and next(iter(segment.states)).epoch
+    assert segment(middle).position == pytest.approx(next(iter(segment.states)).position, rel=1e-12)
+
+
+def message_start(message: Any) -> Any:
+    """Epoch of the first line of all."""
+    return next(iter(next(iter(message)).states)).epoch
+
+
+def test_the_iau_library_sees_the_vehicle_where_it_begins(returned: Solution, tmp_path: Path) -> None:
+    erfa = pytest.importorskip("erfa", reason=NEEDS)
+    line = next(
+        row.split()
+        for row in pl.export(returned, tmp_path / "flight.oem", "oem").read_text().splitlines()
+        if row.startswith("2026") and "=" not in row
+    )
+    day = 2451545.0 + (datetime.fromisoformat(EPOCH) - datetime(2000, 1, 1, 12)).total_seconds() / 86400
+    fixed = erfa.c2t06a(day, 69.184 / 86400, day, 0.0, 0.0, 0.0) @ (1e3 * np.array(line[1:4], dtype=float))
+    longitude, latitude = erfa.c2s(fixed)  # of a round Earth, as in this paper
+    assert np.degrees([longitude, latitude]) == pytest.approx([16.0, 39.5], abs=3e-4)
+
+
+def test_cesium_finds_position_attitude_and_thrust(descent: Solution, returned: Solution, tmp_path: Path) -> None:
+    czml3 = pytest.importorskip("czml3", reason=NEEDS)
+    for solution, given in ((descent, EPOCH), (returned, None)):
+        text = pl.export(solution, tmp_path / f"{solution.problem.name}.czml", "czml", epoch=given).read_text()
+        _, vehicle, thrust = packets = json.loads(text)
+        for packet in packets:
+            czml3.Packet(**packet)  # refuses what the format does not have
+        assert vehicle["position"]["referenceFrame"] == "FIXED" and vehicle["position"]["epoch"].startswith(EPOCH)
+        samples = np.array(vehicle["position"]["cartesianVelocity"]).reshape(-1, 7)
+        tips = np.array(thrust["position"]["cartesian"]).reshape(-1, 4)
+        turned = np.array(vehicle["orientation"]["unitQuaternion"]).reshape(-1, 5)
+        begin = 0.0
+        for k, trajectory in enumerate(solution.trajectories):
+            inside = (samples[:, 0] >= begin) & (samples[:, 0] < begin + trajectory.duration)
+            state = body_fixed(solution, k, samples[inside, 0] - begin)
+            sizes = np.abs(state).max(axis=0)
+            np.testing.assert_allclose(samples[inside, 1:], state, rtol=0, atol=1e-9 * sizes.max())
+            arrows = tips[inside, 1:] - samples[inside, 1:4]
+            if "toward_x" in solution.problem.phases[k].control_names:
+                along = solution.flown(k, samples[inside, 0] - begin)[1][:3].T
+                lengths = np.linalg.norm(arrows, axis=1)
+                np.testing.assert_allclose(arrows, along * lengths[:, None], atol=1e-9 * np.abs(samples).max())
+                here = (turned[:, 0] >= begin) & (turned[:, 0] < begin + trajectory.duration)
+                up = Rotation.from_quat(turned[here, 1:]).apply([0.0, 0.0, 1.0])
+                np.testing.assert_allclose(up, solution.flown(k, turned[here, 0] - begin)[1][:3].T, atol=1e-9)
+            else:
+                assert not arrows.any() and not thrust["polyline"]["show"][k]["boolean"]
+            begin += trajectory.duration
