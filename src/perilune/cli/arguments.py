@@ -201,6 +201,29 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         NO_CACHE,
     )
     command(
+        "explore",
+        "Open a page on which the optimal flight follows the parameters as they are dragged.",
+        option(
+            "target",
+            metavar="TARGET",
+            nargs="?",
+            type=Path,
+            help="A scenario, or a directory of `perilune solve --out` or `perilune atlas build`; "
+            "a landing on the Moon if left out.",
+        ),
+        SET,
+        option("--port", metavar="N", type=whole(0, 65535), default=0, help="On 127.0.0.1. Usually any that is free."),
+        switch("--no-open", "Print the address and open no browser."),
+        option(
+            "--html",
+            metavar="FILE",
+            type=Path,
+            help="Write one page that needs no server instead, with the flights over the first two axes of an atlas.",
+        ),
+        FORCE,
+        NO_CACHE,
+    )
+    command(
         "reproduce",
         "Compute every number and figure of a paper and set them beside the printed ones.",
         option("paper", metavar="PAPER", help=" or ".join(PAPERS)),

@@ -206,6 +206,12 @@ def _new(typed: Namespace) -> Answer:
     return Answer(text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)})
 
 
+def _explore(typed: Namespace) -> Answer:
+    from perilune.cli.exploring import explore
+
+    return explore(typed)
+
+
 def _doctor(typed: Namespace) -> Answer:
     return diagnosis(typed.clear_cache)
 
@@ -218,6 +224,7 @@ COMMANDS: dict[str, Callable[[Namespace], Answer]] = {
     "atlas": _atlas,
     "verify": _verify,
     "export": _export,
+    "explore": _explore,
     "reproduce": _reproduce,
     "new": _new,
     "doctor": _doctor,

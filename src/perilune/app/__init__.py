@@ -1,0 +1,1 @@
+"""The explorer: a page on this machine alone, on which the optimal flight follows what is dragged."""

@@ -1,0 +1,126 @@
+"""What the page is told: a solution, a refusal, a proof, each as one JSON document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from perilune.io.columns import columns
+from perilune.io.export import solution_document
+from perilune.problem.solution import Solution, full
+from perilune.problem.verification import Verification
+from perilune.report.limb import plane_of_flight
+from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.types import Matrix, Vector
+
+POINTS = 96  # of a flight, shared among its phases by their durations
+_DIGITS = 6  # significant, more than a screen has
+
+
+def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
+    """The flight with all that is drawn of it, at about so many points; numbers in the units beside them."""
+    lasting = [trajectory.duration for trajectory in solution.trajectories]
+    phases, begin = list[dict[str, Any]](), 0.0
+    over_limb = solution.problem.views.radius and all(p.inertial is not None for p in solution.problem.phases)
+    plane = plane_of_flight(solution) if over_limb else None
+    for k, (phase, duration) in enumerate(zip(solution.problem.phases, lasting, strict=True)):
+        count = max(9, round(points * duration / max(sum(lasting), 1e-300)))
+        t = np.linspace(0.0, duration, count)
+        shown = {
+            name: {"unit": column.unit, "values": rounded(column.values)}
+            for name, column in columns(solution, k, t).items()
+            if name != "time"
+        }
+        phases.append(
+            {"name": phase.name, "time": rounded(begin + t), "columns": shown, "way": _way(solution, k, t, plane)}
+        )
+        begin += duration
+    document = solution_document(solution)
+    return {
+        "objective": float(solution.objective),
+        "unit": solution.problem.objective_unit,
+        "results": document["results"],
+        "free": dict(solution.free),
+        "extremals": document["extremals"],
+        "structure": document.get("structure", []),
+        "phases": phases,
+        "proof": proof(solution.verification),
+        "views": _views(solution),
+    }
+
+
+def _views(solution: Solution) -> dict[str, Any]:
+    """Which quantities are worth a picture, and which of them place the flight on a globe."""
+    views = solution.problem.views
+    ground = views.ground or views.space
+    return {
+        "histories": [{"caption": shown.caption, "quantities": list(shown.quantities)} for shown in views.histories],
+        "ground": [ground.longitude, ground.latitude] if ground is not None and ground.longitude else None,
+        "coasts": bool(views.ground and views.ground.coasts),
+    }
+
+
+def proof(verification: Verification) -> dict[str, Any]:
+    """The checks as lights: each with its value, its limit and what it shows."""
+    return {
+        "level": verification.level,
+        "within": verification.within,
+        "checks": [
+            {
+                "name": check.name,
+                "level": check.level,
+                "value": _short(check.value),
+                "limit": _short(check.limit),
+                "unit": check.unit,
+                "passed": check.passed,
+                "meaning": check.meaning,
+            }
+            for check in verification.checks
+        ],
+    }
+
+
+def refusal(error: PeriluneError) -> dict[str, Any]:
+    """Why there is no flight, in words."""
+    reason = error.reason if isinstance(error, InfeasibleError) else ""
+    return {
+        "what": error.what,
+        "got": error.got,
+        "expected": error.expected,
+        "try": error.advice,
+        "reason": reason,
+        "impossible": isinstance(error, InfeasibleError),
+    }
+
+
+def rounded(values: Vector | Sequence[float]) -> list[float | None]:
+    """Numbers as short as they may be; None for what is none."""
+    return [_short(value) for value in np.asarray(values, dtype=float).tolist()]
+
+
+def _short(value: float) -> float | None:
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+
+
+def _way(solution: Solution, k: int, t: Vector, plane: Matrix | None) -> dict[str, Any] | None:
+    """Where a phase leads: over the limb by angle and height in the plane of flight, or over flat ground; else None."""
+    phase = solution.problem.phases[k]
+    if plane is not None:
+        r, _, push = solution.inertial(k, t)
+        above, ahead = plane @ r
+        angle, strength = np.unwrap(np.arctan2(ahead, above)), np.linalg.norm(push, axis=0)
+        out, on = plane @ push / np.where(strength > 0, strength, 1.0)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        thrust = [rounded(out * cosine + on * sine), rounded(on * cosine - out * sine)]
+        radius = float(getattr(solution.parameters, solution.problem.views.radius))
+        height = np.linalg.norm(r, axis=0) - radius
+        return {"kind": "limb", "radius": radius, "along": rounded(angle), "height": rounded(height), "thrust": thrust}
+    if phase.track is not None:
+        x, u = solution.flown(k, t)
+        rows = [full(value, t) for value in phase.evaluate("track", x, u, solution.parameters)]
+        named = zip(("along", "across", "height", "floor"), rows, strict=False)
+        return {"kind": "flat", **{name: rounded(row) for name, row in named}}
+    return None

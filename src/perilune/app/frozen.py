@@ -1,0 +1,94 @@
+"""One page that needs no server: flights at a grid of an atlas's points, in a file that may be sent by mail."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from perilune.app.answering import Answering
+from perilune.app.frames import flight, refusal
+from perilune.app.server import hello, page_files
+from perilune.app.subject import Subject
+from perilune.words.outcome import PeriluneError
+from perilune.words.watch import Watch, silent
+
+_ALONG, _BOTH, _POINTS = 61, 15, 60  # flights along one parameter, along each of two; points of a flight
+
+_ANSWERS = """
+"use strict";
+window.PERILUNE_FROZEN = (() => {
+  const said = JSON.parse(document.getElementById("frozen").textContent);
+  return { hello: said.hello, answer: (number, values, receive) => {
+    const place = said.hello.knobs.reduce((at, knob) => at * knob.grid.length + knob.grid.indexOf(knob.grid.reduce(
+      (best, v) => Math.abs(v - values[knob.name]) < Math.abs(best - values[knob.name]) ? v : best)), 0);
+    receive({ ...said.flights[place], number });
+  } };
+})();
+"""
+
+
+def frozen_page(subject: Subject, watch: Watch = silent) -> str:
+    """A page with the flights of an atlas over its first two axes, the others in the middle of their ranges.
+
+    Parameters
+    ----------
+    subject
+        What is shown; of one that is not mapped the first parameter moves.
+    watch
+        Receives a line for every tenth flight.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no flight at any point.
+    """
+    chosen = [knob for knob in subject.knobs if knob.mapped][:2] or list(subject.knobs[:1])
+    count = _ALONG if len(chosen) == 1 else _BOTH
+    grids = [np.linspace(knob.low, knob.high, count).tolist() for knob in chosen]
+    answering, flights = Answering(subject.problem, subject.atlas, subject.known), list[dict[str, Any]]()
+    for number, values in enumerate(product(*grids)):
+        if number % 10 == 0:
+            watch(f"{number} of {count ** len(chosen)} flights")
+        flights.append(_one(answering, dict(zip((knob.name for knob in chosen), values, strict=True))))
+    if not any(found["type"] == "flight" for found in flights):
+        raise PeriluneError("there is no flight at any point of the page", got=flights[0]["what"])
+    told = hello(subject)
+    knobs = [{**vars(knob), "grid": grid, "mapped": False} for knob, grid in zip(chosen, grids, strict=True)]
+    document = {"hello": {**told, "knobs": knobs, "mapped": False, "scenario": False}, "flights": flights}
+    return _page(page_files(), json.dumps(document, allow_nan=False, separators=(",", ":")))
+
+
+def _one(answering: Answering, values: Mapping[str, float]) -> dict[str, Any]:
+    try:
+        found = answering.at(values)
+    except PeriluneError as error:
+        return {"type": "refusal", "values": dict(values), **refusal(error), "latency": 0.0}
+    words = f"a flight that was stored: {found.words}"
+    document = flight(found.solution, _POINTS)
+    return {"type": "flight", "values": dict(values), **document, "source": "stored", "words": words, "latency": 0.0}
+
+
+def _page(files: Mapping[str, bytes], document: str) -> str:
+    """All parts in one file, with a policy that lets nothing else in."""
+    text = {name: content.decode("utf-8") for name, content in files.items()}
+    styles = [text["vendor/uPlot.min.css"], text["style.css"]]
+    scripts = [text["vendor/uPlot.iife.min.js"], text["draw.js"], _ANSWERS, text["app.js"]]
+    allowed = [" ".join(f"'sha256-{_digest(part)}'" for part in parts) for parts in (scripts, styles)]
+    policy = f"default-src 'none'; script-src {allowed[0]}; style-src {allowed[1]}; img-src data: blob:"
+    head = [f'<meta http-equiv="Content-Security-Policy" content="{policy}">', *(f"<style>{s}</style>" for s in styles)]
+    data = f'<script type="application/json" id="frozen">{document.replace("<", chr(92) + "u003c")}</script>'
+    page = text["index.html"]
+    first, last = page.index('<link rel="icon"'), page.index("</head>")
+    page = page[:first] + "\n".join(head) + "\n" + page[last:]
+    first, last = page.index("<script src="), page.index("</body>")
+    return page[:first] + data + "".join(f"<script>{s}</script>" for s in scripts) + "\n" + page[last:]
+
+
+def _digest(part: str) -> str:
+    return base64.b64encode(hashlib.sha256(part.encode("utf-8")).digest()).decode("ascii")

@@ -1,0 +1,211 @@
+// The page: what is moved is asked for, and what comes is shown. Only the newest answer counts.
+"use strict";
+(() => {
+  const $ = (id) => document.getElementById(id), HOT = 60;
+  const state = { knobs: [], values: {}, first: {}, number: 0, shown: -1, flight: null, pins: [], past: [], ahead: [], slice: null, family: null, frames: 0, asked: 0, maximised: "" };
+  window.perilune = state; // for who looks, and for tests
+  const frozen = window.PERILUNE_FROZEN || null;
+  let socket = null, waiting = false, again = false, dirty = false;
+
+  const text = (node, said) => { node.textContent = said; };
+  const told = (v, unit) => `${Draw.fine(v)}${unit && unit !== "1" ? " " + unit : ""}`;
+
+  // -- asking ---------------------------------------------------------------------------------------------------
+  function ask() {
+    state.number += 1; state.asked = performance.now();
+    if (frozen) { frozen.answer(state.number, state.values, receive); return; }
+    if (!socket || socket.readyState !== 1) { return; }
+    if (waiting) { again = true; return; } // one is on its way: only the newest follows
+    waiting = true; again = false;
+    socket.send(JSON.stringify({ number: state.number, values: state.values, slice: axes() }));
+  }
+  function receive(said) {
+    if (said.type === "hello") { begin(said); return; }
+    if (said.type === "flight" || said.type === "refusal" || said.type === "fault") { waiting = false; }
+    if (said.type === "flight") { state.flight = said; state.shown = said.number; state.frames += 1; state.family = null; state.refused = null; dirty = true; }
+    if (said.type === "refusal" || said.type === "fault") { state.refused = said; state.shown = said.number; dirty = true; }
+    if (said.type === "family") { state.family = said; dirty = true; }
+    if (said.type === "slice") { state.slice = said; dirty = true; }
+    if (said.type === "proof" && said.number === state.shown && !again) { state.flight.proof = said.proof; state.flight.proved = said; dirty = true; }
+    if (again) { ask(); }
+    if (dirty) { dirty = false; requestAnimationFrame(show); }
+  }
+  function connect() {
+    if (frozen) { receive({ type: "hello", ...frozen.hello }); return; }
+    socket = new WebSocket(location.href.replace(/^http/, "ws").replace(/[?#].*$/, "").replace(/\/(index\.html)?$/, "") + "/live");
+    socket.onmessage = (event) => receive(JSON.parse(event.data));
+    socket.onclose = () => { text($("source"), "The program has ended, or too many pages are open: start perilune explore again, and reload."); $("view").classList.add("stale"); };
+  }
+
+  // -- parameters -----------------------------------------------------------------------------------------------
+  function begin(said) {
+    document.title = `${said.title} · perilune`; text($("title"), said.title); state.knobs = said.knobs; state.maximised = said.maximised;
+    const from = new URLSearchParams(location.hash.slice(1));
+    for (const knob of said.knobs) {
+      state.first[knob.name] = knob.value;
+      const asked = parseFloat(from.get(knob.key));
+      state.values[knob.name] = Number.isFinite(asked) ? clamp(knob, asked * knob.size) : knob.value;
+    }
+    const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
+    $("knob-list").replaceChildren(...main.map(row)); $("more-list").replaceChildren(...rest.map(row)); $("more").hidden = !rest.length || !!frozen;
+    $("scenario").hidden = !said.scenario; $("slice-box").hidden = !few.length;
+    for (const [id, place] of [["slice-x", 0], ["slice-y", 1]]) {
+      $(id).replaceChildren(...(place ? [new Option("nothing else", "")] : []), ...few.map((k) => new Option(k.key, k.name)));
+      if (few[place]) { $(id).value = few[place].name; }
+      $(id).onchange = ask;
+    }
+    ask();
+  }
+  const nearest = (grid, v) => grid.reduce((best, at) => Math.abs(at - v) < Math.abs(best - v) ? at : best);
+  const clamp = (knob, v) => knob.grid ? nearest(knob.grid, v) : Math.min(knob.high, Math.max(knob.low, v));
+  function row(knob) {
+    const box = document.createElement("div"), id = "knob-" + knob.name, label = document.createElement("label"), name = document.createElement("b");
+    const slider = document.createElement("input"), number = document.createElement("input"), right = document.createElement("span");
+    box.className = "knob"; text(name, knob.key); label.htmlFor = id;
+    slider.type = "range"; slider.id = id; slider.min = knob.low / knob.size; slider.max = knob.high / knob.size; slider.step = "any"; slider.dataset.name = knob.name;
+    number.type = "number"; number.step = "any"; number.setAttribute("aria-label", `${knob.key} in ${knob.unit}`);
+    right.append(number, " " + (knob.unit === "1" ? "" : knob.unit)); label.append(name, right); box.append(label, slider);
+    const set = () => { const v = state.values[knob.name] / knob.size; slider.value = v; if (document.activeElement !== number) { number.value = +v.toPrecision(7); } slider.setAttribute("aria-valuetext", told(v, knob.unit)); };
+    knob.set = set; set();
+    let held = false;
+    const move = (v) => { if (!held) { remember(); held = true; } state.values[knob.name] = clamp(knob, v * knob.size); set(); ask(); };
+    slider.oninput = () => move(parseFloat(slider.value)); slider.onchange = () => { held = false; save(); };
+    slider.onkeydown = (event) => { // an even step, ten times as far with Shift
+      const way = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+      if (way) { event.preventDefault(); held = false; move(state.values[knob.name] / knob.size + way * (event.shiftKey ? 10 : 1) * (knob.high - knob.low) / knob.size / 200); held = false; save(); }
+    };
+    number.onchange = () => { const v = parseFloat(number.value); if (Number.isFinite(v)) { held = false; move(v); held = false; save(); } number.value = +(state.values[knob.name] / knob.size).toPrecision(7); };
+    return box;
+  }
+  function remember() { state.past.push({ ...state.values }); if (state.past.length > HOT) { state.past.shift(); } state.ahead = []; buttons(); }
+  function restore(values) { state.values = { ...values }; for (const k of state.knobs) { k.set(); } save(); buttons(); ask(); }
+  function undo() { if (state.past.length) { state.ahead.push({ ...state.values }); restore(state.past.pop()); } }
+  function redo() { if (state.ahead.length) { state.past.push({ ...state.values }); restore(state.ahead.pop()); } }
+  function buttons() { $("undo").disabled = !state.past.length; $("redo").disabled = !state.ahead.length; }
+  function hash() { const moved = new URLSearchParams(); for (const k of state.knobs) { if (state.values[k.name] !== state.first[k.name]) { moved.set(k.key, +(state.values[k.name] / k.size).toPrecision(10)); } } return moved.toString(); }
+  function save() { history.replaceState(null, "", "#" + hash()); }
+  function axes() { const a = $("slice-x").value, b = $("slice-y").value; return [a, b].filter((name, i, all) => name && all.indexOf(name) === i); }
+
+  // -- showing --------------------------------------------------------------------------------------------------
+  function show() {
+    const refused = state.refused, flight = state.flight;
+    $("refusal").hidden = !refused; $("view").classList.toggle("stale", !!refused);
+    if (refused) {
+      const lines = [refused.what, refused.reason, refused.got && `got: ${refused.got}`, refused.expected && `expected: ${refused.expected}`, refused.try && `try: ${refused.try}`];
+      text($("refusal"), lines.filter(Boolean).join("\n"));
+      text($("source"), refused.impossible ? "physics says no" : "no answer here");
+      return;
+    }
+    if (!flight) { return; }
+    source(flight); numbers(flight);
+    Draw.path($("path"), [flight, ...state.pins.map((p) => p.flight)]);
+    $("ground-box").hidden = !flight.views.ground; if (flight.views.ground) { Draw.whenSeen($("ground"), () => { const back = Draw.ground($("ground"), flight); if (!dragging) { globe = back; } }); }
+    histories(flight); extremals(flight); lights(flight); map();
+  }
+  function source(flight) {
+    const proof = flight.proved, ms = `${(1000 * flight.latency).toFixed(1)} ms`, node = $("source");
+    node.replaceChildren();
+    const said = document.createElement(proof && proof.outcome === "PROVED" ? "b" : proof ? "i" : "span");
+    text(said, proof ? `${proof.outcome}, level ${proof.level}` : flight.words);
+    node.append(said, flight.source === "stored" ? "" : proof ? `, in ${proof.took.toFixed(1)} s; ${flight.words}, ${ms}` : `, ${ms}`);
+  }
+  function numbers(flight) {
+    $("numbers").replaceChildren(...Object.entries(flight.results).map(([name, result]) => {
+      const box = document.createElement("div"), label = document.createElement("span"), value = document.createElement("b");
+      text(label, name.replaceAll("_", " ")); const [v, unit] = result.unit === "rad" ? [result.value * 180 / Math.PI, "deg"] : [result.value, result.unit];
+      text(value, v === null ? "none" : `${+v.toPrecision(7)} ${unit === "1" ? "" : unit}`); box.title = result.description || ""; box.append(label, value);
+      for (const pin of state.pins) { const other = pin.flight.results[name]; if (other && other.value !== null) { const em = document.createElement("em"); text(em, `pinned ${told(other.value, other.unit)}`); box.append(em); } }
+      return box;
+    }));
+  }
+  function series(flight, name) {
+    const x = [], values = []; let unit = "";
+    for (const phase of flight.phases) { const column = phase.columns[name]; if (column) { x.push(...phase.time); values.push(...column.values); unit = column.unit; } }
+    return { x, values, unit };
+  }
+  function histories(flight) {
+    const names = [...new Set(flight.phases.flatMap((p) => Object.keys(p.columns)))];
+    const adjoint = names.filter((n) => n.startsWith("lambda_") || n === "H");
+    const shown = flight.views.histories.flatMap((h) => h.quantities).filter((n, i, all) => names.includes(n) && all.indexOf(n) === i);
+    const steering = shown.filter((n) => /thrust|angle|throttle|bank|lift|attack|pointing/.test(n)), others = shown.filter((n) => !steering.includes(n));
+    const plain = names.filter((n) => !adjoint.includes(n) && !shown.includes(n));
+    panels("states", flight, others.length ? others.slice(0, 4) : plain.slice(0, 4)); panels("controls", flight, steering.length ? steering.slice(0, 4) : plain.slice(-3)); panels("costates", flight, [...adjoint.filter((n) => n !== "H").slice(0, 4), ...adjoint.filter((n) => n === "H")]);
+  }
+  function panels(id, flight, names) {
+    const parent = $(id);
+    for (const box of [...parent.children]) { if (!names.includes(box.dataset.name)) { box.remove(); } }
+    for (const name of names) {
+      let box = [...parent.children].find((child) => child.dataset.name === name);
+      if (!box) { box = document.createElement("div"); box.dataset.name = name; parent.append(box); }
+      const own = series(flight, name), curves = [{ name, values: own.values }];
+      const least = name === "H" ? 1e-6 * Math.abs(flight.objective) / (own.x[own.x.length - 1] || 1) : 0;
+      if (own.x.length) { Draw.lines(box, `${id}-${name}`, name.replaceAll("_", " "), own.unit, own.x, curves, 128, null, least); }
+    }
+  }
+  function extremals(flight) {
+    const rows = flight.extremals, table = document.createElement("table"), names = rows.length ? Object.keys(rows[0]) : [], head = table.insertRow();
+    for (const name of names) { const th = document.createElement("th"); text(th, name.replaceAll("_", " ")); head.append(th); }
+    for (const entry of rows) { const line = table.insertRow(); for (const name of names) { text(line.insertCell(), typeof entry[name] === "number" ? Draw.fine(entry[name]) : entry[name]); } }
+    $("extremals").replaceChildren(table);
+    const family = state.family, sign = state.maximised ? -1 : 1;
+    if (family && family.values.length > 2) {
+      const mark = [[flight.free[family.name], sign * flight.objective]];
+      Draw.lines($("family"), "family", `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} along ${family.name.replaceAll("_", " ")}`, flight.unit, family.values, [{ name: "extremals with it held", values: family.objective.map((v) => sign * v) }], 170, mark);
+    }
+  }
+  function lights(flight) {
+    const checks = flight.proof.checks;
+    if (flight.proved || checks.length) { text($("proof-words"), flight.proved ? `${flight.proved.outcome} at level ${flight.proved.level}: ${checks.filter((c) => c.passed).length} of ${checks.length} checks passed` : ""); }
+    else { text($("proof-words"), frozen ? "Stored without a proof to level 3: a page with a server behind it proves what it shows." : "Not proved yet: it is when nothing is moved for a moment."); }
+    $("lights").replaceChildren(...checks.map((check) => { const li = document.createElement("li"); li.className = check.passed ? "yes" : "no"; li.title = check.meaning; text(li, `${check.level} ${check.name}: ${Draw.fine(check.value)} of ${Draw.fine(check.limit)}${check.passed ? "" : " FAILED"}`); return li; }));
+  }
+  let unproject = null;
+  function map() {
+    const shown = state.slice; if (!shown) { return; }
+    const by = Object.fromEntries(state.knobs.map((k) => [k.name, k])), at = shown.axes.map((n) => state.values[n]);
+    Draw.whenSeen($("slice"), () => { unproject = Draw.slice($("slice"), shown, at, shown.axes.map((n) => by[n].size), state.maximised ? -1 : 1); });
+    const reasons = [...new Set(shown.why.filter((w) => w >= 0))].map((w) => shown.reasons[w]);
+    text($("slice-words"), `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} over ${shown.axes.map((n) => `${by[n].key} [${by[n].unit}]`).join(" and ")}, one of ${shown.sheets.length} sheets at each point${reasons.length ? "; blank: " + reasons.join("; ") : ""}. Click to go there.`);
+  }
+  $("slice").onclick = (event) => {
+    if (!unproject || !state.slice) { return; }
+    const box = $("slice").getBoundingClientRect(), to = [unproject.px(event.clientX - box.left), unproject.py(event.clientY - box.top)];
+    remember(); state.slice.axes.forEach((name, i) => { const knob = state.knobs.find((k) => k.name === name); state.values[name] = clamp(knob, to[i]); knob.set(); }); save(); ask();
+  };
+
+  let globe = null, dragging = false; // the landing site may be dragged on the globe, which stays as it is meanwhile
+  const site = () => ["site_longitude", "site_latitude"].map((name) => state.knobs.find((k) => k.name === name));
+  function toSite(event) {
+    const box = $("ground").getBoundingClientRect(), to = globe && globe(event.clientX - box.left, event.clientY - box.top), knobs = site();
+    if (!to || !knobs[0] || !knobs[1]) { return; }
+    knobs.forEach((knob, i) => { let v = to[i] * Math.PI / 180; if (i === 0) { v += 2 * Math.PI * Math.round((state.values[knob.name] - v) / (2 * Math.PI)); } state.values[knob.name] = clamp(knob, v); knob.set(); });
+    ask();
+  }
+  $("ground").onpointerdown = (event) => { if (site()[0] && globe) { dragging = true; remember(); $("ground").setPointerCapture(event.pointerId); toSite(event); } };
+  $("ground").onpointermove = (event) => { if (dragging) { toSite(event); } };
+  $("ground").onpointerup = () => { dragging = false; save(); };
+
+  // -- tools ----------------------------------------------------------------------------------------------------
+  function give(name, kind, content) {
+    const a = document.createElement("a"); a.href = URL.createObjectURL(new Blob([content], { type: kind })); a.download = name; a.click(); setTimeout(() => URL.revokeObjectURL(a.href), 1000);
+  }
+  $("undo").onclick = undo; $("redo").onclick = redo; $("reset").onclick = () => { remember(); restore(state.first); };
+  $("pin").onclick = () => { if (!state.flight) { return; } if (state.pins.length >= 2) { state.pins = []; } else { state.pins.push({ values: { ...state.values }, flight: state.flight }); } text($("pin"), state.pins.length >= 2 ? "Unpin all" : "Pin"); show(); };
+  $("link").onclick = async () => { save(); try { await navigator.clipboard.writeText(location.href); text($("link"), "Copied"); } catch { text($("link"), "Copy the address above"); } setTimeout(() => text($("link"), "Copy link"), 1500); };
+  $("csv").onclick = () => {
+    const f = state.flight; if (!f) { return; }
+    const names = [...new Set(f.phases.flatMap((p) => Object.keys(p.columns)))], unit = (n) => (f.phases.find((p) => p.columns[n]) || { columns: {} }).columns[n].unit;
+    const lines = [["phase", "time [s]", ...names.map((n) => `${n} [${unit(n)}]`)].join(",")];
+    for (const p of f.phases) { p.time.forEach((t, i) => lines.push([p.name, t, ...names.map((n) => p.columns[n] ? p.columns[n].values[i] : "")].join(","))); }
+    give("flight.csv", "text/csv", lines.join("\n") + "\n");
+  };
+  $("picture").onclick = () => { const svg = $("path-svg"); if (svg) { give("path.svg", "image/svg+xml", svg.outerHTML); } };
+  $("scenario").onclick = async () => { const answer = await fetch("scenario.toml?" + hash()); give("scenario.toml", "text/plain", await answer.text()); };
+  document.addEventListener("keydown", (event) => {
+    if (!(event.ctrlKey || event.metaKey) || event.target.type === "number") { return; }
+    if (event.key === "z") { event.preventDefault(); event.shiftKey ? redo() : undo(); } else if (event.key === "y") { event.preventDefault(); redo(); }
+  });
+  addEventListener("resize", () => { Draw.forget(); show(); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { Draw.forget(); show(); });
+  connect();
+})();

@@ -1,0 +1,161 @@
+// Drawing: plots against time, the path, the ground track, a slice of the map. Nothing here asks for anything.
+"use strict";
+const Draw = (() => {
+  const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const colours = () => [css("--go"), css("--hot"), css("--good"), "#9333ea", "#0891b2"];
+  const fine = (v) => v === null || v === undefined ? "none" : Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(3) : String(+v.toPrecision(5));
+  const plots = new Map();
+
+  // One plot of several curves over a common x; kept and given new numbers as long as its curves are the same.
+  // What is not on the screen waits until it is; a span below `least` is rounding, and looks like what it is: nothing.
+  const later = new Map();
+  const seen = (node) => { const box = node.getBoundingClientRect(); return box.bottom > -50 && box.top < innerHeight + 50; };
+  function whenSeen(node, work) { if (seen(node)) { later.delete(node); work(); } else { later.set(node, work); } }
+  addEventListener("scroll", () => { for (const [node, work] of [...later]) { if (seen(node)) { later.delete(node); work(); } } }, { passive: true });
+
+  function lines(box, key, title, unit, x, curves, height = 150, mark = null, least = 0) {
+    box.style.minHeight = `${height}px`;
+    whenSeen(box, () => drawn(box, key, title, unit, x, curves, height, mark, least));
+  }
+  function drawn(box, key, title, unit, x, curves, height, mark, least) {
+    const known = plots.get(key), names = curves.map((c) => c.name).join("|"), width = box.clientWidth || 300;
+    const data = [x, ...curves.map((c) => c.values)];
+    if (known && known.names === names && known.box === box) {
+      known.mark = mark; known.least = least; known.plot.setData(data);
+      if (known.width !== width) { known.width = width; known.plot.setSize({ width, height }); }
+      return;
+    }
+    if (known) { known.plot.destroy(); }
+    const ink = css("--soft"), grid = { stroke: css("--line"), width: 1 };
+    const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui", size: 52 };
+    const entry = { names, box, width, mark, least };
+    entry.plot = new uPlot({
+      width, height, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => { const room = Math.max(0.08 * (high - low), 0.5 * (entry.least - (high - low)), 1e-300), flat = high - low < 1e-12 * Math.max(Math.abs(low), Math.abs(high)); return flat && !entry.least ? [low - 0.1 * Math.abs(low) - 1e-9, high + 0.1 * Math.abs(high) + 1e-9] : [low - room, high + room]; } } }, cursor: { points: { size: 5 } },
+      legend: { show: curves.length > 1 },
+      axes: [{ ...axis, size: 26 }, { ...axis, values: (_, ticks) => ticks.map((v) => Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(0) : String(+v.toPrecision(4))) }],
+      series: [{ label: "t", value: (_, v) => fine(v) }, ...curves.map((c, i) => ({ label: c.name, stroke: c.colour || colours()[i % 5], width: c.dash ? 1 : 1.6, dash: c.dash, points: { show: false }, value: (_, v) => fine(v) }))],
+      hooks: { draw: [(u) => {
+        for (const point of entry.mark || []) {
+          const px = u.valToPos(point[0], "x", true), py = u.valToPos(point[1], "y", true), c = u.ctx;
+          c.save(); c.fillStyle = point[2] || css("--hot"); c.beginPath(); c.arc(px, py, 5 * devicePixelRatio, 0, 7); c.fill(); c.restore();
+        }
+      }] },
+    }, data, box);
+    entry.plot.root.setAttribute("role", "img"); entry.plot.root.setAttribute("aria-label", title);
+    plots.set(key, entry);
+  }
+  function forget() { for (const entry of plots.values()) { entry.plot.destroy(); } plots.clear(); }
+
+  const el = (name, attributes, inside = "") => `<${name} ${Object.entries(attributes).map(([k, v]) => `${k}="${v}"`).join(" ")}>${inside}</${name}>`;
+  const polyline = (points, more) => el("polyline", { points: points.map((p) => `${p[0].toFixed(1)},${p[1].toFixed(1)}`).join(" "), fill: "none", ...more });
+
+  // The path over the limb (heights stretched) or over flat ground, of one flight or several.
+  function path(box, flights) {
+    const W = 560, H = 300, first = flights[0].phases.find((p) => p.way);
+    if (!first) { box.innerHTML = "<p>This problem states no path in space.</p>"; return; }
+    const limb = first.way.kind === "limb";
+    const points = flights.map((f) => f.phases.filter((p) => p.way).map((p) => p.way.along.map((a, i) => [a, p.way.height[i], p.way.thrust ? [p.way.thrust[0][i], p.way.thrust[1][i]] : null])));
+    const every = points.flat(2).filter((p) => p[0] !== null && p[1] !== null);
+    const spanned = Math.max(...every.map((p) => p[0])) - Math.min(...every.map((p) => p[0]));
+    const top = Math.max(1e-9, ...every.map((p) => p[1])), R = limb ? first.way.radius : 1;
+    let place, ground, note, floor = Math.min(0, ...every.map((p) => p[1]));
+    if (limb) {
+      const round = spanned > 2, begin = Math.min(...every.map((p) => p[0])), end = begin + spanned;
+      const stretch = round ? Math.max(1, Math.floor(0.25 * R / top)) : Math.max(1, Math.min(200, Math.floor(0.35 * R * spanned / top)));
+      const at = (a, h) => { const r = R + stretch * h, b = round ? a - begin : a - 0.5 * (begin + end); return [r * Math.sin(b), r * Math.cos(b)]; };
+      const edge = []; for (let i = 0; i <= 80; i++) { const extra = round ? 0 : 0.05 * spanned; edge.push(at(begin - extra + (round ? 2 * Math.PI : spanned + 2 * extra) * i / 80, 0)); }
+      place = at; ground = edge; note = stretch > 1 ? `height × ${stretch}` : "";
+    } else { place = (a, h) => [a, h]; ground = [[Math.min(...every.map((p) => p[0])), floor], [Math.max(...every.map((p) => p[0])), floor]]; note = ""; }
+    const all = [...every.map((p) => place(p[0], p[1])), ...ground];
+    const low = [Math.min(...all.map((p) => p[0])), Math.min(...all.map((p) => p[1]))], high = [Math.max(...all.map((p) => p[0])), Math.max(...all.map((p) => p[1]))];
+    const k = Math.min((W - 40) / Math.max(high[0] - low[0], 1e-9), (H - 40) / Math.max(high[1] - low[1], 1e-9));
+    const across = (W - k * (high[0] - low[0])) / 2, up = (H - k * (high[1] - low[1])) / 2;
+    const screen = (p) => [across + k * (p[0] - low[0]), H - up - k * (p[1] - low[1])];
+    let inside = polyline(ground.map(screen), { stroke: css("--body"), "stroke-width": 4 });
+    flights.forEach((_, f) => points[f].forEach((leg) => {
+      const seen = leg.filter((p) => p[0] !== null).map((p) => screen(place(p[0], p[1])));
+      inside += polyline(seen, { stroke: f ? css("--soft") : css("--go"), "stroke-width": f ? 1.5 : 2.5, "stroke-dasharray": f ? "5 4" : "none" });
+      if (f === 0) {
+        leg.forEach((p, i) => {
+          if (!p[2] || i % Math.max(1, Math.floor(leg.length / 14)) || Math.hypot(...p[2]) < 0.5) { return; }
+          const here = place(p[0], p[1]), out = place(p[0], p[1] + 1), on = place(p[0] + 1e-4, p[1]);
+          const unit = (v) => { const n = Math.hypot(...v) || 1; return [v[0] / n, v[1] / n]; };
+          const o = unit([out[0] - here[0], out[1] - here[1]]), n = unit([on[0] - here[0], on[1] - here[1]]);
+          const s = screen(here), d = [p[2][0] * o[0] + p[2][1] * n[0], p[2][0] * o[1] + p[2][1] * n[1]];
+          inside += el("line", { x1: s[0], y1: s[1], x2: s[0] - 22 * d[0], y2: s[1] + 22 * d[1], stroke: css("--hot"), "stroke-width": 1.4 });
+        });
+        if (seen.length) { inside += el("circle", { cx: seen[0][0], cy: seen[0][1], r: 3, fill: css("--ink") }); }
+      }
+    }));
+    inside += el("text", { x: 10, y: H - 8, fill: css("--soft"), "font-size": 12 }, note);
+    box.innerHTML = el("svg", { viewBox: `0 0 ${W} ${H}`, xmlns: "http://www.w3.org/2000/svg", id: "path-svg" }, inside);
+  }
+
+  function canvas(node) {
+    const ratio = devicePixelRatio || 1, w = node.clientWidth, h = node.clientHeight;
+    if (node.width !== Math.round(w * ratio)) { node.width = Math.round(w * ratio); node.height = Math.round(h * ratio); }
+    const c = node.getContext("2d"); c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h);
+    return [c, w, h];
+  }
+
+  // Longitudes and latitudes on a globe that is turned to the middle of the track.
+  function ground(node, flight) {
+    const [c, w, h] = canvas(node), names = flight.views.ground, r = Math.min(w, h) / 2 - 8, t = Math.PI / 180;
+    const track = flight.phases.flatMap((p) => p.columns[names[0]] && p.columns[names[1]] ? p.columns[names[0]].values.map((v, i) => [v, p.columns[names[1]].values[i]]) : []).filter((p) => p[0] !== null);
+    if (!track.length) { return; }
+    const last = track[track.length - 1], mid = track[Math.floor(0.7 * track.length)] || last;
+    const turned = ([lon, lat]) => {
+      const a = (lon - mid[0]) * t, b = lat * t, b0 = mid[1] * t;
+      return [w / 2 + r * Math.cos(b) * Math.sin(a), h / 2 - r * (Math.sin(b) * Math.cos(b0) - Math.cos(b) * Math.sin(b0) * Math.cos(a)), Math.sin(b) * Math.sin(b0) + Math.cos(b) * Math.cos(b0) * Math.cos(a) > 0];
+    };
+    const stroke = (points, colour, width) => {
+      c.strokeStyle = colour; c.lineWidth = width; c.beginPath(); let down = false;
+      for (const p of points.map(turned)) { if (p[2]) { down ? c.lineTo(p[0], p[1]) : c.moveTo(p[0], p[1]); } down = p[2]; }
+      c.stroke();
+    };
+    c.fillStyle = css("--paper"); c.strokeStyle = css("--body"); c.lineWidth = 1; c.beginPath(); c.arc(w / 2, h / 2, r, 0, 7); c.fill(); c.stroke();
+    for (let lon = -180; lon < 180; lon += 30) { stroke(Array.from({ length: 37 }, (_, i) => [lon, -90 + 5 * i]), css("--line"), 0.6); }
+    for (let lat = -60; lat <= 60; lat += 30) { stroke(Array.from({ length: 73 }, (_, i) => [-180 + 5 * i, lat]), css("--line"), 0.6); }
+    stroke(track, css("--go"), 2.2);
+    const back = (px, py) => { // from the screen to longitude and latitude; null beside the globe
+      const u = (px - w / 2) / r, v = (h / 2 - py) / r, q = 1 - u * u - v * v, b0 = mid[1] * t; if (q < 0) { return null; }
+      const z = Math.sqrt(q), lat = Math.asin(v * Math.cos(b0) + z * Math.sin(b0)), lon = Math.atan2(u, z * Math.cos(b0) - v * Math.sin(b0));
+      return [mid[0] + lon / t, lat / t];
+    };
+    const end = turned(last); if (end[2]) { c.fillStyle = css("--hot"); c.beginPath(); c.arc(end[0], end[1], 4, 0, 7); c.fill(); }
+    return back;
+  }
+
+  const ramp = (s) => { const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], x = Math.max(0, Math.min(3.9999, 4 * s)), i = Math.floor(x), f = x - i; return `rgb(${stops[i].map((v, j) => Math.round(v + f * (stops[i + 1][j] - v))).join(",")})`; };
+
+  // A slice of the map by colour, or as a curve, with the present point on it.
+  function slice(node, shown, at, sizes, sign) {
+    const [c, w, h] = canvas(node), left = 62, bottom = 34, W = w - left - 12, H = h - bottom - 10;
+    const good = shown.objective.filter((v) => v !== null), least = Math.min(...good), most = Math.max(...good);
+    const x = shown.along[0], nx = x.length, px = (v) => left + W * (v - x[0]) / (x[nx - 1] - x[0]);
+    c.font = "11px system-ui"; c.fillStyle = css("--soft"); c.strokeStyle = css("--line");
+    const text = (s, a, b, align = "center") => { c.textAlign = align; c.fillStyle = css("--soft"); c.fillText(s, a, b); };
+    if (shown.axes.length === 1) {
+      const py = (v) => 10 + H * (1 - (sign * v - Math.min(sign * least, sign * most)) / (Math.abs(most - least) || 1));
+      c.strokeStyle = css("--go"); c.lineWidth = 1.8; c.beginPath(); let down = false;
+      shown.objective.forEach((v, i) => { if (v !== null) { down ? c.lineTo(px(x[i]), py(v)) : c.moveTo(px(x[i]), py(v)); } down = v !== null; });
+      c.stroke();
+      const v = shown.objective[Math.round((at[0] - x[0]) / (x[nx - 1] - x[0]) * (nx - 1))];
+      if (v !== null && v !== undefined) { c.fillStyle = css("--hot"); c.beginPath(); c.arc(px(at[0]), py(v), 5, 0, 7); c.fill(); }
+    } else {
+      const y = shown.along[1], ny = y.length, py = (v) => 10 + H * (1 - (v - y[0]) / (y[ny - 1] - y[0]));
+      for (let i = 0; i < nx; i++) { for (let j = 0; j < ny; j++) {
+        const v = shown.objective[i * ny + j]; if (v === null) { continue; }
+        c.fillStyle = ramp((sign * v - Math.min(sign * least, sign * most)) / (Math.abs(most - least) || 1));
+        c.fillRect(left + W * (i - 0.5) / (nx - 1), 10 + H * (1 - (j + 0.5) / (ny - 1)), W / (nx - 1) + 1, H / (ny - 1) + 1);
+      } }
+      c.clearRect(0, 0, left, h); c.clearRect(left + W, 0, w, h); c.clearRect(0, 10 + H, w, h); c.clearRect(0, 0, w, 10);
+      text(fine(y[0] / sizes[1]), left - 6, 10 + H, "right"); text(fine(y[ny - 1] / sizes[1]), left - 6, 18, "right");
+      c.strokeStyle = "#fff"; c.fillStyle = css("--hot"); c.lineWidth = 2; c.beginPath(); c.arc(px(at[0]), py(at[1]), 6, 0, 7); c.fill(); c.stroke();
+    }
+    text(fine(x[0] / sizes[0]), left, h - 18, "left"); text(fine(x[nx - 1] / sizes[0]), left + W, h - 18, "right");
+    return { px: (v) => x[0] + (v - left) / W * (x[nx - 1] - x[0]), py: (v) => shown.axes.length > 1 ? shown.along[1][0] + (1 - (v - 10) / H) * (shown.along[1][shown.along[1].length - 1] - shown.along[1][0]) : null };
+  }
+
+  return { lines, path, ground, slice, forget, whenSeen, fine, css };
+})();

@@ -1,0 +1,98 @@
+"""What is explored: a scenario, a solution that was saved, an atlas; or the landing with which everybody begins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from perilune.app.knobs import Knob, knobs
+from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas.store import HEADER
+from perilune.io.reload import load
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.scenario import load_file, load_text, template
+from perilune.scenario.text import apply, parse, written
+from perilune.words.outcome import PeriluneError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What is explored.
+
+    Parameters
+    ----------
+    problem, atlas
+        The problem, and where it is mapped, if it is.
+    known
+        A flight of it, to begin with; None where there is none.
+    text
+        Of the scenario; "" where none says all of it.
+    knobs
+        What can be moved.
+    """
+
+    problem: Problem
+    knobs: tuple[Knob, ...]
+    atlas: Atlas | None = None
+    known: Solution | None = None
+    text: str = ""
+
+    @property
+    def title(self) -> str:
+        """What the page is called."""
+        return self.problem.title or self.problem.name
+
+    def scenario(self, values: Mapping[str, float]) -> str:
+        """The scenario with values of the knobs [SI] in it.
+
+        Raises
+        ------
+        PeriluneError
+            If there is no scenario.
+        """
+        if not self.text:
+            raise PeriluneError("there is no scenario to hand out", got="a problem stated in Python")
+        known = {knob.name: knob for knob in self.knobs}
+        changes = [
+            f"{known[name].key}={value / known[name].size:.12g} {known[name].unit if known[name].unit != '1' else ''}"
+            for name, value in values.items()
+            if name in known and value != known[name].value
+        ]
+        document = parse(self.text)
+        for change in changes:
+            apply(document, change.strip())
+        return written(document, [change.strip() for change in changes]) if changes else self.text
+
+
+def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
+    """Look at what a path leads to.
+
+    Parameters
+    ----------
+    target
+        A scenario, a directory that `perilune solve --out` or `perilune atlas build --out` made; None for the template.
+    changes
+        ``section.key=value`` for a scenario.
+
+    Raises
+    ------
+    PeriluneError
+        If it is none of these.
+    """
+    if target is None or target.is_file():
+        if target is None:
+            text = template("hybrid_landing")
+            problem = load_text(text)
+        else:
+            scenario = load_file(target, changes)
+            problem, text = scenario.problem, scenario.text or ""
+        return Subject(problem=problem, text=text, knobs=knobs(problem))
+    if changes:
+        raise PeriluneError("--set changes a scenario", got=str(target), expected="a file")
+    if (target / HEADER).is_file():
+        atlas = open_atlas(target)
+        return Subject(problem=atlas.problem, atlas=atlas, knobs=knobs(atlas.problem, atlas))
+    solution = load(target)
+    return Subject(problem=solution.problem, known=solution, knobs=knobs(solution.problem))

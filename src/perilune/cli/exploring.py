@@ -1,0 +1,83 @@
+"""The command ``explore``: a page on this machine, and what is said while it is open."""
+
+from __future__ import annotations
+
+import socket
+from argparse import Namespace
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from perilune.cli.answer import Answer, aside
+from perilune.cli.progress import LONGEST_LOG, progress
+from perilune.words.outcome import PeriluneError
+
+if TYPE_CHECKING:
+    from perilune.app.subject import Subject
+
+
+def explore(typed: Namespace) -> Answer:
+    """Serve the page until Ctrl-C, or write it."""
+    try:
+        import starlette  # noqa: F401
+        import uvicorn
+        import websockets  # noqa: F401
+    except ImportError as missing:
+        raise PeriluneError(
+            "the explorer needs a web server, which is not installed",
+            got=f"no {missing.name}",
+            advice="pip install 'perilune[explore]'",
+        ) from None
+    from perilune.app.server import MESSAGE, Explorer
+    from perilune.app.subject import subject_of
+
+    subject = subject_of(typed.target, typed.changes or ())
+    if typed.html is not None:
+        return _written(subject, typed.html, typed.force)
+    listening = _listening(typed.port)
+    port = listening.getsockname()[1]
+    explorer = Explorer(subject, port)
+    address = f"http://127.0.0.1:{port}/{explorer.token}/"
+    aside(f"perilune: exploring {subject.title}\n{address}\nopen on this machine alone; Ctrl-C ends it")
+    if not typed.no_open:
+        import webbrowser
+
+        webbrowser.open(address)
+    settings = uvicorn.Config(
+        explorer.app, log_level="error", ws_max_size=MESSAGE, ws_max_queue=8, lifespan="off", server_header=False
+    )
+    server = uvicorn.Server(settings)
+    try:
+        server.run([listening])
+    except KeyboardInterrupt:  # which the server passes on when it has ended in order
+        pass
+    finally:
+        explorer.close()
+        listening.close()
+    return Answer(text="the explorer has ended", document={"served": address})
+
+
+def _written(subject: Subject, file: Path, force: bool) -> Answer:
+    from perilune.app.frozen import frozen_page
+
+    if file.exists() and not force:
+        raise PeriluneError("the file is there already", got=str(file), advice="choose another name, or pass --force")
+    with progress(False, deque(maxlen=LONGEST_LOG)) as watch:
+        page = frozen_page(subject, watch)
+    file.write_text(page, encoding="utf-8")
+    return Answer(text=f"written to {file}: {len(page) / 1e6:.1f} MB", document={"written": str(file)})
+
+
+def _listening(port: int) -> socket.socket:
+    """A socket on this machine alone."""
+    made = socket.socket()
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind(("127.0.0.1", port))
+        made.listen()  # who opens the address at once waits until it is served
+    except OSError as error:
+        made.close()
+        raise PeriluneError(
+            f"port {port} cannot be used", got=str(error.strerror), advice="another --port; 0 takes any that is free"
+        ) from None
+    return made

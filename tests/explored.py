@@ -1,0 +1,60 @@
+"""What the tests of the explorer share: an atlas across the jump of the hybrid lander, and a page that is served."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from perilune.atlas import building
+from perilune.scenario import load_file
+
+ROOT = Path(__file__).parent.parent
+CHROMIUM = next(
+    (p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome") if os.path.exists(p)), ""
+)
+QUIET = (
+    "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync"
+).split()
+
+
+def atlas_of_the_jump(directory: Path) -> Path:
+    """Around 277.867 s of impulsive Isp, at which a retro burn begins to pay."""
+    axes = {"retro.specific_impulse": (272.0, 284.0), "vehicle.thrust": (420.0, 460.0)}
+    problem = load_file(ROOT / "examples" / "hybrid_lander.toml").problem
+    building.build(problem, axes, directory, sample=0)
+    return directory
+
+
+@contextmanager
+def served(*arguments: str) -> Iterator[str]:
+    """The address of `perilune explore`, which is ended behind it as by Ctrl-C."""
+    command = [sys.executable, "-m", "perilune", "explore", "--no-open", *arguments]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        assert process.stderr is not None
+        said = ""
+        while not (found := re.search(r"http://\S+", said)):
+            line = process.stderr.readline()
+            assert line, f"it ended: {said}"
+            said += line
+        try:
+            yield found.group()
+        finally:
+            process.send_signal(2)
+            code = process.wait(20)
+    assert code == 0
+
+
+def until(page: Any, expression: str, seconds: float = 30.0) -> None:
+    """Wait until an expression is true on a page."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, f"never: {expression}"
+        time.sleep(0.03)

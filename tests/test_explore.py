@@ -1,0 +1,165 @@
+"""The server of the explorer: what it answers, and whom it does not."""
+
+from __future__ import annotations
+
+import json
+import socket
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+pytest.importorskip("starlette", reason="the explorer needs starlette: pip install 'perilune[explore]'")
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from explored import ROOT, atlas_of_the_jump, served
+from perilune import PeriluneError
+from perilune.app.frozen import frozen_page
+from perilune.app.server import MESSAGE, asked, hello
+from perilune.app.subject import Subject, subject_of
+from perilune.cli.commands import obey
+
+ISP = "retro_specific_impulse"
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
+    return subject_of(atlas_of_the_jump(tmp_path_factory.mktemp("explore") / "map"))
+
+
+@pytest.fixture(scope="module")
+def address(subject: Subject) -> Iterator[str]:
+    assert subject.atlas is not None
+    with served(str(subject.atlas.store.directory)) as found:
+        yield found
+
+
+def _socket(address: str, **more: Any) -> ClientConnection:
+    origin = more.pop("origin", "http://" + urlsplit(address).netloc)
+    return connect(address.replace("http", "ws") + "live", origin=origin, proxy=None, **more)
+
+
+def _told(page: ClientConnection, kind: str) -> dict[str, Any]:
+    while True:
+        said = json.loads(page.recv(timeout=30))
+        if said["type"] == kind:
+            return said
+
+
+def _status(url: str, **headers: str) -> int:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_a_page_is_told_what_moves_and_the_flight_that_follows(address: str) -> None:
+    """Across the jump the retro burn is none, or hundreds of m/s; at rest family, slice and proof follow."""
+    with _socket(address) as page:
+        said = _told(page, "hello")
+        assert {knob["key"] for knob in said["knobs"] if knob["mapped"]} == {"retro.specific_impulse", "vehicle.thrust"}
+        burns = []
+        for number, isp in enumerate((277.0, 279.0)):
+            page.send(json.dumps({"number": number, "values": {ISP: isp}, "slice": [ISP]}))
+            found = _told(page, "flight")
+            assert found["number"] == number and found["source"] == "map" and 0 < found["latency"] < 10
+            assert found["phases"][0]["way"]["kind"] == "limb" and "H" in found["phases"][0]["columns"]
+            burns.append(found["free"]["retro_delta_v"])
+        assert burns[0] == 0.0 and burns[1] > 500.0
+        family = _told(page, "family")
+        assert min(family["objective"]) == pytest.approx(found["objective"], rel=1e-9)
+        assert len(_told(page, "slice")["objective"]) == 61
+        proof = _told(page, "proof")
+        assert (proof["outcome"], proof["level"]) == ("PROVED", 3)
+
+
+def test_only_the_newest_values_are_answered(address: str) -> None:
+    with _socket(address) as page:
+        for number in range(40):
+            page.send(json.dumps({"number": number, "values": {ISP: 273.0 + 0.25 * number}}))
+        numbers = []
+        while not numbers or numbers[-1] != 39:
+            numbers.append(_told(page, "flight")["number"])
+        assert len(numbers) < 40 and numbers == sorted(numbers)
+
+
+def test_what_is_no_answer_is_said_in_words(address: str) -> None:
+    with _socket(address) as page:
+        for text, words in (
+            ("[1, 2", "no page sends"),
+            ('{"number": 1, "values": {"nothing": 1}}', "no such parameter"),
+            ('{"number": 1, "values": {"vehicle_thrust": 1e9}}', "far from its range"),
+            ('{"number": 1, "values": {"vehicle_thrust": NaN}}', "far from its range"),
+        ):
+            page.send(text)
+            assert words in _told(page, "fault")["what"]
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "https://127.0.0.1", None])
+def test_other_pages_do_not_reach_it(address: str, origin: str | None) -> None:
+    with pytest.raises((InvalidStatus, ConnectionClosed)), _socket(address, origin=origin) as page:
+        page.recv(timeout=5)
+
+
+def test_nothing_is_handed_out_without_the_token_or_by_another_name(address: str) -> None:
+    parts = urlsplit(address)
+    root = f"http://{parts.netloc}"
+    assert _status(address) == 200
+    assert _status(address, Host="evil.example") == 404
+    assert _status(address, Origin="http://evil.example") == 404
+    for path in (
+        "/",
+        "/x/",
+        "/x/app.js",
+        parts.path + "../server.py",
+        parts.path + "%2e%2e/server.py",
+        parts.path + "vendor",
+    ):
+        assert _status(root + path) == 404, path
+    with urllib.request.urlopen(address) as answer:
+        assert answer.headers["Content-Security-Policy"].startswith("default-src 'self'")
+    with pytest.raises(OSError), socket.create_connection((socket.gethostbyname(socket.gethostname()), parts.port), 1):
+        if socket.gethostbyname(socket.gethostname()).startswith("127."):
+            raise OSError("this machine has no other address")
+
+
+def test_too_much_at_once_ends_the_page(address: str) -> None:
+    with pytest.raises(ConnectionClosed), _socket(address) as page:
+        page.send("x" * (MESSAGE + 1))
+        while True:
+            page.recv(timeout=5)
+    with pytest.raises(ConnectionClosed), _socket(address) as page:
+        for number in range(600):
+            page.send(json.dumps({"number": number, "values": {}}))
+        while True:
+            page.recv(timeout=5)
+
+
+def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_changed() -> None:
+    subject = subject_of(ROOT / "examples" / "hybrid_lander.toml", ["vehicle.thrust=450 N"])
+    assert not any(knob["mapped"] for knob in hello(subject)["knobs"])
+    text = subject.scenario({"vehicle_thrust": 470.0})
+    assert 'thrust = "470 N"' in text
+    with pytest.raises(PeriluneError, match="far from its range"):
+        asked('{"number": 0, "values": {"vehicle_thrust": 1}}', subject)
+
+
+def test_a_page_that_needs_no_server_holds_its_flights(subject: Subject) -> None:
+    page = frozen_page(subject)
+    assert page.count('"type":"flight"') == 225 and "http://" not in page.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_what_cannot_be_explored_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert obey(["explore", str(tmp_path / "nothing")]) == 2
+    assert obey(["explore", str(tmp_path)]) == 2
+    assert obey(["explore", str(tmp_path), "--set", "vehicle.thrust=1 N"]) == 2
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert obey(["explore", "--no-open", "--port", str(taken.getsockname()[1])]) == 2
+    assert "cannot be used" in capsys.readouterr().err

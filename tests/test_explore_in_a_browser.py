@@ -1,0 +1,123 @@
+"""The page of the explorer in a real browser: dragged, refused, reloaded, and from a file alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+playwright = pytest.importorskip("playwright.sync_api", reason="these tests need pip install 'perilune[test]'")
+pytest.importorskip("starlette", reason="the explorer needs starlette: pip install 'perilune[explore]'")
+
+from explored import CHROMIUM, QUIET, ROOT, atlas_of_the_jump, served, until  # noqa: E402
+from perilune.app.frozen import frozen_page  # noqa: E402
+from perilune.app.subject import subject_of  # noqa: E402
+
+pytestmark = pytest.mark.skipif(not CHROMIUM, reason="these tests need a browser: apt-get install chromium")
+ISP = "#knob-retro_specific_impulse"
+
+
+@pytest.fixture(scope="module")
+def atlas(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return atlas_of_the_jump(tmp_path_factory.mktemp("browser") / "map")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started:
+        made = started.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        yield made
+        made.close()
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    """A new page; at its end nothing was asked from elsewhere and nothing complained."""
+    made = browser.new_page(viewport={"width": 1280, "height": 900})
+    said, asked = list[str](), list[str]()
+    made.on("console", lambda message: said.append(message.text))
+    made.on("pageerror", lambda error: said.append(str(error)))
+    made.on("request", lambda request: asked.append(request.url))
+    yield made
+    made.close()
+    assert not said
+    assert not [url for url in asked if not url.startswith(("http://127.0.0.1:", "file:", "blob:", "data:"))]
+
+
+def _drag(page: Any, begin: float, end: float, seconds: float) -> int:
+    """Drag the slider of the impulsive Isp between two shares of its range; how many frames came."""
+    box = page.locator(ISP).bounding_box()
+    x, y, first = box["x"] + 8, box["y"] + box["height"] / 2, page.evaluate("perilune.frames")
+    width, started = box["width"] - 16, time.monotonic()
+    page.mouse.move(x + begin * width, y)
+    page.mouse.down()
+    while (gone := time.monotonic() - started) < seconds:
+        page.mouse.move(x + (begin + (end - begin) * gone / seconds) * width, y)
+    page.mouse.move(x + end * width, y)
+    page.mouse.up()
+    return page.evaluate("perilune.frames") - first
+
+
+def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(page: Any, atlas: Path) -> None:
+    """Two seconds across 277.867 s: 20 frames a second, no retro burn before, hundreds of m/s behind; then proved."""
+    with served(str(atlas)) as address:
+        page.goto(address)
+        until(page, "perilune.frames > 0")
+        most = max(_drag(page, 0.05, 0.95, 2.0), _drag(page, 0.95, 0.05, 2.0))
+        assert most >= 40
+        until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v === 0")
+        assert page.evaluate("perilune.values.retro_specific_impulse") < 277.0
+        _drag(page, 0.05, 0.95, 0.5)
+        until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v > 500")
+        until(page, "!!perilune.flight.proved")
+        assert "PROVED, level 3" in page.inner_text("#source")
+        assert page.locator("#lights .yes").count() > 20 and page.locator("#lights .no").count() == 0
+        before = page.evaluate("perilune.values")
+        page.reload()
+        until(page, "perilune.frames > 0")
+        assert page.evaluate("perilune.values") == pytest.approx(before, rel=1e-9)
+        page.keyboard.press("Tab")
+        page.locator(ISP).focus()
+        page.keyboard.press("ArrowLeft")
+        until(page, "perilune.values.retro_specific_impulse < " + str(before["retro_specific_impulse"]))
+        page.click("#undo")
+        assert page.evaluate("perilune.values") == pytest.approx(before, rel=1e-9)
+
+
+def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page: Any) -> None:
+    """An approach that begins below the glide slope cannot be flown."""
+    with served(str(ROOT / "examples" / "precision_landing.toml"), "--set", "approach.up=800 m") as address:
+        page.goto(address)
+        until(page, "perilune.frames > 0", 60.0)
+        if not page.locator("#knob-approach_up").is_visible():
+            page.click("#more summary")
+        page.fill("input[aria-label='approach.up in m']", "620")
+        page.keyboard.press("Enter")
+        until(page, "!!perilune.refused && perilune.refused.impossible", 60.0)
+        until(page, "!document.getElementById('refusal').hidden")
+        assert "glide slope" in page.inner_text("#refusal")
+        page.click("#undo")
+        until(page, "document.getElementById('refusal').hidden", 60.0)
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_a_page_from_a_file_alone_shows_its_flights(
+    page: Any, atlas: Path, tmp_path: Path, width: int, scheme: str
+) -> None:
+    """As from a mail: no server; nothing wider than the screen; the jump is in it."""
+    file = tmp_path / "page.html"
+    file.write_text(frozen_page(subject_of(atlas)), encoding="utf-8")
+    page.set_viewport_size({"width": width, "height": 844})
+    page.emulate_media(color_scheme=scheme)
+    page.goto(file.as_uri())
+    until(page, "perilune.frames > 0")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.locator(ISP).scroll_into_view_if_needed()
+    for share, burn in ((0.05, "=== 0"), (0.95, "> 500")):
+        _drag(page, share, share, 0.1)
+        until(page, f"perilune.flight.free.retro_delta_v {burn}")
+    assert "stored" in page.inner_text("#source")
+    assert page.locator("#path svg polyline").count() >= 2
