@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cho import cho_landing
 from perilune.atlas import building
 from perilune.atlas.cells import WHOLE, Nodes, Status
 from perilune.atlas.chart import Chart
@@ -22,6 +23,7 @@ from perilune.atlas.survey import Survey
 from perilune.atlas.tasks import Task, computed
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Nature
+from perilune.solve import solve
 from perilune.words.watch import silent
 from problems.folded import cusp, cusp_cost, cusp_ends, two_cusps, two_cusps_cost
 
@@ -60,6 +62,22 @@ def test_where_layers_meet_none_of_them_ends(tmp_path: Path) -> None:
     truth = np.array([two_cusps_cost(*point) for point in points.tolist()])
     assert found.good.mean() > 0.9
     np.testing.assert_allclose(found.objective[found.good], truth[found.good], rtol=0, atol=1e-11)
+
+
+def test_a_layer_is_one_branch(tmp_path: Path) -> None:
+    """What a branch leads to where it has nothing is its own: 34 branches with the same nodes would be too many."""
+    axes = {"vehicle.thrust": (700.0, 900.0), "retro.specific_impulse": (303.0, 313.0)}
+    axes |= {"orbit.perilune_altitude": (25e3, 35e3)}
+    atlas = open_atlas(build(cho_landing(), axes, tmp_path / "layers", bricks=1, tolerance=1e-4))
+    brick = atlas.brick(0, (0, 0, 0))
+    assert brick is not None and len(brick.minima) < 10
+    points = np.random.default_rng(0).uniform(atlas.region.low, atlas.region.high, (500, 3))
+    found = atlas.query_many(points)
+    assert found.good.mean() > 0.97
+    for number in np.nonzero(found.good)[0][:8].tolist():
+        at = dict(zip(atlas.region.names, points[number].tolist(), strict=True))
+        alone = solve(cho_landing().with_given(**at), level=0)
+        assert found.objective[number] == pytest.approx(alone.objective, rel=1e-10)
 
 
 def test_a_round_in_which_nothing_is_new_is_the_last(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ edge begins a branch, unless there is one that has it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,15 @@ from perilune.words.types import Matrix, Vector
 _TORN, _SMALL = 0.5, 1e-3  # by how much an edge may differ from a trapezoid: of what its slopes say, and of 1 + |y|
 _ALIKE = 1e-3  # relative: what a cell gives, and an extremal that it has
 _AT_ONCE = 64  # places, each of which is compared with all cells
-_SAME = 1e-6  # relative: one extremal
 
+Extremal = tuple[int, Whole, Vector]  # its sheet, its place, and its unknowns
 _ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
 
 
-def same(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
-    """Whether unknowns, in lanes or not, are those of one extremal."""
-    return np.linalg.norm(y - other, axis=-1) <= _SAME * (1.0 + np.linalg.norm(y, axis=-1))
+def arrays_of(some: Sequence[Extremal]) -> tuple[Whole, Whole, Matrix]:
+    """Sheets, places and unknowns of extremals, in lanes."""
+    sheet, place, y = zip(*some, strict=True) if some else ((), (), ())
+    return np.array(sheet, dtype=np.int64), np.array(place, dtype=np.int64), np.array(y)
 
 
 def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole, Whole]:
@@ -104,4 +105,34 @@ def covered(
         given = interpolated(nodes.rows("terms", cells.corners[cell]), share, cells.size[cell] * step)[:, :-1]
         away = np.linalg.norm(given - y[here], axis=1)
         found[here[away <= _ALIKE * (1.0 + np.linalg.norm(y[here], axis=1))]] = True
+    return found
+
+
+def had(
+    cells: Cells,
+    nodes: Nodes,
+    step: Vector,
+    keys: Callable[[Whole, Whole], Whole],
+    alike: Callable[[int], Sequence[int]],
+    some: Sequence[Extremal],
+) -> NDArray[np.bool_]:
+    """Which extremals branches have, as nodes or in their cells.
+
+    Parameters
+    ----------
+    cells, nodes, step
+        As of `covered`.
+    keys, alike
+        Keys of nodes, by branches and places; the branches of which extremals of a sheet may be layers.
+    some
+        The extremals.
+    """
+    which, places, y = arrays_of(some)
+    found = np.zeros(len(some), dtype=bool)
+    for sheet in np.unique(which).tolist():
+        branches, mine = alike(sheet), which == sheet
+        for branch in branches:
+            found[mine] |= nodes.has(keys(np.array(branch), places[mine]), y[mine])
+        left = np.nonzero(mine & ~found)[0]
+        found[left] = covered(cells, nodes, step, branches, places[left], y[left])
     return found

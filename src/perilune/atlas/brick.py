@@ -8,7 +8,8 @@ done: where some of them have nodes on its border the sheet may go on from there
 
 Where a sheet comes to one place with several extremals it has several branches (`perilune.atlas.branches`), each with
 cells of its own. The first branch of a sheet begins with the whole brick; a later one goes on from a node in the
-smallest cells in which a sheet may end, until it runs into another.
+smallest cells in which a sheet may end, until it runs into another. It begins with an extremal to which no branch leads
+that has nothing there; to which one does, that goes on from there instead.
 
 All cells of one wave are computed together, in lanes.
 """
@@ -21,8 +22,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import covered, ending_layers, same, torn_edges
-from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, some
+from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, had, torn_edges
+from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, same, some
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
 from perilune.atlas.reflight import SLACK, Reflights
@@ -40,8 +41,6 @@ _SOWN = 2 * ENDING  # the largest cells in which a later branch begins
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
 FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
-
-_Extremal = tuple[int, Whole, Vector]  # sheet, place, and unknowns there
 
 
 class Brick:
@@ -73,7 +72,7 @@ class Brick:
         self.chart, self.borders, self.reflights, self.sheets, self.watch = chart, borders, reflights, sheets, watch
         self.origin, self.step, self.tolerance = low, (high - low) / WHOLE, tolerance
         self.d, self.count = len(low), len(sheets)
-        self.nodes, self.own, self._left = Nodes(), list(range(len(sheets))), list[_Extremal]()
+        self.nodes, self.own, self._left = Nodes(), list(range(len(sheets))), list[Extremal]()
         self._looked_at = self._cells_looked_at = 0
         self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 
@@ -147,7 +146,7 @@ class Brick:
             known += [(other, told) for other, there, told in taken if other in alike and there == at]
             if any(same(told, row) for _, told in known):
                 continue
-            if before is not None and self._has(before.cells, number, place[i], row):
+            if before is not None and self._had(before.cells, [(number, place[i], row)])[0]:
                 continue
             if any(other == number for other, _ in known):
                 self._left.append((number, place[i], row))
@@ -156,28 +155,48 @@ class Brick:
                 taken.append((number, at, row))
         return new
 
-    def _has(self, cells: Cells, sheet: int, place: Whole, y: Vector) -> bool:
-        """Whether the cells of some branch have an extremal at a place."""
-        alike = self._alike(sheet)
-        nodes = (self.nodes.at(self._keys(np.array(branch), place)) for branch in alike)
-        if any(known is not None and same(known, y) for known in nodes):
-            return True
-        return bool(covered(cells, self.nodes, self.step, alike, place[None], y[None])[0])
+    def _had(self, cells: Cells, some: Sequence[Extremal]) -> NDArray[np.bool_]:
+        """Which extremals branches have, as nodes or in their cells."""
+        return had(cells, self.nodes, self.step, self._keys, self._alike, some)
+
+    def _led_to(self) -> bool:
+        """Whether branches grow by extremals that are left: by those to which one leads where it has nothing."""
+        which, places, y = arrays_of(self._left)
+        waiting = np.ones(len(which), dtype=bool)
+        for branch, own in enumerate(self._sheets):
+            mine = waiting & np.array([sheet.alike(own) for sheet in self.sheets])[which]
+            keys = self._keys(np.array(branch), places)
+            lanes = np.nonzero(mine & (self.nodes.numbers(keys) < 0))[0]
+            begin = self.nodes.beside(branch, places[lanes], ENDING)
+            lanes, begin = lanes[begin >= 0], begin[begin >= 0]
+            if len(lanes):
+                guess, spread = self.nodes.along_slopes(begin, places[lanes], self.step)
+                led, good, _ = self._led(np.full(len(lanes), branch), places[lanes], guess, spread)
+                lanes = lanes[good & same(y[lanes], led.y)]
+                lanes = lanes[np.unique(keys[lanes], return_index=True)[1]]
+                self._solved(np.full(len(lanes), branch), places[lanes], y[lanes], np.full(len(lanes), np.inf))
+                waiting[lanes] = False
+        self._left = [one for one, still in zip(self._left, waiting.tolist(), strict=True) if still]
+        return not waiting.all()
 
     def _branched(self, done: Cells) -> Cells | None:
-        """The whole brick as the first cell of another branch, whose first node is there; None where none is left."""
-        while self._left and len(self.own) < self.count + _MOST_BRANCHES:
-            sheet, place, y = self._left.pop(0)
-            if self._has(done, sheet, place, y):
-                continue
-            branch = np.array([len(self.own)])
-            self.own.append(sheet)
-            self._told()
-            self._solved(branch, place[None], y[None], np.full(1, np.inf))
-            root = self._wholes(branch)
-            return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
-        self._left = [(s, place, y) for s, place, y in self._left if not self._has(done, s, place, y)]
-        return None
+        """Cells to begin with of what is left: none where branches grow, else the whole brick for another branch.
+
+        None where nothing is left, or there are too many branches.
+        """
+        had = self._had(done, self._left).tolist()
+        self._left = [one for one, known in zip(self._left, had, strict=True) if not known]
+        if self._left and self._led_to():
+            return some(done, np.zeros(0, dtype=np.int64))
+        if not self._left or len(self.own) >= self.count + _MOST_BRANCHES:
+            return None
+        sheet, place, y = self._left.pop(0)
+        branch = np.array([len(self.own)])
+        self.own.append(sheet)
+        self._told()
+        self._solved(branch, place[None], y[None], np.full(1, np.inf))
+        root = self._wholes(branch)
+        return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
 
     def _torn(self, cells: Cells) -> Whole:
         """Of cells that do not answer `TORN` where their corners lie on different layers."""
@@ -243,8 +262,12 @@ class Brick:
         branch = self.nodes.rows("branch", new)
         for own in np.unique(branch[branch >= self.count]).tolist():
             mine, others = new[branch == own], [b for b in self._alike(self.own[own]) if b != own]
-            y = self.nodes.rows("terms", mine)[:, 0, :-1]
-            met = covered(done, self.nodes, self.step, others, self.nodes.rows("place", mine), y)
+            y, places = self.nodes.rows("terms", mine)[:, 0, :-1], self.nodes.rows("place", mine)
+            met = covered(done, self.nodes, self.step, others, places, y)
+            for other in others:  # which may have no cell there, but the very node
+                met |= self.nodes.has(
+                    self._keys(np.array(other), places), y, self.nodes.count if other < own else first
+                )
             self.nodes.met = np.append(self.nodes.met, mine[met])
         return first
 
@@ -340,9 +363,9 @@ class Brick:
             begin = [self.nodes.nearest(near[i], at) for i, at in zip(cell.tolist(), places, strict=True)]
             guess, spread = self.nodes.along_slopes(np.array(begin), places, self.step)
         elif wholes is not None:
-            guess, spread = self._guesses(wholes, cell // 2, places)
+            guess, spread = self.nodes.guesses(wholes, cell // 2, places, self.step)
         else:
-            guess, spread = self._guesses(cells, cell, places)
+            guess, spread = self.nodes.guesses(cells, cell, places, self.step)
         waiting = np.arange(len(keys))
         while len(waiting):  # from one cell there may be a way to a place, and from another none
             once = waiting[np.unique(keys[waiting], return_index=True)[1]]
@@ -350,20 +373,6 @@ class Brick:
             waiting = np.setdiff1d(waiting, once)
             waiting = waiting[self.nodes.numbers(keys[waiting]) < 0]
         return replace(cells, corners=self._corners(cells.branch, cells.low, cells.size))
-
-    def _guesses(self, cells: Cells, cell: Whole, places: Whole) -> tuple[Matrix, Vector]:
-        """y at places of cells, and how much it changes there: by all corners, or along the slopes of the nearest."""
-        corners, size = cells.corners[cell], cells.size[cell] * self.step
-        at = (places - cells.low[cell]) / cells.size[cell]
-        away = np.abs(at[:, None] - bits(self.d)[None]).sum(axis=2)
-        nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
-        guess, spread = self.nodes.along_slopes(corners[np.arange(len(cell)), nearest], places, self.step)
-        full = (corners >= 0).all(axis=1)
-        if full.any():
-            terms = self.nodes.rows("terms", corners[full])
-            guess[full] = interpolated(terms, at[full], size[full])[:, :-1]
-            spread[full] = np.linalg.norm(np.ptp(terms[:, :, 0, :-1], axis=1), axis=1)
-        return guess, spread
 
     def _led(
         self, branch: Whole, places: Whole, guess: Matrix, spread: Vector

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.hermite import bits, interpolated
 from perilune.words.types import Matrix, Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a brick
 _CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
+_SAME = 1e-6  # relative: one extremal
 ENDING = 2**8  # the shortest edge of a cell in which a sheet ends, and of those of sheets that are no minima
 
 Whole = NDArray[np.int64]
@@ -87,6 +89,11 @@ class Cut:
     own: tuple[int, ...]
 
 
+def same(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
+    """Whether unknowns, in lanes or not, are those of one extremal."""
+    return np.linalg.norm(y - other, axis=-1) <= _SAME * (1.0 + np.linalg.norm(y, axis=-1))
+
+
 class Nodes:
     """What was computed; a node is known by its branch and its place."""
 
@@ -123,6 +130,13 @@ class Nodes:
         number = self.known.get(int(key))
         return None if number is None else self._rows["terms"][number, 0, :-1]
 
+    def has(self, keys: Whole, y: Matrix, before: int | None = None) -> NDArray[np.bool_]:
+        """Where there are these very extremals, among the first nodes or all."""
+        numbers = self.numbers(keys)
+        found = (numbers >= 0) & (numbers < (self.count if before is None else before))
+        found[found] = same(self.rows("terms", numbers[found])[:, 0, :-1], y[found])
+        return found
+
     def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
         """A column of nodes."""
         return self._rows[name][numbers]
@@ -133,9 +147,37 @@ class Nodes:
         guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(len(step)))
         return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
 
+    def guesses(self, cells: Cells, cell: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
+        """y at places of cells, and how much it changes there: by all corners, or along the slopes of the nearest."""
+        corners, size = cells.corners[cell], cells.size[cell] * step
+        at = (places - cells.low[cell]) / cells.size[cell]
+        away = np.abs(at[:, None] - bits(len(step))[None]).sum(axis=2)
+        nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
+        guess, spread = self.along_slopes(corners[np.arange(len(cell)), nearest], places, step)
+        full = (corners >= 0).all(axis=1)
+        if full.any():
+            terms = self.rows("terms", corners[full])
+            guess[full] = interpolated(terms, at[full], size[full])[:, :-1]
+            spread[full] = np.linalg.norm(np.ptp(terms[:, :, 0, :-1], axis=1), axis=1)
+        return guess, spread
+
     def nearest(self, some: Whole, place: Whole) -> int:
         """Which of some nodes is the nearest to a place."""
         return int(some[np.abs(self.rows("place", some) - place).sum(axis=1).argmin()])
+
+    def beside(self, branch: int, places: Whole, reach: int) -> Whole:
+        """Of the nodes from which a branch goes on the nearest to each place, -1 where none is within reach."""
+        goes_on = (self._rows["branch"][: self.count] == branch) & (self._rows["margin"][: self.count] >= 0)
+        goes_on[self.met] = False
+        numbers = np.nonzero(goes_on)[0]
+        if not len(numbers):
+            return np.full(len(places), -1)
+        there, found = self.rows("place", numbers), np.empty(len(places), dtype=np.int64)
+        for i, place in enumerate(places):
+            away = np.abs(there - place)
+            far = np.where(away.max(axis=1) <= reach, away.sum(axis=1), WHOLE * len(place))
+            found[i] = numbers[far.argmin()] if far.min() < WHOLE * len(place) else -1
+        return found
 
     def clearly_below(self, name: str, corners: Whole, slack: float) -> NDArray[np.bool_]:
         """Whether what should not be below zero is so at all corners of cells, by far more than it differs there."""

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import same
 from perilune.atlas.building import completed
+from perilune.atlas.cells import same
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import (
     MOST_NOTES,

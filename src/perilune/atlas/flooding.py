@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import same
-from perilune.atlas.cells import ENDING, WHOLE, Status
+from perilune.atlas.cells import ENDING, WHOLE, Status, same
 from perilune.atlas.sheets import Sheet
 
 Rows = Any  # an array with columns

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import same
+from perilune.atlas.cells import same
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import seed_type
 from perilune.atlas.course import Course, course_of
