@@ -94,7 +94,7 @@ class Survey:
     Attributes
     ----------
     notes
-        Where there was no answer, and why, in sentences.
+        Where there was no answer, and why, and what is not mapped, in sentences.
     """
 
     problem: Problem
@@ -192,14 +192,26 @@ class Survey:
             if number is not None:
                 known = _offered(known, number, sheet)
             else:
-                if sheet.nature is Nature.UNPROVED:
+                told_by_solve = sheet.nature is not Nature.UNPROVED
+                if not told_by_solve:
                     said = said_of(replace(known, sheets=(sheet,)))
                     nature = nature_behind_folds(self.problem, self.region, said, values, start.y[0])
                     sheet = replace(sheet, nature=nature)
                 y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
-                self.watch(f"{sheet.label}: at {np.isfinite(y[:, 0]).sum()} corners of bricks")
-                known, left = _together(known, sheet, y), left + behind
+                count = np.isfinite(y[:, 0]).sum()
+                self.watch(f"{sheet.label}: at {count} corners of bricks")
+                if not count and sheet.minimum:
+                    self._note_small(sheet, values * chart.scale)
+                # Two that reach no corner, on both sides of a fold, would lead to one another for ever.
+                known, left = _together(known, sheet, y), left + (behind if count or told_by_solve else [])
         return known
+
+    def _note_small(self, sheet: Sheet, values: Vector) -> None:
+        """Say once that a sheet is not mapped; it may be met in several places."""
+        said = f"the sheet '{sheet.label}' reaches no corner of a brick, and is not mapped"
+        if not any(said in text for text in self.notes):
+            at = self.region.told(values.tolist())
+            self.notes.append(f"at {at}: {said}; smaller bricks (--bricks) may have one")
 
     def _carried(
         self, chart: Chart, borders: Borders, sheet: Sheet, corners: Matrix, values: Vector, y: Vector
