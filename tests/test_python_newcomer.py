@@ -87,6 +87,18 @@ load_any: Any = load_file
         (lambda: pl.Indirect(scan_points=1), ("scan_points is too small",)),
         (lambda: Loose.Indirect(starts="many"), ("starts must be a whole number", "'many'")),
         (lambda: Loose.Pseudospectral(nodes="few"), ("nodes must be a whole number",)),
+        (lambda: Loose.Pseudospectral(tolerance="fine"), ("tolerance must be a number", "'fine'")),
+        (lambda: Loose.Genetic(population=2.5), ("population must be a whole number", "2.5")),
+        (lambda: Loose.Genetic(crossover=None), ("crossover must be a number", "None")),
+        (lambda: Loose.Variable(name=3), ("not a name", "3", "a text")),
+        (lambda: Loose.Variable(name="two words"), ("Python identifier", "'two words'")),
+        (lambda: Loose.Direction(names="up"), ("not names of components", "'up'", "toward_x")),
+        (lambda: Loose.Scales(length=[1.0]), ("no scale of a length", "[1.0]")),
+        (lambda: Loose.Table("x", [1.0]), ("not a column x of a table", "'x'", "a list of numbers")),
+        (lambda: Loose.Problem(name="p", phases=LANDING.phases[0], start=None, objective=None),
+         ("not a row of phases", "Phase")),
+        (lambda: Loose.Problem(name="p", phases=("descent",), start=None, objective=None),
+         ("not a phase", "'descent'")),
     ],
 )  # fmt: skip
 def test_a_slip_is_refused_in_words(ask: Callable[[], Any], words: tuple[str, ...]) -> None:
@@ -143,6 +155,9 @@ def test_a_retro_burn_that_is_no_record_is_not_taken_for_none() -> None:
         (lambda s, path: Loose.save(s, path / "s", 3), ("not the text of a scenario", "3")),
         (lambda s, _: Loose.verify(s, 4, other=3), ("not a method", "3")),
         (lambda s, _: Loose.verify(s, 3, resolve=3), ("not what solves again", "3")),
+        (lambda s, _: s.trajectories[0].state("end"), ("not a time at which to look at a curve", "'end'")),
+        (lambda s, _: s.inertial(1, 0.0), ("not a phase of hybrid_landing", "1", "its number, 0 to 0")),
+        (lambda s, _: s.outputs("descent", 0.0), ("not a phase of hybrid_landing", "'descent'")),
     ],
 )
 def test_a_slip_with_a_solution_is_refused_in_words(

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from perilune.methods.method import Method
 
 # What each method can be told; of the hybrid the seed is the search's, the others are the direct method's.
-SETTINGS = {
+SETTINGS: dict[str, tuple[str, ...]] = {
     "indirect": ("starts", "seed"),
     "direct": ("nodes", "tolerance", "polish"),
     "hybrid": ("seed", "nodes", "tolerance"),

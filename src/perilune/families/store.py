@@ -47,7 +47,8 @@ class Store:
     """The directory of one sweep."""
 
     def __init__(self, directory: Path, members: Members) -> None:
-        self.directory, self.members = directory, members
+        self.directory: Path = directory
+        self.members: Members = members
 
     def open(self, note: Callable[[str], None]) -> dict[int, FamilyPoint]:
         """The members that are there, unverified, by their number; the directory is made where there is none.

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.words.asked import demand_number, demand_whole
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -97,9 +98,9 @@ class Genetic:
     spread: float = 5.0
 
     def __post_init__(self) -> None:
-        for name, least in (("population", 4), ("generations", 0), ("best", 1), ("tournament", 1)):
-            if getattr(self, name) < least:
-                raise PeriluneError(f"{name} is too small", got=str(getattr(self, name)), expected=f">= {least}")
+        demand_whole(self, population=4, generations=0, best=1, tournament=1)
+        for name in ("elite", "crossover", "distinct", "mutation", "spread"):
+            demand_number(getattr(self, name), name)
         for name in ("elite", "crossover", "distinct"):
             if not 0 <= getattr(self, name) <= 1:
                 raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))

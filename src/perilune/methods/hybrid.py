@@ -18,6 +18,7 @@ from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.words.asked import demand_whole
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 
@@ -49,8 +50,7 @@ class Hybrid:
                 got=f"Hybrid({type(self.first).__name__}, {type(self.second).__name__})",
                 expected="Hybrid(Genetic(...), Pseudospectral(...)) or Hybrid(Genetic(...), Indirect(...))",
             )
-        if self.nodes < 2:
-            raise PeriluneError("nodes is too small", got=str(self.nodes), expected=">= 2")
+        demand_whole(self, nodes=2)
 
     def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
         """Solve from random values.

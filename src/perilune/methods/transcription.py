@@ -11,7 +11,7 @@ import numpy as np
 from perilune.direct.collocation import Mesh, Scheme, rule
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Statistics
-from perilune.words.asked import demand_whole
+from perilune.words.asked import demand_number, demand_whole
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch, silent
@@ -39,6 +39,7 @@ class Transcription:
         demand_whole(self, nodes=1, segments=1, refine=0, iterations=1)
         rule(self.scheme, self.nodes)
         for name in ("tolerance", "nlp_tolerance"):
+            demand_number(getattr(self, name), name)
             if not 0 < getattr(self, name) < 1:
                 raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))
         if not isinstance(self.polish, bool):

@@ -14,7 +14,9 @@ from typing import Any
 from perilune.problem.controls import scalars
 from perilune.problem.dimensions import Clash, clash, mixed_comparison
 from perilune.problem.form import Stated, stated
+from perilune.problem.phase import Phase
 from perilune.problem.views import check_views
+from perilune.words.asked import demand, refused
 from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import Scales, unit
@@ -22,6 +24,10 @@ from perilune.words.units import Scales, unit
 
 def check_structure(problem: Any) -> None:
     """Refuse phases, links, parameters and views that do not fit together."""
+    if isinstance(problem.phases, str) or not isinstance(problem.phases, Sequence):
+        raise refused(problem.phases, "(Phase(...), ...)", "a row of phases")
+    for phase in problem.phases:
+        demand(phase, Phase, "a phase")
     if not problem.phases:
         raise PeriluneError("a problem needs at least one phase", got="none")
     if len(problem.links) != len(problem.phases) - 1:

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from perilune.words.asked import demand_identifier, refused
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales
@@ -47,6 +48,10 @@ class Direction:
     scalar: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        if isinstance(self.names, str) or not isinstance(self.names, Sequence):
+            raise refused(self.names, '("toward_x", "toward_y", "toward_z"), or two of them', "names of components")
+        for name in self.names:
+            demand_identifier(name)
         if len(self.names) not in (2, 3):
             raise PeriluneError("a direction has two or three components", got=str(len(self.names)))
 

@@ -24,6 +24,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.shown import ShownSolution
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Check, Verification
+from perilune.words.asked import demand_index, demand_numbers
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, Outcome, PeriluneError
 from perilune.words.same import same_fields
@@ -72,6 +73,7 @@ class Curve:
         PeriluneError
             If a time lies outside the curve by more than 1e-9 of its length, or is NaN.
         """
+        t = demand_numbers(t, "a time at which to look at a curve")
         first, last = self.time[0], self.time[-1]
         slack = _ROUNDING * (last - first)
         # A curve whose own nodes are no numbers has no ends to compare with: its values are NaN, for a proof to see.
@@ -333,14 +335,16 @@ class Solution(ShownSolution):
 
         Cubic Hermite between nodes, then each `Direction` normalised.
         """
+        demand_index(phase, len(self.trajectories), f"a phase of {self.problem.name}")
         trajectory = self.trajectories[phase]
         control = normalised(self.problem.phases[phase].controls, np.asarray(trajectory.control(t), dtype=float).T)
         return np.asarray(trajectory.state(t), dtype=float).T, control
 
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
         """The phase's named outputs at times t, in SI."""
+        flown = self.flown(phase, t)
         definition = self.problem.phases[phase]
-        values = definition.evaluate("outputs", *self.flown(phase, t), self.parameters)
+        values = definition.evaluate("outputs", *flown, self.parameters)
         return {v.name: full(value, t) for v, value in zip(definition.output_variables, values, strict=True)}
 
     def inertial(self, phase: int, t: Vector) -> tuple[Matrix, Matrix, Matrix]:
@@ -358,9 +362,10 @@ class Solution(ShownSolution):
         PeriluneError
             If the problem states no inertial view of that phase.
         """
+        flown = self.flown(phase, t)
         definition = self.problem.phases[phase]
         since = sum(trajectory.duration for trajectory in self.trajectories[:phase])
-        values = definition.seen_inertially(*self.flown(phase, t), since + t, self.parameters)
+        values = definition.seen_inertially(*flown, since + t, self.parameters)
         if not values:
             raise PeriluneError(
                 f"the phase {definition.name} of {self.problem.name} has no inertial view",

@@ -49,14 +49,15 @@ class NotAFormula(Exception):
 
     def __init__(self, got: str, advice: str) -> None:
         super().__init__(got)
-        self.got, self.advice = got, advice
+        self.got: str = got
+        self.advice: str = advice
 
 
 class Symbol:
     """A value that is not known yet: what a user's function computes with while it is written down."""
 
     __slots__ = ("_index", "_recorder")
-    __hash__ = None  # type: ignore[assignment]
+    __hash__: Any = None  # type: ignore[assignment]
 
     def __init__(self, recorder: Recorder, index: int) -> None:
         self._recorder, self._index = recorder, index
@@ -80,7 +81,9 @@ class Symbol:
             "the functions of m: m.sin, m.sqrt, ...; m.table for tabulated data",
         )
 
-    __int__ = __index__ = __complex__ = __float__  # type: ignore[assignment]
+    __int__: Any = __float__
+    __index__: Any = __float__
+    __complex__: Any = __float__
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, keywords: Any) -> Any:
         raise NotAFormula(
@@ -128,7 +131,9 @@ class Recorder:
         self._index: dict[Instruction, int] = {}
         self.tables: dict[str, Table] = {}
         names = (*NUMPY_NAMES, "where")
-        self.namespace = SimpleNamespace(**{name: self._function(name) for name in names}, table=self._table)
+        self.namespace: SimpleNamespace = SimpleNamespace(
+            **{name: self._function(name) for name in names}, table=self._table
+        )
 
     def by_another(self, called: str, ours: str, *operands: Any) -> Symbol:
         """What Python's or NumPy's own function makes of symbols; refused where it loses a derivative."""

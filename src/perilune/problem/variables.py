@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Limit, limit_value
-from perilune.words.asked import refused
+from perilune.words.asked import demand_identifier, refused
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -68,8 +68,7 @@ class Variable:
     scale: float | None = None
 
     def __post_init__(self) -> None:
-        if not self.name.isidentifier():
-            raise PeriluneError("a name must be a Python identifier", got=repr(self.name))
+        demand_identifier(self.name)
         _in_si(self.name, self.unit)
         object.__setattr__(self, "scale", positive_scale(self.name, self.scale))
         if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import suppress
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,60 @@ def demand_level(level: Any, known: Sequence[int]) -> None:
         raise PeriluneError(
             "there is no such level of verification", got=repr(level)[:60], expected=f"{', '.join(most)} or {last}"
         )
+
+
+def demand_number(value: Any, name: str) -> None:
+    """Refuse a setting that is no real number; NaN and infinity are numbers here.
+
+    Raises
+    ------
+    PeriluneError
+        Named.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise PeriluneError(f"{name} must be a number", got=_shown(value))
+
+
+def demand_numbers(values: Any, what: str) -> Any:
+    """A number, or an array of numbers, as NumPy has it.
+
+    Raises
+    ------
+    PeriluneError
+        If it is neither.
+    """
+    import numpy as np  # which no refusal needs
+
+    try:
+        return np.asarray(values, dtype=float)[()]
+    except (TypeError, ValueError):
+        raise refused(values, "a number, or an array of numbers", what) from None
+
+
+def demand_index(value: Any, count: int, what: str) -> None:
+    """Refuse what is not the number of one of so many.
+
+    Raises
+    ------
+    PeriluneError
+        Named.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral) or not -count <= int(value) < count:
+        raise refused(value, f"its number, 0 to {count - 1}", what)
+
+
+def demand_identifier(value: Any) -> None:
+    """Refuse a name that could not follow a dot.
+
+    Raises
+    ------
+    PeriluneError
+        Named.
+    """
+    if not isinstance(value, str):
+        raise refused(value, "a text", "a name")
+    if not value.isidentifier():
+        raise PeriluneError("a name must be a Python identifier", got=repr(value[:60]))
 
 
 def demand_whole(settings: Any, **least: int) -> None:

@@ -20,6 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from perilune.words.asked import refused
 from perilune.words.outcome import PeriluneError
 
 # name in `m`: name in numpy. The symbolic twin takes the same keys.
@@ -46,6 +47,13 @@ MOST_KNOTS = 200  # each is a choice in machine code
 _SPLINES = {"smooth": 5, "smoother": 7}  # degrees
 
 Choose = Callable[[Any, Any, Any], Any]  # (condition, yes, no)
+
+
+def _knots(name: str, values: Any) -> tuple[float, ...]:
+    try:
+        return tuple(float(v) for v in values)
+    except (TypeError, ValueError):
+        raise refused(values, "a list of numbers", f"a column {name} of a table") from None
 
 
 @dataclass(frozen=True)
@@ -77,7 +85,7 @@ class Table:
 
     def __post_init__(self) -> None:
         for name in ("x", "y"):
-            object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
+            object.__setattr__(self, name, _knots(name, getattr(self, name)))
         good = 3 <= len(self.x) == len(self.y) <= MOST_KNOTS and np.isfinite([*self.x, *self.y]).all()
         if not good or not (np.diff(self.x) > 0).all():
             raise PeriluneError(

@@ -60,7 +60,10 @@ class PeriluneError(ValueError):
     exit_code = 2
 
     def __init__(self, what: str, *, got: str = "", expected: str = "", advice: str = "") -> None:
-        self.what, self.got, self.expected, self.advice = what, got, expected, advice
+        self.what: str = what
+        self.got: str = got
+        self.expected: str = expected
+        self.advice: str = advice
         parts = [what]
         parts += [f"{word}: {text}" for word, text in (("got", got), ("expected", expected), ("try", advice)) if text]
         super().__init__("\n  ".join(parts))
@@ -92,11 +95,11 @@ class InfeasibleError(PeriluneError):
         expected: str = "",
         advice: str = "",
         reason: str = CANNOT_BE_FLOWN,
-        partial: dict | None = None,
+        partial: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)
         self.reason = reason
-        self.partial = partial or {}
+        self.partial: dict[str, Any] = partial or {}
 
     def __str__(self) -> str:
         what, *parts = super().__str__().split("\n")
@@ -120,11 +123,11 @@ class NotConvergedError(PeriluneError):
         got: str = "",
         expected: str = "",
         advice: str = "",
-        partial: dict | None = None,
+        partial: dict[str, Any] | None = None,
         flight: Any = None,
     ) -> None:
         super().__init__(what, got=got, expected=expected, advice=advice)
-        self.partial = partial or {}
+        self.partial: dict[str, Any] = partial or {}
         self.flight = flight
 
 

@@ -15,6 +15,7 @@ import math
 import re
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from numbers import Real
 
 from perilune.words.outcome import PeriluneError
 
@@ -187,10 +188,10 @@ class Scales:
     def __post_init__(self) -> None:
         for name in ("length", "time", "mass", "temperature"):
             value = getattr(self, name)
-            if isinstance(value, str) or not 1 / _LARGEST <= value <= _LARGEST:
-                raise PeriluneError(
-                    f"this is no scale of a {name}", got=f"{value} in SI", expected=f"{1 / _LARGEST:g} to {_LARGEST:g}"
-                )
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not number or not 1 / _LARGEST <= float(value) <= _LARGEST:
+                got, expected = f"{str(value)[:60]} in SI", f"{1 / _LARGEST:g} to {_LARGEST:g}"
+                raise PeriluneError(f"this is no scale of a {name}", got=got, expected=expected)
             object.__setattr__(self, name, float(value))  # numpy's numbers show in every answer, and are slow alone
 
     @cached_property

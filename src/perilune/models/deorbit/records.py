@@ -13,7 +13,7 @@ from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 
 MINIMISED = ("flight_time", "transition_time", "propellant", "heat_load")
-AIRS = {
+AIRS: dict[str, tuple[str, ...]] = {
     "exponential": ("density", "scale_height"), "us1976": (), "nrlmsis": ("f107", "f107a", "ap"), "file": ("file",),
 }  # fmt: skip
 BANKS = ("free", "reversed")
