@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -103,6 +102,8 @@ _METHODS = {
 }
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from perilune import atlas, models
     from perilune.families.sweep import sweep
     from perilune.io.export import save
