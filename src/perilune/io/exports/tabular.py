@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from perilune import __version__
 from perilune.io.columns import rounded
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.table import Field, FlightTable
@@ -131,7 +132,7 @@ def _is_geometry(table: FlightTable, epoch: datetime | None) -> bool:
 
 def _file_attributes(table: FlightTable, about: Mapping[str, str], epoch: datetime | None) -> dict[str, str]:
     geometry = {"featureType": "trajectory"} if _is_geometry(table, epoch) else {}
-    return {"Conventions": _CONVENTIONS, **geometry, **about}
+    return {"Conventions": _CONVENTIONS, **geometry, "history": f"exported by perilune {__version__}", **about}
 
 
 def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
@@ -139,7 +140,10 @@ def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np
     time: dict[str, Any] = {"units": "s", "long_name": _TIME}
     if epoch is not None:
         since = f"seconds since {stamp(epoch, 0.0).replace('T', ' ')[:-3]}"
-        time = {"standard_name": "time", "long_name": "UTC", "units": since, "calendar": "standard"}
+        time = {
+            "standard_name": "time", "long_name": "UTC", "units": since, "calendar": "standard",
+            "units_metadata": "leap_seconds: none",
+        }  # fmt: skip
     phase = {
         "long_name": "phase of the flight", "flag_meanings": " ".join(table.phases),
         "flag_values": np.arange(len(table.phases), dtype=np.int8),
