@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from types import ModuleType
 
 import perilune as pl
 
@@ -21,7 +22,8 @@ def offered() -> Iterator[str]:
     """Dotted names of everything that is public, at the package and where it is defined."""
     for name in pl.__all__:
         yield f"perilune.{name}"
-        yield f"{pl._EXPORTS[name]}.{name}"
+        home = pl._EXPORTS[name]
+        yield home if isinstance(getattr(pl, name), ModuleType) else f"{home}.{name}"
 
 
 def main() -> int:

@@ -24,6 +24,14 @@ _EXPORTS = {
     "Solution": "perilune.problem.solution",
     "Trajectory": "perilune.problem.solution",
     "Curve": "perilune.problem.solution",
+    "Result": "perilune.problem.solution",
+    "Statistics": "perilune.problem.solution",
+    "NamedArc": "perilune.problem.named_arcs",
+    "Extremal": "perilune.problem.extremal",
+    "Nature": "perilune.problem.extremal",
+    "Family": "perilune.families.family",
+    "FamilyPoint": "perilune.families.family",
+    "Views": "perilune.problem.views",
     "Tolerance": "perilune.problem.tolerance",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
@@ -48,6 +56,8 @@ _EXPORTS = {
     "verify": "perilune.solve",
     "atlas": "perilune.atlas",
     "models": "perilune.models",
+    "scenario": "perilune.scenario",
+    "views": "perilune.problem.views",
 }
 
 __all__ = [
@@ -56,6 +66,9 @@ __all__ = [
     "Check",
     "Curve",
     "Direction",
+    "Extremal",
+    "Family",
+    "FamilyPoint",
     "Finding",
     "Free",
     "Genetic",
@@ -63,19 +76,24 @@ __all__ = [
     "Hybrid",
     "Indirect",
     "InfeasibleError",
+    "NamedArc",
+    "Nature",
     "NotConvergedError",
     "Outcome",
     "PeriluneError",
     "Phase",
     "Problem",
     "Pseudospectral",
+    "Result",
     "Scales",
     "Solution",
+    "Statistics",
     "Table",
     "Tolerance",
     "Trajectory",
     "Variable",
     "Verification",
+    "Views",
     "atlas",
     "export",
     "guess",
@@ -85,9 +103,11 @@ __all__ = [
     "preflight",
     "prove",
     "save",
+    "scenario",
     "solve",
     "sweep",
     "verify",
+    "views",
 ]
 
 # What methods of a solution do by rooms above theirs, which know it and which it does not know.
@@ -104,7 +124,8 @@ _METHODS = {
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from perilune import atlas, models
+    from perilune import atlas, models, scenario
+    from perilune.families.family import Family, FamilyPoint
     from perilune.families.sweep import sweep
     from perilune.io.export import save
     from perilune.io.exports.writing import export
@@ -114,16 +135,20 @@ if TYPE_CHECKING:
     from perilune.methods.indirect import Indirect
     from perilune.methods.pseudospectral import Pseudospectral
     from perilune.models.bodies import MOON
+    from perilune.problem import views
     from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.extremal import Extremal, Nature
     from perilune.problem.guess import guess
+    from perilune.problem.named_arcs import NamedArc
     from perilune.problem.opposite import opposite
     from perilune.problem.phase import Phase
     from perilune.problem.preflight import Finding, preflight
     from perilune.problem.problem import Problem
-    from perilune.problem.solution import Curve, Solution, Trajectory
+    from perilune.problem.solution import Curve, Result, Solution, Statistics, Trajectory
     from perilune.problem.tolerance import Tolerance
     from perilune.problem.variables import Free, Given, Variable
     from perilune.problem.verification import Check, Verification
+    from perilune.problem.views import Views
     from perilune.solve import prove, solve, verify
     from perilune.words.maths import Table
     from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError

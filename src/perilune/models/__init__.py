@@ -1,18 +1,105 @@
-"""Bodies, vehicles and the landing problems made of them."""
+"""Bodies, vehicles and the problems made of them: landings, descents, returns from orbit.
 
-from perilune.models.bodies import BODIES, CERES, EUROPA, MARS, MERCURY, MOON, Body
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+The orbit that a return comes from is `ReturnOrbit` here, beside the `Orbit` of a landing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from perilune.models.atmosphere import Air
+    from perilune.models.bodies import BODIES, CERES, EARTH, EUROPA, MARS, MERCURY, MOON, Body, Planet, UniformGravity
+    from perilune.models.corridor import Corridor
+    from perilune.models.deorbit.opportunities import Opportunity, opportunities
+    from perilune.models.deorbit.problem import deorbit_entry
+    from perilune.models.deorbit.records import (
+        Atmosphere,
+        Heating,
+        Interface,
+        Landing,
+        Limits,
+        Manoeuvre,
+        Orbit as ReturnOrbit,
+        Parachute,
+        Returner,
+        Separation,
+        Transition,
+    )
+    from perilune.models.descent import Ignition, Site, Steering, powered_descent
+    from perilune.models.final_descent import FinalDescent
+    from perilune.models.landing import Orbit, hybrid_landing
+    from perilune.models.precision import Approach, precision_landing
+    from perilune.models.vehicle import Retro, Throttle, Vehicle
+
+# What each file hands on, when it is asked for.
+_HOME = {
+    "bodies": "BODIES CERES EARTH EUROPA MARS MERCURY MOON Body Planet UniformGravity",
+    "vehicle": "Retro Throttle Vehicle",
+    "landing": "Orbit hybrid_landing",
+    "descent": "Ignition Site Steering powered_descent",
+    "precision": "Approach precision_landing",
+    "corridor": "Corridor",
+    "final_descent": "FinalDescent",
+    "atmosphere": "Air",
+    "deorbit.records": "Atmosphere Heating Interface Landing Limits Manoeuvre Parachute Returner Separation Transition",
+    "deorbit.problem": "deorbit_entry",
+    "deorbit.opportunities": "Opportunity opportunities",
+}
+_PLACES = {name: (file, name) for file, names in _HOME.items() for name in names.split()}
+_PLACES["ReturnOrbit"] = ("deorbit.records", "Orbit")
 
 __all__ = [
     "BODIES",
     "CERES",
+    "EARTH",
     "EUROPA",
     "MARS",
     "MERCURY",
     "MOON",
+    "Air",
+    "Approach",
+    "Atmosphere",
     "Body",
+    "Corridor",
+    "FinalDescent",
+    "Heating",
+    "Ignition",
+    "Interface",
+    "Landing",
+    "Limits",
+    "Manoeuvre",
+    "Opportunity",
     "Orbit",
+    "Parachute",
+    "Planet",
     "Retro",
+    "ReturnOrbit",
+    "Returner",
+    "Separation",
+    "Site",
+    "Steering",
+    "Throttle",
+    "Transition",
+    "UniformGravity",
     "Vehicle",
+    "deorbit_entry",
     "hybrid_landing",
+    "opportunities",
+    "powered_descent",
+    "precision_landing",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'perilune.models' has no attribute {name!r}")
+    file, own = _PLACES[name]
+    value = getattr(importlib.import_module(f"perilune.models.{file}"), own)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
