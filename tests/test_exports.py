@@ -115,6 +115,13 @@ def test_an_epoch_is_read_as_it_is_meant(hybrid: Solution, tmp_path: Path) -> No
         pl.export(moved, tmp_path / "x", "csv", epoch=EPOCH)
 
 
+def test_numbers_that_are_none_are_not_exported(ordinary: Solution, tmp_path: Path) -> None:
+    (flown,) = ordinary.trajectories
+    lost = replace(flown, state=replace(flown.state, values=np.nan * flown.state.values))
+    with pytest.raises(PeriluneError, match="no flight that could be placed"), np.errstate(all="ignore"):
+        pl.export(replace(ordinary, trajectories=(lost,)), tmp_path / "x", "czml", epoch=EPOCH)
+
+
 def test_the_way_in_space_loses_no_millimetre(ordinary: Solution) -> None:
     (leg,) = legs(ordinary)
     assert 0 < leg.lost < LOST and np.all(np.diff(leg.time) > 0)

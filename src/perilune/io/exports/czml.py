@@ -8,7 +8,6 @@ turns it from one burn to the next.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from datetime import datetime
 from html import escape
@@ -19,6 +18,7 @@ import numpy as np
 
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.path import Leg, legs, space_of
+from perilune.io.files import json_text
 from perilune.problem.solution import Solution
 from perilune.words.types import Matrix
 
@@ -39,7 +39,7 @@ def write_czml(solution: Solution, about: Mapping[str, str], epoch: datetime, pa
     space = space_of(solution, NAME)
     rate = float(getattr(solution.parameters, space.rotation)) if space.rotation else 0.0
     flown = [leg.turning(rate) for leg in legs(solution)]
-    path.write_text(json.dumps(_document(flown, about, epoch), allow_nan=False, indent=1), encoding="utf-8")
+    path.write_text(json_text(_document(flown, about, epoch)), encoding="utf-8")
 
 
 def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> list[dict[str, Any]]:

@@ -83,12 +83,23 @@ def space_of(solution: Solution, form: str) -> Space:
 
 
 def legs(solution: Solution) -> list[Leg]:
-    """The phases in inertial axes; a phase without length has none."""
+    """The phases in inertial axes; a phase without length has none.
+
+    Raises
+    ------
+    PeriluneError
+        If the flight has no length, or a place that is no number.
+    """
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         if trajectory.duration > 0:
             found.append(_leg(solution, k, begin))
         begin += trajectory.duration
+    if not found or not all(np.isfinite([leg.position, leg.velocity, leg.push]).all() for leg in found):
+        raise PeriluneError(
+            "this is no flight that could be placed in space", got="numbers that are not finite, or no time at all",
+            expected="a solution of `perilune.solve`",
+        )  # fmt: skip
     return found
 
 

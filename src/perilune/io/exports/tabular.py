@@ -168,3 +168,6 @@ def _attributes(f: Field, places: list[str]) -> dict[str, Any]:
 
 def _missing(what: str, package: str) -> PeriluneError:
     return PeriluneError(f"{what} needs {package}, which is not installed", advice="pip install 'perilune[export]'")
+
+
+WRITERS = {"netcdf": write_netcdf, "csv": write_csv, "parquet": write_parquet}

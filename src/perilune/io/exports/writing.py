@@ -116,11 +116,10 @@ def _writer(format: str) -> Callable[[Solution, Mapping[str, str], Any, Path], N
         from perilune.io.exports.czml import write_czml
 
         return write_czml
-    from perilune.io.exports import tabular
     from perilune.io.exports.table import flight_table
+    from perilune.io.exports.tabular import WRITERS
 
-    written = getattr(tabular, f"write_{format}")
-    return lambda solution, about, epoch, path: written(flight_table(solution), about, epoch, path)
+    return lambda solution, about, epoch, path: WRITERS[format](flight_table(solution), about, epoch, path)
 
 
 def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xarray.Dataset:
