@@ -91,6 +91,41 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
             os.close(lock)
 
 
+def new_file(file: str | Path, what: str, force: bool = False) -> Path:
+    """The path of a file to write; refuses a directory, and one that is there unless it may be replaced."""
+    path = demand_path(file, f"the file of {what}")
+    if path.is_dir():
+        raise PeriluneError("the file is a directory", got=str(path), advice="choose another name")
+    if path.exists() and not force:
+        raise PeriluneError(
+            "the file is there already", got=str(path), advice="choose another name, or --force (in Python force=True)"
+        )
+    return path
+
+
+@contextmanager
+def fresh_file(target: Path, what: str) -> Iterator[Path]:
+    """A place beside a file to write to; it becomes that file when the block ends without an error.
+
+    Raises
+    ------
+    PeriluneError
+        If it cannot be written; `what` is what it holds.
+    """
+    beside = target.with_name(f".writing-{os.getpid()}-{target.name}")  # which keeps how the name ends
+    try:
+        yield beside
+        os.replace(beside, target)
+    except OSError as error:
+        raise PeriluneError(
+            f"{what} cannot be written", got=f"{target}: {error.strerror or error}",
+            expected="a place that you may write, with space left",
+        ) from error  # fmt: skip
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+
+
 def in_use(target: Path) -> bool:
     """Whether a directory holds more than what a run that failed left of itself."""
     return target.is_dir() and any(path.name != FAILURE_FILE for path in target.iterdir())

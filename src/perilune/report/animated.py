@@ -6,7 +6,6 @@ true angle to the horizon; a problem that is nowhere in space shows its first hi
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +16,12 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from perilune.io.columns import flight_columns
+from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
 from perilune.report.limb import plane_of_flight
 from perilune.report.style import BLUE, GREY, STYLE, VERMILION, new_figure
 from perilune.report.track import path
-from perilune.words.asked import demand, demand_path, refused
-from perilune.words.outcome import PeriluneError
+from perilune.words.asked import demand, refused
 from perilune.words.types import Matrix, Vector
 
 _FRAMES = 15  # a second
@@ -69,25 +68,13 @@ def animate(
     demand(solution, Solution, "a solution to show")
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not _FASTEST <= seconds <= _LONGEST:
         raise refused(seconds, f"seconds, {_FASTEST:g} to {_LONGEST:g}", "a time to show a flight in")
-    target = None if file is None else demand_path(file, "the file of an animation")
-    if target is not None and target.exists() and not force:
-        raise PeriluneError("the file is there already", got=str(target), advice="choose another name, or force=True")
+    target = None if file is None else new_file(file, "an animation", force)
     with matplotlib.rc_context(STYLE):
         made = _animation(_way(solution, round(_FRAMES * seconds)))
         if target is not None:
-            _written(made, target)
+            with fresh_file(target, "the animation") as beside:
+                made.save(beside, writer=PillowWriter(fps=_FRAMES), dpi=100)
     return made
-
-
-def _written(made: FuncAnimation, target: Path) -> None:
-    beside = target.with_name(f".{target.name}-writing-{os.getpid()}.gif")
-    try:
-        made.save(beside, writer=PillowWriter(fps=_FRAMES), dpi=100)
-        os.replace(beside, target)
-    except OSError as error:
-        raise PeriluneError("the animation cannot be written", got=f"{target}: {error.strerror or error}") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _way(solution: Solution, frames: int) -> _Way:

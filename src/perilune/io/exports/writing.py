@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from perilune.io.exports.epochs import epoch_of, needed_epoch
 from perilune.io.exports.provenance import provenance
+from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
-from perilune.words.asked import demand, demand_path, refused
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.asked import demand, refused
+from perilune.words.outcome import unknown_name
 
 if TYPE_CHECKING:
     import pandas
@@ -79,30 +78,16 @@ def write(
     """As `export`, with what is to be said of the solution (`perilune.io.exports.provenance`)."""
     path = refuse_unwritable(file, format, force)
     found = needed_epoch(solution.problem, epoch, _TIMED[format]) if format in _TIMED else None
-    beside = path.with_name(f".{path.name}-writing-{os.getpid()}")
-    try:
+    with fresh_file(path, "the export") as beside:
         _writer(format)(solution, about, found or epoch_of(solution.problem, epoch), beside)
-        os.replace(beside, path)
-    except OSError as error:
-        raise PeriluneError(
-            "the export cannot be written", got=f"{path}: {error.strerror or error}",
-            expected="a place that you may write, with space left",
-        ) from error  # fmt: skip
-    finally:
-        with suppress(OSError):
-            beside.unlink()
     return path
 
 
 def refuse_unwritable(file: str | Path, format: str, force: bool) -> Path:
     """The file as a path; refuses a format that there is not, and a file that must not be replaced."""
-    path = demand_path(file, "the file of an export")
+    path = new_file(file, "an export", force)
     if format not in FORMATS:
         raise unknown_name("format", str(format), FORMATS)
-    if path.is_dir() or (path.exists() and not force):
-        what = "the file is a directory" if path.is_dir() else "the file is there already"
-        advice = "choose another name" + ("" if path.is_dir() else ", or --force (in Python force=True)")
-        raise PeriluneError(what, got=str(path), advice=advice)
     return path
 
 
