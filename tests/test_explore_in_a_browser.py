@@ -56,6 +56,7 @@ def _drag(page: Any, begin: float, end: float, seconds: float) -> int:
     page.mouse.down()
     while (gone := time.monotonic() - started) < seconds:
         page.mouse.move(x + (begin + (end - begin) * gone / seconds) * width, y)
+        time.sleep(0.008)  # as a mouse tells its place
     page.mouse.move(x + end * width, y)
     page.mouse.up()
     return page.evaluate("perilune.frames") - first

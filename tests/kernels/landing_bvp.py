@@ -39,6 +39,7 @@ def by_hand() -> Conditions:
         solved=(None,),
         modes=(ca.Function("rhs", [z, p], [ca.vertcat(rhs(z[:7], p), 0)]),),
         reports=(),
+        multipliers=(),
         regimes=((),),
         held=((),),
         events=(),

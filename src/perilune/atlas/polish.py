@@ -118,17 +118,17 @@ class Polisher:
         inverse = roots.rows[:, plan.columns.inverse].reshape(-1, plan.columns.n, plan.columns.n)
         reached = shrinking & (length <= _DONE) & (orientation(inverse) == self.orientations[which])
         y[reached[:, None] & plan.moved] += roots.rows[reached, plan.columns.step].ravel()
-        held, first = choice[:, : plan.free] > 0, chart.conditions.free_at
-        np.copyto(y[:, first], choice[:, plan.held : plan.held + plan.free], where=held)  # its last bit is Newton's
+        self._exactly(y, choice)
         flown = self.reflights(y, self._p, choice)
         left, (bound, away) = self._left(roots, y, guess, flown)
         good = flown.good
         if (poor := np.nonzero(reached & (flown.nearly | (bound > _CLOSE)))[0]).size:  # what it misses says where to
             y[poor[:, None], plan.active] -= left[poor]
+            self._exactly(y, choice)
             flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
             left, (bound, away) = self._left(roots, y, guess, flown)
             good = flown.good
-        at, rises = y[:, first], flown.rates
+        at, rises = y[:, chart.conditions.free_at], flown.rates
         if self._multipliers:
             at, rises = np.hstack([at, flown.ranges]), np.hstack([rises, -y[:, self._multipliers]])
         margin = self.borders.margins(self.sheets, which, y, at, rises, choice, limits)
@@ -149,6 +149,12 @@ class Polisher:
             away=away,
             flown=flown,
         )
+
+    def _exactly(self, y: Matrix, choice: Matrix) -> None:
+        """Put free parameters that are held where they are held: the last bit of a step is Newton's."""
+        plan = self.chart.shooting.plan
+        held = choice[:, : plan.free] > 0
+        np.copyto(y[:, self.chart.conditions.free_at], choice[:, plan.held : plan.held + plan.free], where=held)
 
     def _left(self, roots: Roots, y: Matrix, guess: Matrix, flown: Reflown) -> tuple[Matrix, Matrix]:
         """J^-1 h of what second flights leave; how far y can be from the extremal, and how far it was guessed."""
