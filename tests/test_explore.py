@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import socket
 import urllib.error
 import urllib.request
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -128,6 +130,13 @@ def test_nothing_is_handed_out_without_the_token_or_by_another_name(address: str
     with pytest.raises(OSError), socket.create_connection((socket.gethostbyname(socket.gethostname()), parts.port), 1):
         if socket.gethostbyname(socket.gethostname()).startswith("127."):
             raise OSError("this machine has no other address")
+
+
+def test_figures_are_handed_out_in_one_archive(address: str) -> None:
+    with urllib.request.urlopen(address + "figures.zip?retro.specific_impulse=279") as answer:
+        names = zipfile.ZipFile(io.BytesIO(answer.read())).namelist()
+    assert len(names) > 3 and all(name.endswith(".svg") for name in names)
+    assert _status(address + "figures.zip?retro.specific_impulse=1e9") == 400
 
 
 def test_too_much_at_once_ends_the_page(address: str) -> None:

@@ -104,6 +104,29 @@ def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page:
         until(page, "document.getElementById('refusal').hidden", 60.0)
 
 
+def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
+    """From above: what leads to a site that is moved begins where it began, and ends there."""
+    with served(str(ROOT / "examples" / "precision_landing.toml")) as address:
+        page.goto(address)
+        until(page, "perilune.frames > 0", 60.0)
+        page.locator("#ground").scroll_into_view_if_needed()
+        box, before = page.locator("#ground").bounding_box(), page.evaluate("perilune.values")
+        first = page.evaluate("perilune.flight.phases[0].columns.north.values[0]")
+        x, y = box["x"] + 0.7 * box["width"], box["y"] + 0.45 * box["height"]
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for step in range(8):
+            page.mouse.move(x + 2 * step, y - 3 * step)
+            time.sleep(0.02)
+        page.mouse.up()
+        until(page, "perilune.shown === perilune.number && !perilune.refused", 60.0)
+        after = page.evaluate("perilune.values")
+        assert after["approach_north"] < before["approach_north"] and after["approach_east"] != before["approach_east"]
+        north = page.evaluate("perilune.flight.phases[0].columns.north.values")
+        assert north[0] == pytest.approx(after["approach_north"], rel=1e-5) and north[0] < first
+        assert abs(north[-1]) < 1e-3
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_a_page_from_a_file_alone_shows_its_flights(
     page: Any, atlas: Path, tmp_path: Path, width: int, scheme: str

@@ -17,6 +17,7 @@ from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.types import Matrix, Vector
 
 POINTS = 96  # of a flight, shared among its phases by their durations
+_LEAST = 25  # of a phase, however short it is
 _DIGITS = 6  # significant, more than a screen has
 
 
@@ -27,7 +28,7 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
     over_limb = solution.problem.views.radius and all(p.inertial is not None for p in solution.problem.phases)
     plane = plane_of_flight(solution) if over_limb else None
     for k, (phase, duration) in enumerate(zip(solution.problem.phases, lasting, strict=True)):
-        count = max(9, round(points * duration / max(sum(lasting), 1e-300)))
+        count = max(_LEAST, round(points * duration / max(sum(lasting), 1e-300)))
         t = np.linspace(0.0, duration, count)
         shown = {
             name: {"unit": column.unit, "values": rounded(column.values)}

@@ -17,7 +17,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from importlib.resources import files
+from io import BytesIO
 from typing import Any
+from zipfile import ZipFile
 
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -81,21 +83,26 @@ class Explorer:
         name = request.path_params["name"] or "index.html"
         if not self._known(request.path_params["token"], request.headers):
             return await _nothing(request, None)
-        if name == "scenario.toml":
-            return self._scenario(request.query_params)
+        if name in ("scenario.toml", "figures.zip"):
+            try:
+                values = self._values(request.query_params)
+                if name == "scenario.toml":
+                    return PlainTextResponse(self.subject.scenario(values), headers=_HEADERS)
+                content = await asyncio.to_thread(figures, self.subject, values)
+            except PeriluneError as error:
+                return PlainTextResponse(str(error), status_code=400, headers=_HEADERS)
+            return Response(content, media_type="application/zip", headers=_HEADERS)
         if name not in self._files:
             return await _nothing(request, None)
         kind = _KINDS.get(name[name.rfind(".") :], "text/plain")
         return Response(self._files[name], media_type=f"{kind}; charset=utf-8", headers=_HEADERS)
 
-    def _scenario(self, query: Mapping[str, str]) -> Response:
-        by_key = {knob.key: knob for knob in self.subject.knobs}
-        try:
-            values = {by_key[key].name: float(text) * by_key[key].size for key, text in query.items() if key in by_key}
-            text = self.subject.scenario({name: value for name, value in values.items() if math.isfinite(value)})
-        except (ValueError, PeriluneError) as error:
-            return PlainTextResponse(str(error), status_code=400, headers=_HEADERS)
-        return PlainTextResponse(text, headers=_HEADERS)
+    def _values(self, query: Mapping[str, str]) -> dict[str, float]:
+        """Values of knobs by name [SI] of what an address says of their keys, in the units in which they are shown."""
+        size, number = {knob.key: knob.size for knob in self.subject.knobs}, len(query)
+        values = {key: float(text) * size[key] for key, text in query.items() if key in size and _is_number(text)}
+        named = {knob.name: values[knob.key] for knob in self.subject.knobs if knob.key in values}
+        return asked(json.dumps({"number": number, "values": named}), self.subject)["values"]
 
     def _known(self, token: str, headers: Mapping[str, str]) -> bool:
         origin = headers.get("origin")
@@ -220,7 +227,14 @@ def hello(subject: Subject) -> dict[str, Any]:
         "scenario": bool(subject.text),
         "maximised": problem.maximised or "",
         "knobs": [vars(knob) for knob in subject.knobs],
+        "coasts": _coasts() if problem.views.ground is not None and problem.views.ground.coasts else [],
     }
+
+
+def _coasts() -> list[list[list[float]]]:
+    from perilune.report.ground import coastline
+
+    return [line.round(1).tolist() for line in coastline()]
 
 
 def asked(text: str, subject: Subject) -> dict[str, Any]:
@@ -247,6 +261,32 @@ def asked(text: str, subject: Subject) -> dict[str, Any]:
         if not (math.isfinite(value) and knob.low - reach <= value <= knob.high + reach):
             raise PeriluneError(f"{knob.key} is far from its range", got=str(value)[:40])
     return {"number": number, "values": found, "slice": [name for name in axes if name in known and known[name].mapped]}
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def figures(subject: Subject, values: Mapping[str, float]) -> bytes:
+    """All figures of the flight at values of the knobs, as vector graphics in one archive.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no flight.
+    """
+    from perilune.report.figures import drawings
+
+    solution, made = Answering(subject.problem, subject.atlas, subject.known).at(values).solution, BytesIO()
+    with ZipFile(made, "w") as archive:
+        for name, draw in drawings(solution).items():
+            drawn = BytesIO()
+            draw().savefig(drawn, format="svg")
+            archive.writestr(f"{name}.svg", drawn.getvalue())
+    return made.getvalue()
 
 
 def page_files() -> dict[str, bytes]:

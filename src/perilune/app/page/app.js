@@ -5,7 +5,7 @@
   const state = { knobs: [], values: {}, first: {}, number: 0, shown: -1, flight: null, pins: [], past: [], ahead: [], slice: null, family: null, frames: 0, asked: 0, maximised: "" };
   window.perilune = state; // for who looks, and for tests
   const frozen = window.PERILUNE_FROZEN || null;
-  let socket = null, waiting = false, again = false, dirty = false;
+  let socket = null, waiting = [], again = false, dirty = false;
 
   const text = (node, said) => { node.textContent = said; };
   const told = (v, unit) => `${Draw.fine(v)}${unit && unit !== "1" ? " " + unit : ""}`;
@@ -15,13 +15,13 @@
     state.number += 1; state.asked = performance.now();
     if (frozen) { frozen.answer(state.number, state.values, receive); return; }
     if (!socket || socket.readyState !== 1) { return; }
-    if (waiting) { again = true; return; } // one is on its way: only the newest follows
-    waiting = true; again = false;
+    if (waiting.length > 1) { again = true; return; } // one is computed and one waits: only the newest follows
+    waiting.push(state.number); again = false;
     socket.send(JSON.stringify({ number: state.number, values: state.values, slice: axes() }));
   }
   function receive(said) {
     if (said.type === "hello") { begin(said); return; }
-    if (said.type === "flight" || said.type === "refusal" || said.type === "fault") { waiting = false; }
+    if (said.type === "flight" || said.type === "refusal" || said.type === "fault") { waiting = waiting.filter((number) => number > said.number); }
     if (said.type === "flight") { state.flight = said; state.shown = said.number; state.frames += 1; state.family = null; state.refused = null; dirty = true; }
     if (said.type === "refusal" || said.type === "fault") { state.refused = said; state.shown = said.number; dirty = true; }
     if (said.type === "family") { state.family = said; dirty = true; }
@@ -39,7 +39,7 @@
 
   // -- parameters -----------------------------------------------------------------------------------------------
   function begin(said) {
-    document.title = `${said.title} · perilune`; text($("title"), said.title); state.knobs = said.knobs; state.maximised = said.maximised;
+    document.title = `${said.title} · perilune`; text($("title"), said.title); state.knobs = said.knobs; state.coasts = said.coasts || []; state.maximised = said.maximised;
     const from = new URLSearchParams(location.hash.slice(1));
     for (const knob of said.knobs) {
       state.first[knob.name] = knob.value;
@@ -48,7 +48,7 @@
     }
     const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
     $("knob-list").replaceChildren(...main.map(row)); $("more-list").replaceChildren(...rest.map(row)); $("more").hidden = !rest.length || !!frozen;
-    $("scenario").hidden = !said.scenario; $("slice-box").hidden = !few.length;
+    $("scenario").hidden = !said.scenario; $("figures").hidden = !!frozen; $("slice-box").hidden = !few.length;
     for (const [id, place] of [["slice-x", 0], ["slice-y", 1]]) {
       $(id).replaceChildren(...(place ? [new Option("nothing else", "")] : []), ...few.map((k) => new Option(k.key, k.name)));
       if (few[place]) { $(id).value = few[place].name; }
@@ -99,7 +99,9 @@
     if (!flight) { return; }
     source(flight); numbers(flight);
     Draw.path($("path"), [flight, ...state.pins.map((p) => p.flight)]);
-    $("ground-box").hidden = !flight.views.ground; if (flight.views.ground) { Draw.whenSeen($("ground"), () => { const back = Draw.ground($("ground"), flight); if (!dragging) { globe = back; } }); }
+    const flat = !flight.views.ground && Draw.series(flight, "east").length && Draw.series(flight, "north").length;
+    $("ground-box").hidden = !flight.views.ground && !flat;
+    if (!$("ground-box").hidden) { Draw.whenSeen($("ground"), () => from_above(flight, flat)); }
     histories(flight); extremals(flight); lights(flight); map();
   }
   function source(flight) {
@@ -173,17 +175,33 @@
     remember(); state.slice.axes.forEach((name, i) => { const knob = state.knobs.find((k) => k.name === name); state.values[name] = clamp(knob, to[i]); knob.set(); }); save(); ask();
   };
 
-  let globe = null, dragging = false; // the landing site may be dragged on the globe, which stays as it is meanwhile
-  const site = () => ["site_longitude", "site_latitude"].map((name) => state.knobs.find((k) => k.name === name));
+  // The landing site may be dragged: on the globe by its longitude and latitude, from above by where the approach begins.
+  let back = null, frame = null, dragging = false;
+  const knob = (name) => state.knobs.find((k) => k.name === name);
+  function from_above(flight, flat) {
+    const moves = flat ? knob("approach_east") && knob("approach_north") : knob("site_longitude") && knob("site_latitude");
+    text($("ground-title"), flat ? "From above" : "Ground track");
+    if (flat) {
+      const shown = Draw.plan($("ground"), flight, offset(), dragging ? frame : null);
+      frame = shown.box; if (!dragging) { back = shown.back; }
+      text($("ground-words"), `a line every ${Draw.fine(shown.step)} m${moves ? "; drag the landing site" : ""}`);
+    } else {
+      const found = Draw.ground($("ground"), flight, state.coasts); if (!dragging) { back = found; }
+      text($("ground-words"), moves ? "Drag the landing site." : "");
+    }
+  }
+  const offset = () => ["approach_east", "approach_north"].map((name) => knob(name) ? state.first[name] - state.values[name] : 0);
   function toSite(event) {
-    const box = $("ground").getBoundingClientRect(), to = globe && globe(event.clientX - box.left, event.clientY - box.top), knobs = site();
-    if (!to || !knobs[0] || !knobs[1]) { return; }
-    knobs.forEach((knob, i) => { let v = to[i] * Math.PI / 180; if (i === 0) { v += 2 * Math.PI * Math.round((state.values[knob.name] - v) / (2 * Math.PI)); } state.values[knob.name] = clamp(knob, v); knob.set(); });
+    const box = $("ground").getBoundingClientRect(), to = back && back(event.clientX - box.left, event.clientY - box.top);
+    if (!to) { return; }
+    const put = (name, v) => { const k = knob(name); if (k) { state.values[name] = clamp(k, v); k.set(); } };
+    if ($("ground-title").textContent === "From above") { ["approach_east", "approach_north"].forEach((name, i) => put(name, state.first[name] - to[i])); }
+    else { const lon = to[0] * Math.PI / 180, now = state.values.site_longitude; put("site_longitude", lon + 2 * Math.PI * Math.round((now - lon) / (2 * Math.PI))); put("site_latitude", to[1] * Math.PI / 180); }
     ask();
   }
-  $("ground").onpointerdown = (event) => { if (site()[0] && globe) { dragging = true; remember(); $("ground").setPointerCapture(event.pointerId); toSite(event); } };
+  $("ground").onpointerdown = (event) => { if (back && $("ground-words").textContent.match(/drag/i)) { dragging = true; remember(); $("ground").setPointerCapture(event.pointerId); toSite(event); } };
   $("ground").onpointermove = (event) => { if (dragging) { toSite(event); } };
-  $("ground").onpointerup = () => { dragging = false; save(); };
+  $("ground").onpointerup = () => { dragging = false; save(); show(); };
 
   // -- tools ----------------------------------------------------------------------------------------------------
   function give(name, kind, content) {
@@ -200,6 +218,7 @@
     give("flight.csv", "text/csv", lines.join("\n") + "\n");
   };
   $("picture").onclick = () => { const svg = $("path-svg"); if (svg) { give("path.svg", "image/svg+xml", svg.outerHTML); } };
+  $("figures").onclick = async () => { const answer = await fetch("figures.zip?" + hash()); if (answer.ok) { give("figures.zip", "application/zip", await answer.blob()); } };
   $("scenario").onclick = async () => { const answer = await fetch("scenario.toml?" + hash()); give("scenario.toml", "text/plain", await answer.text()); };
   document.addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.target.type === "number") { return; }

@@ -99,7 +99,7 @@ const Draw = (() => {
   }
 
   // Longitudes and latitudes on a globe that is turned to the middle of the track.
-  function ground(node, flight) {
+  function ground(node, flight, coasts) {
     const [c, w, h] = canvas(node), names = flight.views.ground, r = Math.min(w, h) / 2 - 8, t = Math.PI / 180;
     const track = flight.phases.flatMap((p) => p.columns[names[0]] && p.columns[names[1]] ? p.columns[names[0]].values.map((v, i) => [v, p.columns[names[1]].values[i]]) : []).filter((p) => p[0] !== null);
     if (!track.length) { return; }
@@ -116,6 +116,7 @@ const Draw = (() => {
     c.fillStyle = css("--paper"); c.strokeStyle = css("--body"); c.lineWidth = 1; c.beginPath(); c.arc(w / 2, h / 2, r, 0, 7); c.fill(); c.stroke();
     for (let lon = -180; lon < 180; lon += 30) { stroke(Array.from({ length: 37 }, (_, i) => [lon, -90 + 5 * i]), css("--line"), 0.6); }
     for (let lat = -60; lat <= 60; lat += 30) { stroke(Array.from({ length: 73 }, (_, i) => [-180 + 5 * i, lat]), css("--line"), 0.6); }
+    for (const line of coasts) { stroke(line, css("--soft"), 0.7); }
     stroke(track, css("--go"), 2.2);
     const back = (px, py) => { // from the screen to longitude and latitude; null beside the globe
       const u = (px - w / 2) / r, v = (h / 2 - py) / r, q = 1 - u * u - v * v, b0 = mid[1] * t; if (q < 0) { return null; }
@@ -125,6 +126,23 @@ const Draw = (() => {
     const end = turned(last); if (end[2]) { c.fillStyle = css("--hot"); c.beginPath(); c.arc(end[0], end[1], 4, 0, 7); c.fill(); }
     return back;
   }
+
+  // From above: east and north of a flight to a site that may have moved by `site`; the same numbers back from the screen.
+  function plan(node, flight, site, frame) {
+    const [c, w, h] = canvas(node), t = series(flight, "east"), u = series(flight, "north");
+    const east = t.map((v) => v + site[0]), north = u.map((v) => v + site[1]);
+    const box = frame || [Math.min(...east, site[0]), Math.max(...east, site[0]), Math.min(...north, site[1]), Math.max(...north, site[1])];
+    const span = Math.max(box[1] - box[0], box[3] - box[2]) * 1.35 || 1, k = Math.min(w, h) / span, mid = [(box[0] + box[1]) / 2, (box[2] + box[3]) / 2];
+    const at = (e, n) => [w / 2 + k * (e - mid[0]), h / 2 - k * (n - mid[1])];
+    c.strokeStyle = css("--line"); c.lineWidth = 1;
+    const step = 10 ** Math.floor(Math.log10(span / 2)), first = (v) => Math.ceil(v / step) * step;
+    for (let e = first(mid[0] - w / 2 / k); e < mid[0] + w / 2 / k; e += step) { c.beginPath(); c.moveTo(at(e, 0)[0], 0); c.lineTo(at(e, 0)[0], h); c.stroke(); }
+    for (let n = first(mid[1] - h / 2 / k); n < mid[1] + h / 2 / k; n += step) { c.beginPath(); c.moveTo(0, at(0, n)[1]); c.lineTo(w, at(0, n)[1]); c.stroke(); }
+    c.strokeStyle = css("--go"); c.lineWidth = 2.2; c.beginPath(); east.forEach((e, i) => { const p = at(e, north[i]); i ? c.lineTo(p[0], p[1]) : c.moveTo(p[0], p[1]); }); c.stroke();
+    const s = at(...site); c.fillStyle = css("--hot"); c.beginPath(); c.arc(s[0], s[1], 6, 0, 7); c.fill();
+    return { box, step, back: (px, py) => [mid[0] + (px - w / 2) / k, mid[1] - (py - h / 2) / k] };
+  }
+  const series = (flight, name) => flight.phases.flatMap((p) => p.columns[name] ? p.columns[name].values : []);
 
   const ramp = (s) => { const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], x = Math.max(0, Math.min(3.9999, 4 * s)), i = Math.floor(x), f = x - i; return `rgb(${stops[i].map((v, j) => Math.round(v + f * (stops[i + 1][j] - v))).join(",")})`; };
 
@@ -157,5 +175,5 @@ const Draw = (() => {
     return { px: (v) => x[0] + (v - left) / W * (x[nx - 1] - x[0]), py: (v) => shown.axes.length > 1 ? shown.along[1][0] + (1 - (v - 10) / H) * (shown.along[1][shown.along[1].length - 1] - shown.along[1][0]) : null };
   }
 
-  return { lines, path, ground, slice, forget, whenSeen, fine, css };
+  return { lines, path, ground, plan, series, slice, forget, whenSeen, fine, css };
 })();
