@@ -186,12 +186,12 @@ def _reproduce(typed: Namespace) -> Answer:
 
 
 def _new(typed: Namespace) -> Answer:
-    from perilune.scenario import KINDS, template
+    from perilune.scenario import KINDS, kind_names, template
 
     kind, file = typed.kind, typed.place
-    if kind is not None and kind not in KINDS and file is None:  # `perilune new FILE`
-        if get_close_matches(kind, KINDS, n=1, cutoff=0.8):
-            raise unknown_name("kind", kind, list(KINDS))
+    if kind is not None and kind not in KINDS and file is None and kind not in (known := kind_names()):
+        if get_close_matches(kind, known, n=1, cutoff=0.8):  # else it is `perilune new FILE`
+            raise unknown_name("kind", kind, known)
         kind, file = None, Path(kind)
     text = template(kind or "hybrid_landing")
     if file is None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from perilune.models.descent import Ignition, Site, Steering, powered_descent
     from perilune.models.final_descent import FinalDescent
+    from perilune.models.kinds import Kind, Section
     from perilune.models.landing import Orbit, hybrid_landing
     from perilune.models.precision import Approach, precision_landing
     from perilune.models.vehicle import Retro, Throttle, Vehicle
@@ -41,6 +42,7 @@ _HOME = {
     "descent": "Ignition Site Steering powered_descent",
     "precision": "Approach precision_landing",
     "corridor": "Corridor",
+    "kinds": "Kind Section",
     "final_descent": "FinalDescent",
     "atmosphere": "Air",
     "deorbit.records": "Atmosphere Heating Interface Landing Limits Manoeuvre Parachute Returner Separation Transition",
@@ -67,6 +69,7 @@ __all__ = [
     "Heating",
     "Ignition",
     "Interface",
+    "Kind",
     "Landing",
     "Limits",
     "Manoeuvre",
@@ -77,6 +80,7 @@ __all__ = [
     "Retro",
     "ReturnOrbit",
     "Returner",
+    "Section",
     "Separation",
     "Site",
     "Steering",

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.metadata import entry_points
 from typing import Any
 
 from perilune.models.bodies import BODIES, PLANETS, Body, OblateBody, Planet, UniformGravity
@@ -21,7 +22,9 @@ from perilune.models.vehicle import Retro, Throttle, Vehicle
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.words.declared import Key, keys_of, parameter_name, record
+from perilune.words.outcome import PeriluneError, unknown_name
 
+GROUP = "perilune.models"  # of entry points
 PROOF = "proof"  # the section that is no part of the problem
 
 
@@ -269,6 +272,40 @@ DEORBIT = Kind(
     },
 )
 KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION, DEORBIT)}
+
+
+def kind_names() -> list[str]:
+    """Names of all kinds, and of those that installed packages bring."""
+    return list(dict.fromkeys([*KINDS, *sorted(entry.name for entry in entry_points(group=GROUP))]))
+
+
+def kind_named(name: str) -> Kind:
+    """A kind by its name: one of these, or one that an installed package brings as an entry point of `GROUP`.
+
+    Nothing of a package is loaded before a file asks for its kind.
+
+    Raises
+    ------
+    PeriluneError
+        If there is none of this name, or it cannot be loaded.
+    """
+    if name in KINDS:
+        return KINDS[name]
+    entry = next(iter(entry_points(group=GROUP, name=name)), None)
+    if entry is None:
+        raise unknown_name("problem.kind", name[:60], kind_names())
+    package = f"{entry.value} of {entry.dist.name if entry.dist is not None else 'a package'}"
+    try:
+        found = entry.load()
+    except Exception as error:
+        raise PeriluneError(
+            f"the kind of problem {name} cannot be loaded", got=f"{package}: {type(error).__name__}: {error}"[:300]
+        ) from error
+    if not isinstance(found, Kind) or found.name != name:
+        raise PeriluneError(f"what {package} brings is no kind of problem", expected=f"Kind(name={name!r}, ...)")
+    KINDS[name] = found  # its keys are known like those of the others from now on
+    _keys.cache_clear()
+    return found
 
 
 @cache

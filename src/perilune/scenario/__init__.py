@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from perilune.models.kinds import KINDS
+from perilune.models.kinds import KINDS, kind_names
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.ranges import bounds_of, values_of
@@ -26,7 +26,17 @@ from perilune.scenario.text import apply, parse, read, written
 from perilune.words.asked import demand_path
 from perilune.words.declared import Quantity
 
-__all__ = ["KINDS", "Scenario", "bounds_of", "load_file", "load_text", "quantities_of", "template", "values_of"]
+__all__ = [
+    "KINDS",
+    "Scenario",
+    "bounds_of",
+    "kind_names",
+    "load_file",
+    "load_text",
+    "quantities_of",
+    "template",
+    "values_of",
+]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from perilune.models.bodies import Body, UniformGravity, known_like
-from perilune.models.deorbit.records import Interface
+from perilune.models.deorbit.records import Interface, Returner
 from perilune.models.descent import Ignition
 from perilune.models.landing import LandingSite, Orbit
 from perilune.models.precision import Approach
@@ -28,8 +28,8 @@ DEEPEST_SITE = 0.1  # of the radius; the deepest basin known, on Vesta, has abou
 
 
 def refuse_slips(records: Mapping[str, Any]) -> None:
-    """PeriluneError for the first slip that shows in the records of a file."""
-    body = records["body"]
+    """PeriluneError for the first slip that shows in the records of a file; records of others are left to them."""
+    body = records.get("body")
     if isinstance(body, Body):
         _check_body(body)
     if isinstance(orbit := records.get("orbit"), Orbit):
@@ -43,7 +43,8 @@ def refuse_slips(records: Mapping[str, Any]) -> None:
         _check_site(landing, body)
     if isinstance(interface := records.get("interface"), Interface):
         _check_interface(interface, body)
-    _check_vehicle(records["vehicle"])
+    if isinstance(vehicle := records.get("vehicle"), Vehicle | Returner):
+        _check_vehicle(vehicle)
 
 
 def _check_body(body: Body) -> None:
@@ -130,7 +131,7 @@ def _check_interface(interface: Interface, body: Body) -> None:
         )
 
 
-def _check_vehicle(vehicle: Vehicle) -> None:
+def _check_vehicle(vehicle: Vehicle | Returner) -> None:
     """Refuse a thrust that is out of proportion."""
     acceleration = vehicle.thrust / vehicle.mass
     if acceleration > 500.0:

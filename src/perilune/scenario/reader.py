@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from perilune.models.bodies import Body, recognised
-from perilune.models.kinds import HYBRID, KINDS, PROOF, Kind, Section
+from perilune.models.kinds import HYBRID, KINDS, PROOF, Kind, Section, kind_named
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.plausible import refuse_slips
@@ -86,9 +86,7 @@ def _kind_of(document: Mapping[str, Any]) -> Kind:
     name = stated.get("kind", HYBRID.name) if isinstance(stated, Mapping) else HYBRID.name
     if not isinstance(name, str):
         return HYBRID  # what is no text is refused with its section
-    if name not in KINDS:
-        raise unknown_name("problem.kind", name[:60], list(KINDS))
-    return KINDS[name]
+    return kind_named(name)
 
 
 def _check_names(kind: Kind, name: str, table: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from perilune.models.kinds import KINDS, Kind, Section
+from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names
 from perilune.scenario.reader import names_of
 from perilune.words.declared import Key, Quantity
 from perilune.words.outcome import unknown_name
@@ -26,9 +26,9 @@ def template(kind: str = "hybrid_landing") -> str:
     PeriluneError
         If there is no such kind of problem.
     """
-    if kind not in KINDS:
-        raise unknown_name("kind of problem", kind[:60], list(KINDS))
-    found = KINDS[kind]
+    if kind not in KINDS and kind not in kind_names():
+        raise unknown_name("kind of problem", kind[:60], kind_names())
+    found = kind_named(kind)
     sections = ("\n".join(_section(found, name, section)) for name, section in found.in_file.items())
     return "\n\n".join([_HEAD.format(about=found.about).rstrip("\n"), *sections]) + "\n"
 

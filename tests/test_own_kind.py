@@ -1,0 +1,61 @@
+"""A kind of problem that another package brings, as an entry point: examples/own_kind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PLACE = ROOT / "examples" / "own_kind"
+
+
+def installed(place: Path, value: str) -> dict[str, str]:
+    """The environment of a process in which a package is installed that says it brings the kind."""
+    described = place / "lunar_hopper-1.0.dist-info"
+    described.mkdir()
+    (described / "METADATA").write_text("Metadata-Version: 2.1\nName: lunar-hopper\nVersion: 1.0\n", encoding="utf-8")
+    (described / "entry_points.txt").write_text(f"[perilune.models]\nlunar_hop = {value}\n", encoding="utf-8")
+    paths = [str(place), str(PLACE), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def said(environment: dict[str, str], *arguments: str) -> tuple[int, str]:
+    command = [sys.executable, "-m", "perilune", *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
+    """Solved, proved, saved, and verified from its files; its keys are varied and refused like all others."""
+    environment, hop = installed(tmp_path, "lunar_hopper:LUNAR_HOP"), str(PLACE / "hop.toml")
+    code, text = said(environment, "solve", hop, "--out", str(tmp_path / "out"))
+    assert code == 0 and "PROVED" in text and "956.8" in text
+    assert said(environment, "verify", str(tmp_path / "out"))[0] == 0
+    code, text = said(environment, "new", "lunar_hop")
+    assert code == 0 and 'kind = "lunar_hop"' in text and 'distance = "2 km"' in text
+    code, text = said(environment, "check", hop, "--set", "hopper.thrus=1 N")
+    assert code == 2 and "thrust" in text
+    code, text = said(environment, "check", hop, "--set", "hopper.mass=-1 kg")
+    assert code == 2 and "must be positive" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("lunar_hopper:nothing", "cannot be loaded"),
+        ("no_such_module:LUNAR_HOP", "cannot be loaded"),
+        ("lunar_hopper:Hop", "is no kind of problem"),
+    ],
+)
+def test_what_is_no_kind_is_refused_in_words(value: str, words: str, tmp_path: Path) -> None:
+    code, text = said(installed(tmp_path, value), "check", str(PLACE / "hop.toml"))
+    assert code == 2 and words in text and "Traceback" not in text
+
+
+def test_without_the_package_the_known_kinds_are_named() -> None:
+    code, text = said(dict(os.environ), "check", str(PLACE / "hop.toml"))
+    assert code == 2 and "hybrid_landing" in text
