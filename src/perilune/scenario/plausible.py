@@ -29,7 +29,7 @@ DEEPEST_SITE = 0.1  # of the radius; the deepest basin known, on Vesta, has abou
 
 def refuse_slips(records: Mapping[str, Any]) -> None:
     """PeriluneError for the first slip that shows in the records of a file; records of others are left to them."""
-    body = records.get("body")
+    body: Any = records.get("body")
     if isinstance(body, Body):
         _check_body(body)
     if isinstance(orbit := records.get("orbit"), Orbit):
