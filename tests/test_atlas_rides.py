@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -29,7 +30,7 @@ from problems.constrained import (
     speed_limit,
     speed_limit_truth,
 )
-from problems.ridden import string
+from problems.ridden import string, string_in_two_phases
 from problems.singular import nearest_to_zero
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
@@ -110,6 +111,26 @@ def test_bounds_of_states_that_are_numbers_are_kept_in_any_units(length: float, 
     assert found.good.all()
     truth = [v * v * _all_of_bryson_denham(0.2 / v) for v in points[:, 0].tolist()]
     np.testing.assert_allclose(found.objective, truth, rtol=1e-10)
+
+
+def test_rides_go_on_over_a_joint_of_the_users_or_lie_on_one_side(tmp_path: Path) -> None:
+    """The string in two phases, from none that rides to a ride of both: as if there were one."""
+    problem = string_in_two_phases(1.2, 0.8, 1.0, 0.9, 0.4).problem
+    atlas = open_atlas(build(problem, {"T1": (0.05, 1.2)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(0.05, 1.2, (200, 1))
+    found, second = atlas.query_many(points), problem.given["T2"].value
+    assert found.good.mean() > 0.98  # between two of the three one may be refused
+    truth = [_string_truth(1.2, first + second, math.cos(0.8), math.cos(0.9)) for first in points[:, 0].tolist()]
+    np.testing.assert_allclose(found.objective[found.good], np.array(truth)[found.good], rtol=1e-9)
+    assert len({label for label, n in enumerate(np.bincount(found.sheet[found.good])) if n}) == 3
+
+
+def _string_truth(k: float, T: float, start: float, end: float) -> float:
+    """J of the string with l = 1 in one phase."""
+    rise, fall = math.acos(start), math.acos(end)
+    if (left := k * T - rise - fall) >= 0:
+        return -k * (math.sin(2 * rise) + math.sin(2 * fall)) / 4 - 0.5 * k * left
+    return 0.5 * k * ((start**2 + end**2) * math.cos(k * T) - 2 * start * end) / math.sin(k * T)
 
 
 def test_singular_arcs_are_mapped(tmp_path: Path) -> None:

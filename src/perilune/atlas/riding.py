@@ -157,7 +157,7 @@ class Rides:
         There S is as its first derivative with a control in it, of order q, times (t - t0)^q. Arguments as of `jumps`.
         """
         found = list[ca.SX]()
-        for joint in (j for j in range(1, len(ends)) if j not in self._begins):
+        for joint in (j for j in range(1, len(self._arcs)) if j not in self._begins):
             before, after = (self._arcs[part][1] for part in (joint - 1, joint))
             met = {*before.touches, *(name for name in after.along if name not in before.along)}
             left = {*before.touches, *(name for name in before.along if name not in after.along)}
@@ -228,7 +228,7 @@ class Rides:
                     cones[f"{ride.name} behind" if ride.name in cones else ride.name] = slopes[0]
         share = ca.SX.eye(n) if inner else self._unexplained(joint, x_of[0], y, p)
         columns = [ca.mtimes(share, cone) for cone in cones.values()]
-        columns = [c for c, whole in zip(columns, cones.values(), strict=True) if not _vanishes(c, whole)]
+        columns = _apart([c for c, whole in zip(columns, cones.values(), strict=True) if not _vanishes(c, whole)])
         fall = ca.mtimes(share, fall)
         if not columns:
             return ca.SX(0, 1), fall
@@ -302,6 +302,16 @@ def _onto(columns: ca.SX) -> ca.SX:
     if not columns.size2():
         return ca.SX.zeros(columns.size1(), columns.size1())
     return ca.mtimes(columns, ca.solve(ca.mtimes(columns.T, columns), columns.T))
+
+
+def _apart(columns: Sequence[ca.SX]) -> list[ca.SX]:
+    """Those of columns that point where no other before does, as one condition's on both sides of a user's joint do."""
+    found = list[ca.SX]()
+    for one in columns:
+        way = one / ca.norm_2(one)
+        if not any(_vanishes(way - other / ca.norm_2(other), way) for other in found):
+            found.append(one)
+    return found
 
 
 def _vanishes(part: ca.SX, whole: ca.SX) -> bool:
