@@ -113,6 +113,17 @@ def test_bounds_of_states_that_are_numbers_are_kept_in_any_units(length: float, 
     np.testing.assert_allclose(found.objective, truth, rtol=1e-10)
 
 
+def test_an_end_that_lies_on_the_bound_by_its_values_alone_is_kept_where_it_varies(tmp_path: Path) -> None:
+    """The string to x1, which is l in the problem as it is passed: elsewhere it leaves l to come down to x1."""
+    problem = string(1.2, 0.8, 1.0, 0.9).problem.with_given(x1=1.0)
+    atlas = open_atlas(build(problem, {"x1": (0.5, 1.0)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(0.5, 0.99, (100, 1))
+    found = atlas.query_many(points)
+    assert found.good.all()
+    truth = [_string_truth(1.2, problem.given["T"].value, math.cos(0.8), end) for end in points[:, 0].tolist()]
+    np.testing.assert_allclose(found.objective, truth, rtol=1e-9)
+
+
 def test_rides_go_on_over_a_joint_of_the_users_or_lie_on_one_side(tmp_path: Path) -> None:
     """The string in two phases, from none that rides to a ride of both: as if there were one."""
     problem = string_in_two_phases(1.2, 0.8, 1.0, 0.9, 0.4).problem

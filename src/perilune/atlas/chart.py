@@ -103,7 +103,7 @@ class Chart:
 
     def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, course: Course = PLAIN) -> None:
         self.user, self.names, self.course = problem, tuple(names), course
-        self.problem = course.restated(problem)
+        self.problem = course.restated(problem, names)
         self._sizes = sizes = sizes_of(self.problem, names, np.asarray(widths, dtype=float).tolist())
         self.free = varied(self.problem, names, sizes)
         self.conditions: Conditions = derive(self.free, course.keep)

@@ -7,7 +7,7 @@ other. Those of several arcs are extremals of the problem restated with a phase 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -46,9 +46,9 @@ class Course:
         """The arcs in words; nothing where there is one."""
         return self.structure.text if self.structure is not None else ""
 
-    def restated(self, problem: Problem) -> Problem:
-        """The problem whose smooth extremals they are."""
-        return problem if self.structure is None else restate(problem, self.structure, repeated=False)
+    def restated(self, problem: Problem, varied: Sequence[str]) -> Problem:
+        """The problem whose smooth extremals they are, whatever the parameters that are varied."""
+        return problem if self.structure is None else restate(problem, self.structure, repeated=False, varied=varied)
 
     def touched(self, problem: Problem) -> list[str]:
         """Names of the multipliers of what is touched, none of which is above zero where that is worth it."""

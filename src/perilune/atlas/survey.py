@@ -177,7 +177,12 @@ class Survey:
         """The same with the sheets on which extremals at a point lie, and those behind the folds of these."""
         chart, borders, left = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         for extremal in extremals:
-            if extremal.unknowns:
+            if extremal.unknowns and len(extremal.unknowns) != len(chart.own.unknowns):
+                self.notes.append(
+                    f"at {self.region.told(at.tolist())}: '{chart.course.text}' is not mapped, as an end condition is"
+                    " one that the arc to the end keeps at these values, and at others not"
+                )
+            elif extremal.unknowns:
                 y = chart.told(np.array(extremal.unknowns))
                 holds = held_at(borders, at / chart.scale, y)
                 left.append((at / chart.scale, y, Sheet(holds=holds, orientation=0.0, nature=extremal.nature)))

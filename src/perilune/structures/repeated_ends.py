@@ -8,6 +8,7 @@ state it as often as it likes.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -21,17 +22,25 @@ from perilune.words.maths import NUMERIC
 _TRIED, _ALIKE = 8, 1e-9  # states, and how far a multiple of another may be off, of its own size
 
 
-def repeated_ends(problem: Problem, k: int, arc: Arc, conditions: dict[str, Condition]) -> frozenset[int]:
+def repeated_ends(
+    problem: Problem, k: int, arc: Arc, conditions: dict[str, Condition], varied: Collection[str] = ()
+) -> frozenset[int]:
     """Numbers of the end conditions of phase k that are multiples of a ridden S, or of a rate below S^(q).
 
-    Found at states drawn at random about the canonical units; parameters have their values, free ones typical ones.
+    Found at states drawn at random about the canonical units; parameters have their values, but for free ones and those
+    that are `varied`: an end at x1 is no end at the bound l because both have one value now.
     """
     phase, form = problem.phases[k], problem.form.expressions
     ridden = [value for name in arc.along for value in conditions[name].values[:-1]]
     if not ridden or not phase.end_conditions:
         return frozenset()
-    rng, typical = np.random.default_rng(0), {f.name: f.typical for f in problem.free}
-    p = problem.parameters({**typical, **{name: g.value for name, g in plain_bounds(problem).items()}})
+    rng = np.random.default_rng(0)
+    moving = {f.name: f.typical for f in problem.free}
+    moving |= {name: problem.given[name].value for name in varied if name in problem.given}
+    for name, value in moving.items():
+        moving[name] = value + problem.scales.of(problem.unit_of(name)) * rng.uniform(0.05, 0.15)
+    p = problem.parameters({})
+    vars(p).update({name: g.value for name, g in plain_bounds(problem).items()} | moving)
     sizes = np.array([problem.size_of(state) for state in phase.states])
     x = phase.state_record(*(sizes[:, None] * rng.uniform(0.5, 1.5, (len(sizes), _TRIED))))
     u = phase.control_record(*np.full((len(phase.control_names), _TRIED), math.nan))

@@ -13,7 +13,7 @@ slope that vanishes and does not change its sign (`perilune.conditions.joints`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -43,7 +43,7 @@ from perilune.words.outcome import PeriluneError
 _ENDLESS = 1e6  # canonical units of time: what a free duration without an upper bound may last
 
 
-def restate(problem: Problem, structure: Structure, *, repeated: bool = True) -> Problem:
+def restate(problem: Problem, structure: Structure, *, repeated: bool = True, varied: Collection[str] = ()) -> Problem:
     """The problem with a phase for each arc of a structure.
 
     Parameters
@@ -54,6 +54,8 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True) ->
         Its arcs. Their times are first values of the new durations; nothing else depends on them.
     repeated
         Whether end conditions are stated that an arc to the end says already (`perilune.structures.repeated_ends`).
+    varied
+        Given parameters that will have other values: what is said already is so whatever these are.
 
     Returns
     -------
@@ -68,7 +70,7 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True) ->
         that can only be ridden, as the control acts on its first derivative.
     """
     check_structure(problem, structure)
-    return _Restated(problem, structure, repeated).problem()
+    return _Restated(problem, structure, repeated, varied).problem()
 
 
 def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Problem:
@@ -126,6 +128,7 @@ class _Restated:
     user: Problem
     structure: Structure
     repeated: bool
+    varied: Collection[str] = ()
 
     @cached_property
     def sums(self) -> dict[str, tuple[str, ...]]:
@@ -198,7 +201,7 @@ class _Restated:
             ends = list(self._met(arc, arcs[j + 1] if j + 1 < count else None, conditions))
             if j + 1 == count:
                 entered = j > 0 and not self.repeated  # else nothing but its start says that S = 0 on it
-                said = repeated_ends(self.user, k, arc, conditions) if entered else frozenset()
+                said = repeated_ends(self.user, k, arc, conditions, self.varied) if entered else frozenset()
                 ends += [(v, component(own[k, "end"], i)) for i, v in enumerate(phase.end_conditions) if i not in said]
                 ends += list(self._whole(phase, durations))
             self._refuse_unsteered(arc, conditions)
