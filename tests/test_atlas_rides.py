@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import perilune as pl
 from perilune import Indirect, Problem, Scales
 from perilune.atlas import building
 from perilune.atlas.chart import Chart
@@ -152,6 +153,7 @@ def test_singular_arcs_are_mapped(tmp_path: Path) -> None:
     found = atlas.query_many(points)
     assert found.good.all()
     np.testing.assert_allclose(found.objective, (points[:, 0] ** 3 + 0.125) / 3, rtol=1e-10)
+    assert pl.prove(atlas.query(start=1.1), 3).outcome is pl.Outcome.PROVED  # a guess of arcs for its neighbours
 
 
 def test_a_singular_control_that_is_the_worst_is_told() -> None:

@@ -29,6 +29,7 @@ from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.continuation import Member
+from perilune.structures.carry import Joined
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 
@@ -151,4 +152,8 @@ class Indirect(Ladder):
 
 def _may_be_structured(guess: Solution) -> bool:
     """Whether a guess may touch or ride along a condition on states: the indirect method knows when its own does."""
-    return guess.statistics.rung.endswith(STRUCTURE) or guess.method != Indirect.name
+    return (
+        isinstance(guess.trajectories, Joined)  # an atlas's answer of arcs, too
+        or guess.statistics.rung.endswith(STRUCTURE)
+        or guess.method != Indirect.name
+    )
