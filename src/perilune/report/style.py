@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -20,6 +21,7 @@ from perilune.io.files import DRAWN_BY
 from perilune.problem.problem import Problem
 
 COLUMN_WIDTH = 3.4  # inches
+_WIDEST = 54  # letters of a legend on one line, beside its stroke
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#6B6B6B",
 )  # fmt: skip
@@ -80,8 +82,10 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
 
 def legend_above(figure: Figure, axes: Any, columns: int = 2) -> None:
-    """Legend over the axes, where it can hide no line."""
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=columns, handlelength=2.2)
+    """Legend over the axes, where it can hide no line; what is longer than the figure is wide is broken."""
+    handles, labels = axes.get_legend_handles_labels()
+    labels = [fill(label, _WIDEST) for label in labels]
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=2.2)
 
 
 @styled

@@ -103,6 +103,7 @@
     $("ground-box").hidden = !flight.views.ground && !flat;
     if (!$("ground-box").hidden) { Draw.whenSeen($("ground"), () => from_above(flight, flat)); }
     histories(flight); extremals(flight); lights(flight); map();
+    requestAnimationFrame(Draw.look); // what came last may have moved others into sight
   }
   function source(flight) {
     const proof = flight.proved, ms = `${(1000 * flight.latency).toFixed(1)} ms`, node = $("source");

@@ -11,7 +11,8 @@ const Draw = (() => {
   const later = new Map();
   const seen = (node) => { const box = node.getBoundingClientRect(); return box.bottom > -50 && box.top < innerHeight + 50; };
   function whenSeen(node, work) { if (seen(node)) { later.delete(node); work(); } else { later.set(node, work); } }
-  addEventListener("scroll", () => { for (const [node, work] of [...later]) { if (seen(node)) { later.delete(node); work(); } } }, { passive: true });
+  const look = () => { for (const [node, work] of [...later]) { if (seen(node)) { later.delete(node); work(); } } };
+  addEventListener("scroll", look, { passive: true });
 
   function lines(box, key, title, unit, x, curves, height = 150, mark = null, least = 0) {
     box.style.minHeight = `${height}px`;
@@ -175,5 +176,5 @@ const Draw = (() => {
     return { px: (v) => x[0] + (v - left) / W * (x[nx - 1] - x[0]), py: (v) => shown.axes.length > 1 ? shown.along[1][0] + (1 - (v - 10) / H) * (shown.along[1][shown.along[1].length - 1] - shown.along[1][0]) : null };
   }
 
-  return { lines, path, ground, plan, series, slice, forget, whenSeen, fine, css };
+  return { lines, path, ground, plan, series, slice, forget, whenSeen, look, fine, css };
 })();

@@ -1,0 +1,93 @@
+"""Draw the gallery, ``docs/gallery.md`` and its pictures: ``python docs/make_gallery.py``; one needs a browser.
+
+Each picture stands with the command that makes it; the pictures are those that the command writes.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+IMAGES = ROOT / "docs" / "images"
+SOLVED = (  # scenario, figure of it, caption
+    ("precision_landing", "track", "A landing on a site at 85 deg south, thrust tilted by no more than 50 deg"),
+    ("mars_pinpoint", "track", "Down to a place on Mars along a glide slope, which the flight touches"),
+    ("polar_descent", "track", "A powered descent in three dimensions, ignition free"),
+    ("minimum_duration_return", "ground_track", "From orbit to the ground in the least time"),
+    ("minimum_duration_return", "corridor", "The same entry in height and speed, with lines of equal load"),
+)
+ATLAS = (
+    "examples/hybrid_lander.toml",
+    "--vary",
+    "retro.specific_impulse=270:310 s",
+    "--vary",
+    "vehicle.thrust=350:650 N",
+)
+NAMES = (*(f"{scenario}_{figure}" for scenario, figure, _ in SOLVED), "atlas_cost", "explorer")
+HEAD = """# Gallery
+
+Each picture, and the command that makes it. `python docs/make_gallery.py` wrote this page and drew them all.
+"""
+
+
+def perilune(*arguments: str) -> str:
+    """Run a command; the command as one writes it."""
+    subprocess.run([sys.executable, "-m", "perilune", *arguments], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    return "perilune " + " ".join(f'"{part}"' if " " in part else part for part in arguments)
+
+
+def pictures(work: Path) -> Iterator[tuple[str, str, str]]:
+    """Caption, name and command of each picture, which is written on the way."""
+    solved = dict[str, str]()
+    for scenario, figure, caption in SOLVED:
+        if scenario not in solved:
+            perilune("solve", f"examples/{scenario}.toml", "--out", str(work / scenario))
+            solved[scenario] = f"perilune solve examples/{scenario}.toml --out out   # out/figures/{{figure}}.png"
+        name = f"{scenario}_{figure}"
+        small(work / scenario / "figures" / f"{figure}.png", IMAGES / f"{name}.png")
+        yield caption, name, solved[scenario].format(figure=figure)
+    built = perilune("atlas", "build", *ATLAS, "--out", str(work / "map")).replace(str(work / "map"), "map")
+    perilune("atlas", "plot", str(work / "map"), "--out", str(work / "maps"))
+    small(work / "maps" / "objective.png", IMAGES / "atlas_cost.png")
+    built += "\nperilune atlas plot map --out maps   # maps/objective.png"
+    yield "An atlas: landed mass over thrust and impulsive Isp", "atlas_cost", built
+    screenshot(work / "map", IMAGES / "explorer.png")
+    yield "The explorer on that atlas", "explorer", "perilune explore map"
+
+
+def small(source: Path, target: Path) -> None:
+    """A picture with few colours, as a repository keeps it for ever."""
+    from PIL import Image
+
+    picture = Image.open(source).convert("RGB")
+    picture.thumbnail((1000, 1000))
+    picture.quantize(64).save(target, optimize=True)
+
+
+def screenshot(atlas: Path, target: Path) -> None:
+    """The page on an atlas, when it is proved."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    from playwright.sync_api import sync_playwright
+
+    from explored import CHROMIUM, QUIET, served, until
+
+    with sync_playwright() as started, served(str(atlas)) as address:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        page = browser.new_page(viewport={"width": 1280, "height": 860})
+        page.goto(address)
+        until(page, "perilune.frames > 0 && !!perilune.flight.proved", 60.0)
+        page.wait_for_timeout(300)
+        page.screenshot(path=str(target))
+        browser.close()
+    small(target, target)
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as place:
+        drawn = list(pictures(Path(place)))
+    parts = [f"## {said}\n\n```\n{command}\n```\n\n![{said}](images/{name}.png)\n" for said, name, command in drawn]
+    (ROOT / "docs" / "gallery.md").write_text(HEAD + "\n" + "\n".join(parts), encoding="utf-8")
