@@ -132,7 +132,9 @@
     const shown = flight.views.histories.flatMap((h) => h.quantities).filter((n, i, all) => names.includes(n) && all.indexOf(n) === i);
     const steering = shown.filter((n) => /thrust|angle|throttle|bank|lift|attack|pointing/.test(n)), others = shown.filter((n) => !steering.includes(n));
     const plain = names.filter((n) => !adjoint.includes(n) && !shown.includes(n));
-    panels("states", flight, others.length ? others.slice(0, 4) : plain.slice(0, 4)); panels("controls", flight, steering.length ? steering.slice(0, 4) : plain.slice(-3)); panels("costates", flight, [...adjoint.filter((n) => n !== "H").slice(0, 4), ...adjoint.filter((n) => n === "H")]);
+    const rest = plain.filter((n) => !steering.includes(n)), turned = steering.length ? steering : plain.filter((n) => /toward|direction|thrust|throttle|lift|bank|attack/.test(n));
+    panels("states", flight, [...others, ...rest.filter((n) => !turned.includes(n))].slice(0, 10)); panels("controls", flight, turned.slice(0, 6));
+    panels("costates", flight, [...adjoint.filter((n) => n !== "H").slice(0, 9), ...adjoint.filter((n) => n === "H")]);
   }
   function panels(id, flight, names) {
     const parent = $(id);
