@@ -114,6 +114,17 @@ def test_bounds_of_states_that_are_numbers_are_kept_in_any_units(length: float, 
     np.testing.assert_allclose(found.objective, truth, rtol=1e-10)
 
 
+def test_arcs_that_switch_by_rounding_cast_no_doubt_on_others(tmp_path: Path) -> None:
+    """Between a limit and none a solve rides, and does not say which bounds its other arcs are at: no sheet holds."""
+    problem = speed_limit(40.0)
+    atlas = open_atlas(build(problem, {"limit": (21.0, 75.0)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(21.0, 75.0, (100, 1))
+    found, rides = atlas.query_many(points), points[:, 0] < 64.0
+    assert found.good.all()
+    truth = [-speed_limit_truth(limit)[2] for limit in points[rides, 0].tolist()]
+    np.testing.assert_allclose(found.objective[rides], truth, rtol=1e-10)
+
+
 def test_an_end_that_lies_on_the_bound_by_its_values_alone_is_kept_where_it_varies(tmp_path: Path) -> None:
     """The string to x1, which is l in the problem as it is passed: elsewhere it leaves l to come down to x1."""
     problem = string(1.2, 0.8, 1.0, 0.9).problem.with_given(x1=1.0)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.cells import same
-from perilune.atlas.chart import Chart
+from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.columns import seed_type
 from perilune.atlas.course import Course, course_of
 from perilune.atlas.folding import around_folds
@@ -42,6 +42,7 @@ _HALVINGS = 3  # times that a point is looked at between answers of two kinds
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
 _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
 _MOST = 20  # evaluations of a step
+_AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, that are on its side of folds
 _APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of the step there, and of 1 + |y|
 
 
@@ -192,6 +193,10 @@ class Survey:
             start = chart.solve(values[None], y[None], holds, limit=_MOST)
             if not start.converged[0]:
                 continue
+            if _sided_by_rounding(chart, start):
+                said = f"'{chart.course.text or 'a flight of one arc'}' switches by rounding, and is not mapped"
+                self.notes.append(f"at {self.region.told((values * chart.scale).tolist())}: {said}")
+                continue
             sheet = replace(sheet, orientation=float(start.orientation[0]))
             number = self._known(known, sheet, corners / chart.scale, values, start.y[0])
             if number is not None:
@@ -264,6 +269,18 @@ def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]
     for text in dict.fromkeys(one.course.text for one in of_arcs):
         alike = [one for one in of_arcs if one.course.text == text]
         yield alike[0].course, alike
+
+
+def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
+    """Whether an extremal has no side of folds: a switch exactly at a joint is there or not as rounding has it.
+
+    So it is where a control rides whose slope of H vanishes as the next arc begins, and that arc says of no bound.
+    """
+    rng, again = np.random.default_rng(0), np.zeros(_AGAIN, dtype=np.int64)
+    y = found.y[again] * (1.0 + _ROUNDING * rng.uniform(-1.0, 1.0, (_AGAIN, found.y.shape[1])))
+    choice = found.roots.choice[again]
+    beside = chart.told_of(found.values[again], chart.shooting.at(chart.whole(found.values[again], y), chart.p, choice))
+    return bool((beside.orientation != found.orientation[0]).any())
 
 
 def _offered(known: Found, number: int, sheet: Sheet) -> Found:
