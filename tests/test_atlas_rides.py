@@ -15,10 +15,13 @@ import perilune as pl
 from perilune import Indirect, Problem, Scales
 from perilune.atlas import building
 from perilune.atlas.chart import Chart
-from perilune.atlas.course import course_of
+from perilune.atlas.course import PLAIN, course_of
 from perilune.atlas.query import open_atlas
 from perilune.atlas.reflight import SLACK, Reflights
+from perilune.atlas.sheets import Sheet
+from perilune.atlas.tasks import Task, computed
 from perilune.methods.search import Search
+from perilune.problem.extremal import Nature
 from perilune.words.types import Matrix
 from perilune.words.watch import silent
 from problems.constrained import (
@@ -123,6 +126,19 @@ def test_arcs_that_switch_by_rounding_cast_no_doubt_on_others(tmp_path: Path) ->
     assert found.good.all()
     truth = [-speed_limit_truth(limit)[2] for limit in points[rides, 0].tolist()]
     np.testing.assert_allclose(found.objective[rides], truth, rtol=1e-10)
+
+
+def test_a_brick_in_which_no_extremal_is_of_its_sheet_is_empty() -> None:
+    """As where the sign of det dh/dy is rounding: here it is asked to be 0. So it is once more, from that."""
+    sheet, one = Sheet(holds=(), orientation=0.0, nature=Nature.LOCAL_OPTIMUM), np.zeros(1, dtype=np.int64)
+    y = np.zeros((1, len(Chart(bryson_denham(0.4), ["ceiling"], np.array([0.1])).places)))
+    task = Task(
+        problem=bryson_denham(0.4), names=("ceiling",), widths=np.array([0.1]), course=PLAIN, times=(1,),
+        sheets=(sheet,), low=np.array([0.4]), high=np.array([0.5]), sheet=one, place=one[:, None], y=y, tolerance=1e-9,
+    )  # fmt: skip
+    nodes, cells = computed(task)
+    assert len(nodes) == len(cells) == 0
+    assert not any(map(len, computed(replace(task, before=(nodes, cells)))))
 
 
 def test_an_end_that_lies_on_the_bound_by_its_values_alone_is_kept_where_it_varies(tmp_path: Path) -> None:

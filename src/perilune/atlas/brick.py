@@ -94,6 +94,8 @@ class Brick:
         self._told()
         new = self._sown(sheet, place, y, before)
         self._solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
+        if not self.nodes.count:  # where the side of a fold is rounding, none may be of its sheet
+            return Cut(nodes={}, cells=self._wholes(np.empty(0, dtype=np.int64)), own=tuple(self.own))
         here = np.setdiff1d(sheet[new], before.cells.branch if before is not None else ())
         cells = self._filled(self._wholes(here))
         while True:

@@ -68,15 +68,16 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     """Nodes and cells of a brick, as their shards have them."""
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
+    before = task.before if task.before is not None and len(task.before[0]) else None
     cut = Brick(chart, borders, reflights, task.sheets, low, high, task.tolerance, watch).cut(
-        task.sheet, task.place, task.y, None if task.before is None else _cut_of(*task.before, len(task.sheets))
+        task.sheet, task.place, task.y, None if before is None else _cut_of(*before, len(task.sheets))
     )
     d, n, own = len(low), task.y.shape[1], np.array(cut.own)
-    nodes = np.zeros(len(cut.nodes["branch"]), dtype=node_type(d, n))
+    nodes = np.zeros(len(cut.nodes.get("branch", ())), dtype=node_type(d, n))
     for name, rows in cut.nodes.items():
         nodes[name] = rows
-    nodes["sheet"] = own[cut.nodes["branch"]]
-    nodes["values"] = (low + cut.nodes["place"] * ((high - low) / WHOLE)) * chart.scale
+    nodes["sheet"] = own[nodes["branch"]]
+    nodes["values"] = (low + nodes["place"] * ((high - low) / WHOLE)) * chart.scale
     cells = np.zeros(len(cut.cells), dtype=cell_type(d))
     for column in fields(Cells):
         cells[column.name] = getattr(cut.cells, column.name)
