@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import socket
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 import zipfile
@@ -149,6 +151,24 @@ def test_too_much_at_once_ends_the_page(address: str) -> None:
             page.send(json.dumps({"number": number, "values": {}}))
         while True:
             page.recv(timeout=5)
+
+
+def test_nothing_outlives_it(subject: Subject) -> None:
+    """Not the process of proofs when it is killed; and a long computation does not hold up its end."""
+    assert subject.atlas is not None
+    command = [sys.executable, "-m", "perilune", "explore", "--no-open", str(subject.atlas.store.directory)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        address = next(line.strip() for line in process.stderr if line.startswith("http"))
+        with _socket(address) as page:
+            page.send(json.dumps({"number": 1, "values": {}}))
+            _told(page, "proof")
+            process.kill()
+        process.communicate(timeout=10)  # which ends when nobody is left who could write
+    work = "import asyncio, time; from perilune.app.resting import in_thread"
+    run = "asyncio.run(asyncio.wait_for(in_thread(time.sleep, 60), 0.1))"
+    with pytest.raises(subprocess.CalledProcessError):  # by the timeout inside, not the one outside
+        subprocess.run([sys.executable, "-c", f"{work}; {run}"], check=True, timeout=20, capture_output=True)
 
 
 def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_changed() -> None:

@@ -29,7 +29,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from perilune.app.answering import Answering, family
 from perilune.app.frames import flight, refusal
-from perilune.app.resting import Prover
+from perilune.app.resting import Prover, in_thread
 from perilune.app.slices import slice_of
 from perilune.app.subject import Subject
 from perilune.words.outcome import PeriluneError
@@ -88,7 +88,7 @@ class Explorer:
                 values = self._values(request.query_params)
                 if name == "scenario.toml":
                     return PlainTextResponse(self.subject.scenario(values), headers=_HEADERS)
-                content = await asyncio.to_thread(figures, self.subject, values)
+                content = await in_thread(figures, self.subject, values)
             except PeriluneError as error:
                 return PlainTextResponse(str(error), status_code=400, headers=_HEADERS)
             return Response(content, media_type="application/zip", headers=_HEADERS)
@@ -173,7 +173,7 @@ class _Client:
             self._new.clear()
             request = self._newest
             assert request is not None, "set before the event"
-            flown = await asyncio.to_thread(self._flown, request)
+            flown = await in_thread(self._flown, request)
             await self._send(flown)
             with suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._new.wait(), _REST)
@@ -185,19 +185,22 @@ class _Client:
         """What takes longer than a frame, as long as nothing newer comes."""
         solution, number = self.answering.last, request["number"]
         assert solution is not None, "of a flight"
-        if (known := await asyncio.to_thread(_quietly, partial(family, solution))) is not None:
+        if (known := await in_thread(_quietly, partial(family, solution))) is not None:
             await self._send({"type": "family", "number": number, **known})
         if self.subject.atlas is not None and not self._new.is_set():
             work = partial(slice_of, self.subject, request["values"], request["slice"])
-            shown = await asyncio.to_thread(_quietly, work)
+            shown = await in_thread(_quietly, work)
             if shown is not None:
                 await self._send({"type": "slice", "number": number, **shown})
         if self._new.is_set():
             return
         proving = asyncio.ensure_future(self.prover.proved(solution))
         newer = asyncio.ensure_future(self._new.wait())
-        await asyncio.wait([proving, newer], return_when=asyncio.FIRST_COMPLETED)
-        newer.cancel()
+        try:
+            await asyncio.wait([proving, newer], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            newer.cancel()
+            proving.cancel()  # one that has not begun is made for nobody
         if proving.done() and not self._new.is_set():
             with suppress(Exception):
                 await self._send({"type": "proof", "number": number, **proving.result()})
