@@ -130,7 +130,7 @@ def test_arcs_that_switch_by_rounding_cast_no_doubt_on_others(tmp_path: Path) ->
 
 def test_a_brick_in_which_no_extremal_is_of_its_sheet_is_empty() -> None:
     """As where the sign of det dh/dy is rounding: here it is asked to be 0. So it is once more, from that."""
-    sheet, one = Sheet(holds=(), orientation=0.0, nature=Nature.LOCAL_OPTIMUM), np.zeros(1, dtype=np.int64)
+    sheet, one = Sheet(holds={}, orientation=0.0, nature=Nature.LOCAL_OPTIMUM), np.zeros(1, dtype=np.int64)
     y = np.zeros((1, len(Chart(bryson_denham(0.4), ["ceiling"], np.array([0.1])).places)))
     task = Task(
         problem=bryson_denham(0.4), names=("ceiling",), widths=np.array([0.1]), course=PLAIN, times=(1,),
@@ -139,6 +139,17 @@ def test_a_brick_in_which_no_extremal_is_of_its_sheet_is_empty() -> None:
     nodes, cells = computed(task)
     assert len(nodes) == len(cells) == 0
     assert not any(map(len, computed(replace(task, before=(nodes, cells)))))
+
+
+def test_between_an_answer_and_none_is_looked_as_well(tmp_path: Path) -> None:
+    """The brachistochrone from one that begins on its line, where a solve finds none, to those that do not ride."""
+    problem = brachistochrone()
+    atlas = open_atlas(build(problem, {"offset": (0.0, 0.6)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(0.02, 0.28, (100, 1))
+    found = atlas.query_many(points)
+    assert found.good.all()
+    truth = [brachistochrone_truth(offset)[2] for offset in points[:, 0].tolist()]
+    np.testing.assert_allclose(found.objective, truth, rtol=1e-10)
 
 
 def test_an_end_that_lies_on_the_bound_by_its_values_alone_is_kept_where_it_varies(tmp_path: Path) -> None:

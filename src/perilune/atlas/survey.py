@@ -38,6 +38,7 @@ from perilune.words.watch import Watch
 Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
 
 _MOST_SHEETS, _AROUND = 16, 4  # of a chart; walks of a sheet that are followed around the folds at which they ended
+_NONE = "no answer"  # where other points have the arcs of theirs
 _HALVINGS = 3  # times that a point is looked at between answers of two kinds
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
 _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
@@ -117,12 +118,14 @@ class Survey:
         low, high = self.region.low, self.region.high
         ends = (corners == low) | (corners == high)
         tried = np.vstack([0.5 * (low + high), corners[ends.all(axis=1)]])
-        solved = list[_Solved]()
+        solved, failed = list[_Solved](), list[Vector]()
         for number, values in enumerate(tried):
             self.watch(f"survey: point {number + 1} of {len(tried)}")
             if (answer := self._solved(values)) is not None:
                 solved.append(answer)
-        solved += self._between(solved)
+            else:
+                failed.append(values)
+        solved += self._between(solved, failed)
         charts = [found for course, own in _courses(solved) if (found := self._found(course, own, corners)).sheets]
         if not charts:
             raise PeriluneError(
@@ -132,19 +135,25 @@ class Survey:
             )
         return charts
 
-    def _between(self, solved: Sequence[_Solved]) -> list[_Solved]:
-        """Answers halfway between points whose answers go through different things: others may lie between these."""
-        pairs, looked, found = list(combinations(solved, 2)), Counter[frozenset[str]](), list[_Solved]()
+    def _between(self, solved: Sequence[_Solved], failed: Sequence[Vector]) -> list[_Solved]:
+        """Answers halfway between points whose answers go through different things: others may lie between these.
+
+        So they may between an answer and a point at which none was found.
+        """
+        points = [(one.values, one.course.text) for one in solved] + [(values, _NONE) for values in failed]
+        pairs, looked, found = list(combinations(points, 2)), Counter[frozenset[str]](), list[_Solved]()
         while pairs:
-            one, other = pairs.pop(0)
-            kinds = frozenset((one.course.text, other.course.text))
+            (one, kind), (other, its) = pairs.pop(0)
+            kinds = frozenset((kind, its))
             if len(kinds) < 2 or looked[kinds] >= _HALVINGS:
                 continue
             looked[kinds] += 1
             self.watch("survey: between points whose answers have different arcs")
-            if (answer := self._solved(0.5 * (one.values + other.values))) is not None:
+            values = 0.5 * (one + other)
+            if (answer := self._solved(values)) is not None:
                 found.append(answer)
-                pairs = [(one, answer), (answer, other), *pairs]
+            middle = values, _NONE if answer is None else answer.course.text
+            pairs = [((one, kind), middle), (middle, (other, its)), *pairs]
         return found
 
     def _found(self, course: Course, solved: Sequence[_Solved], corners: Matrix) -> Found:
