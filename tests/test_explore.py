@@ -28,6 +28,7 @@ from perilune.app.frozen import frozen_page
 from perilune.app.server import MESSAGE, asked, hello
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
+from perilune.scenario import load_text
 
 ISP = "retro_specific_impulse"
 
@@ -101,6 +102,8 @@ def test_what_is_no_answer_is_said_in_words(address: str) -> None:
             ('{"number": 1, "values": {"nothing": 1}}', "no such parameter"),
             ('{"number": 1, "values": {"vehicle_thrust": 1e9}}', "far from its range"),
             ('{"number": 1, "values": {"vehicle_thrust": NaN}}', "far from its range"),
+            ('{"number": Infinity, "values": {}}', "no page sends"),
+            (b"{}", "no page sends"),
         ):
             page.send(text)
             assert words in _told(page, "fault")["what"]
@@ -176,6 +179,14 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
     assert not any(knob["mapped"] for knob in hello(subject)["knobs"])
     text = subject.scenario({"vehicle_thrust": 470.0})
     assert 'thrust = "470 N"' in text
+    template = subject_of(None)  # of which the body is known by its name
+    text = template.scenario({"body_radius": 1.8e6})
+    read, moved = load_text(text).given, template.problem.with_given(body_radius=1.8e6).given
+    assert {name: given.value for name, given in read.items()} == {name: given.value for name, given in moved.items()}
+    without = subject_of(ROOT / "examples" / "ordinary_lander.toml")
+    assert "retro" not in {
+        knob.key.partition(".")[0] for knob in without.knobs
+    }  # a file with it states another problem
     with pytest.raises(PeriluneError, match="far from its range"):
         asked('{"number": 0, "values": {"vehicle_thrust": 1}}', subject)
 

@@ -123,10 +123,9 @@ class Explorer:
             await socket.close(1013, "too many pages are open")
             return
         self._clients += 1
-        await socket.accept()
-        client = _Client(self.subject, socket, self._prover)
         try:
-            await client.run()
+            await socket.accept()
+            await _Client(self.subject, socket, self._prover).run()
         finally:
             self._clients -= 1
 
@@ -154,7 +153,10 @@ class _Client:
     async def _read(self) -> None:
         """Take what comes; only the newest waits."""
         while True:
-            text = await self.socket.receive_text()
+            message = await self.socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            text = message.get("text") or ""
             now = time.monotonic()
             self._when = [*(at for at in self._when if now - at < _PER), now]
             if len(self._when) > _MOST or len(text) > MESSAGE:
@@ -253,7 +255,7 @@ def asked(text: str, subject: Subject) -> dict[str, Any]:
         number, values = int(said["number"]), said["values"]
         found = {str(name): float(value) for name, value in values.items()}
         axes = [str(name) for name in said.get("slice", [])][:2]
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         raise PeriluneError("a message that no page sends", expected="number, values, slice") from None
     known = {knob.name: knob for knob in subject.knobs}
     for name, value in found.items():

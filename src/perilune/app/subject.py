@@ -54,13 +54,15 @@ class Subject:
         """
         if not self.text:
             raise PeriluneError("there is no scenario to hand out", got="a problem stated in Python")
-        known = {knob.name: knob for knob in self.knobs}
-        changes = [
-            f"{known[name].key}={value / known[name].size:.12g} {known[name].unit if known[name].unit != '1' else ''}"
-            for name, value in values.items()
-            if name in known and value != known[name].value
-        ]
+        moved = {knob: values[knob.name] for knob in self.knobs if values.get(knob.name, knob.value) != knob.value}
         document = parse(self.text)
+        if "name" in document.get("body", {}) and any(knob.key.startswith("body.") for knob in moved):
+            del document["body"]  # a known body has the quantities it has: with another it is stated by all of them
+            moved = {knob: knob.value for knob in self.knobs if knob.key.startswith("body.")} | moved
+        changes = [
+            f"{knob.key}={value / knob.size:.12g} {knob.unit if knob.unit != '1' else ''}"
+            for knob, value in moved.items()
+        ]
         for change in changes:
             apply(document, change.strip())
         return written(document, [change.strip() for change in changes]) if changes else self.text
@@ -88,7 +90,9 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
         else:
             scenario = load_file(target, changes)
             problem, text = scenario.problem, scenario.text or ""
-        return Subject(problem=problem, text=text, knobs=knobs(problem))
+        stated = parse(text) if text else {}
+        movable = [knob for knob in knobs(problem) if not stated or knob.key.partition(".")[0] in stated]
+        return Subject(problem=problem, text=text, knobs=tuple(movable))  # a section more would state another problem
     if changes:
         raise PeriluneError("--set changes a scenario", got=str(target), expected="a file")
     if (target / HEADER).is_file():
