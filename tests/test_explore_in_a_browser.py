@@ -86,6 +86,19 @@ def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(
         until(page, "perilune.values.retro_specific_impulse < " + str(before["retro_specific_impulse"]))
         page.click("#undo")
         assert page.evaluate("perilune.values") == pytest.approx(before, rel=1e-9)
+        page.goto(address + "#retro.specific_impulse=273")  # a link into the page that is open
+        until(page, "perilune.values.retro_specific_impulse === 273")
+        page.locator(".skip").focus()
+        page.keyboard.press("Enter")
+        assert (
+            page.url.endswith("#retro.specific_impulse=273") and page.evaluate("document.activeElement.id") == "knobs"
+        )
+        page.click("#more summary")
+        page.fill("input[aria-label='vehicle.mass in kg']", "303")  # no axis of the map
+        page.keyboard.press("Enter")
+        until(page, "perilune.shown === perilune.number && perilune.flight.source === 'neighbour'")
+        until(page, "document.getElementById('slice').hidden")
+        assert "another vehicle.mass" in page.inner_text("#slice-words")
 
 
 def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page: Any) -> None:

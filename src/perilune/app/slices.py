@@ -13,9 +13,11 @@ POINTS = 61  # along each axis
 
 
 def slice_of(subject: Subject, values: Mapping[str, float], axes: Sequence[str]) -> dict[str, Any] | None:
-    """J all over one or two axes of the atlas, the others as they are now; None where there is no atlas."""
+    """J all over one or two axes of the atlas, the others as they are now; None where the atlas is of other values."""
     atlas = subject.atlas
-    if atlas is None:
+    if atlas is None or any(
+        not knob.mapped and values.get(knob.name, knob.value) != knob.value for knob in subject.knobs
+    ):
         return None
     known = {knob.name: knob for knob in subject.knobs if knob.mapped}
     along = list(axes) or [name for name in known][: min(2, len(known))]

@@ -40,12 +40,8 @@
   // -- parameters -----------------------------------------------------------------------------------------------
   function begin(said) {
     document.title = `${said.title} · perilune`; text($("title"), said.title); state.knobs = said.knobs; state.coasts = said.coasts || []; state.maximised = said.maximised;
-    const from = new URLSearchParams(location.hash.slice(1));
-    for (const knob of said.knobs) {
-      state.first[knob.name] = knob.value;
-      const asked = parseFloat(from.get(knob.key));
-      state.values[knob.name] = Number.isFinite(asked) ? clamp(knob, asked * knob.size) : knob.value;
-    }
+    for (const knob of said.knobs) { state.first[knob.name] = knob.value; }
+    state.values = linked();
     const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
     $("knob-list").replaceChildren(...main.map(row)); $("more-list").replaceChildren(...rest.map(row)); $("more").hidden = !rest.length || !!frozen;
     $("scenario").hidden = !said.scenario; $("figures").hidden = !!frozen; $("slice-box").hidden = !few.length;
@@ -55,6 +51,10 @@
       $(id).onchange = ask;
     }
     ask();
+  }
+  function linked() { // the values that the address holds
+    const from = new URLSearchParams(location.hash.slice(1));
+    return Object.fromEntries(state.knobs.map((k) => { const v = parseFloat(from.get(k.key)); return [k.name, Number.isFinite(v) ? clamp(k, v * k.size) : state.first[k.name]]; }));
   }
   const nearest = (grid, v) => grid.reduce((best, at) => Math.abs(at - v) < Math.abs(best - v) ? at : best);
   const clamp = (knob, v) => knob.grid ? nearest(knob.grid, v) : Math.min(knob.high, Math.max(knob.low, v));
@@ -152,7 +152,7 @@
     for (const name of names) { const th = document.createElement("th"); text(th, name.replaceAll("_", " ")); head.append(th); }
     for (const entry of rows) { const line = table.insertRow(); for (const name of names) { text(line.insertCell(), typeof entry[name] === "number" ? Draw.fine(entry[name]) : entry[name]); } }
     $("extremals").replaceChildren(table);
-    const family = state.family, sign = state.maximised ? -1 : 1;
+    const family = state.family, sign = state.maximised ? -1 : 1; $("family").classList.toggle("stale", !family); // of the flight before
     if (family && family.values.length > 2) {
       const mark = [[flight.free[family.name], sign * flight.objective]];
       Draw.lines($("family"), "family", `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} along ${family.name.replaceAll("_", " ")}`, flight.unit, family.values, [{ name: "extremals with it held", values: family.objective.map((v) => sign * v) }], 170, mark);
@@ -166,7 +166,10 @@
   }
   let unproject = null;
   function map() {
-    const shown = state.slice; if (!shown) { return; }
+    const shown = state.slice, off = state.knobs.filter((k) => !k.mapped && state.values[k.name] !== state.first[k.name]);
+    $("slice").hidden = off.length > 0;
+    if (off.length) { text($("slice-words"), `The map is of another ${off.map((k) => k.key).join(", ")}.`); return; }
+    if (!shown) { return; }
     const by = Object.fromEntries(state.knobs.map((k) => [k.name, k])), at = shown.axes.map((n) => state.values[n]);
     Draw.whenSeen($("slice"), () => { unproject = Draw.slice($("slice"), shown, at, shown.axes.map((n) => by[n].size), state.maximised ? -1 : 1); });
     const reasons = [...new Set(shown.why.filter((w) => w >= 0))].map((w) => shown.reasons[w]);
@@ -221,12 +224,17 @@
     give("flight.csv", "text/csv", lines.join("\n") + "\n");
   };
   $("picture").onclick = () => { const svg = $("path-svg"); if (svg) { give("path.svg", "image/svg+xml", svg.outerHTML); } };
-  $("figures").onclick = async () => { const answer = await fetch("figures.zip?" + hash()); if (answer.ok) { give("figures.zip", "application/zip", await answer.blob()); } };
-  $("scenario").onclick = async () => { const answer = await fetch("scenario.toml?" + hash()); give("scenario.toml", "text/plain", await answer.text()); };
+  async function fetched(name, kind) {
+    const answer = await fetch(`${name}?${hash()}`);
+    if (answer.ok) { give(name, kind, await answer.blob()); } else { text($("refusal"), await answer.text()); $("refusal").hidden = false; }
+  }
+  $("figures").onclick = () => fetched("figures.zip", "application/zip"); $("scenario").onclick = () => fetched("scenario.toml", "text/plain");
   document.addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.target.type === "number") { return; }
     if (event.key === "z") { event.preventDefault(); event.shiftKey ? redo() : undo(); } else if (event.key === "y") { event.preventDefault(); redo(); }
   });
+  addEventListener("hashchange", () => { if (location.hash.slice(1) !== hash()) { remember(); restore(linked()); } }); // a link into an open page
+  document.querySelector(".skip").onclick = (event) => { event.preventDefault(); $("knobs").focus(); $("knobs").scrollIntoView(); }; // the address holds values
   addEventListener("resize", () => { Draw.forget(); show(); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { Draw.forget(); show(); });
   connect();
