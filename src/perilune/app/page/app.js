@@ -109,7 +109,7 @@
     const proof = flight.proved, ms = `${(1000 * flight.latency).toFixed(1)} ms`, node = $("source");
     node.replaceChildren();
     const said = document.createElement(proof && proof.outcome === "PROVED" ? "b" : proof ? "i" : "span");
-    text(said, proof ? `${proof.outcome}, level ${proof.level}` : flight.words);
+    text(said, proof ? `${proof.outcome}, level ${proof.level}${flight.source === "neighbour" ? ": a local optimum, compared with no other" : ""}` : flight.words);
     node.append(said, flight.source === "stored" ? "" : proof ? `, in ${proof.took.toFixed(1)} s; ${flight.words}, ${ms}` : `, ${ms}`);
   }
   function numbers(flight) {
