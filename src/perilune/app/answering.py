@@ -28,7 +28,7 @@ class Flown:
     solution
         The flight.
     source
-        ``map`` or ``neighbour``.
+        ``map``, ``neighbour``, or ``nothing``.
     words
         The same for people.
     latency

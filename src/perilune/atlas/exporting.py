@@ -8,16 +8,15 @@ and renamed.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from perilune.atlas.query import Atlas
 from perilune.atlas.table import Table
-from perilune.words.asked import demand, demand_path
+from perilune.io.files import fresh_file, new_file
+from perilune.words.asked import demand
 from perilune.words.outcome import PeriluneError, unknown_name
 
 _LARGEST = 2**31 - 8  # bytes of a variable of a classic NetCDF file, as SciPy writes it
@@ -49,27 +48,13 @@ def export(atlas: Atlas, file: str | Path, form: str, *, force: bool = False) ->
         written, or pyarrow is not installed.
     """
     demand(atlas, Atlas, "an atlas to export", "perilune.atlas.open(directory)")
-    path = demand_path(file, "the file of an export")
     if form not in FORMS:
         raise unknown_name("format", str(form), list(FORMS))
-    if path.exists() and not force:
-        raise PeriluneError(
-            "the file is there already", got=str(path), advice="choose another name, or --force (in Python force=True)"
-        )
+    path = new_file(file, "an export", force)
     if not atlas.said:
         raise PeriluneError("there is nothing to export: no brick is built yet", got=str(atlas.store.directory))
-    beside = path.with_name(f".{path.name}-writing-{os.getpid()}")
-    try:
+    with fresh_file(path, "the export") as beside:
         FORMS[form](Table(atlas), beside)
-        os.replace(beside, path)
-    except OSError as error:
-        raise PeriluneError(
-            "the export cannot be written", got=f"{path}: {error.strerror or error}",
-            expected="a place that you may write, with space left",
-        ) from error  # fmt: skip
-    finally:
-        with suppress(OSError):
-            beside.unlink()
     return path
 
 

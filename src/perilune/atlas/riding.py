@@ -88,6 +88,12 @@ class Rides:
         """The problem of the chart, as it is traced."""
         return Unnumbered(self.chart.free).problem
 
+    @cached_property
+    def _sums(self) -> dict[str, tuple[str, ...]]:
+        """Durations of the user's that are sums of those of the parts."""
+        structure = self.chart.course.structure
+        return {} if structure is None else sums_of(self.user, structure)
+
     @property
     def _begins(self) -> set[int]:
         """Numbers of the parts with which the user's phases begin."""
@@ -100,7 +106,6 @@ class Rides:
         structure = self.chart.course.structure
         assert structure is not None, "it has arcs"
         held = [c.name for c in self.stated.phases[part].held_conditions]
-        sums = sums_of(self.user, structure)
         first = min(i for i, (user, _) in enumerate(self._arcs) if user == k)
         for name, condition in self._conditions(part, arc.along).items():
             q, entered = condition.order, tuple[str, ...]()
@@ -110,7 +115,7 @@ class Rides:
             yield Ride(
                 name=name,
                 row=held.index(condition.rated(q, "", 1.0).name),
-                rates=tuple(with_sums(value, sums) for value in condition.values[:-1]),
+                rates=tuple(with_sums(value, self._sums) for value in condition.values[:-1]),
                 entered=entered,
             )
 
@@ -172,11 +177,10 @@ class Rides:
 
     def _rate(self, part: int, rate: Expression, z: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
         """A rate with a control in it, where an arc begins or ends."""
-        structure, phase, known = self.chart.course.structure, self.stated.phases[part], trace_parameters(self.stated)
-        assert structure is not None, "it has arcs"
+        phase, known = self.stated.phases[part], trace_parameters(self.stated)
         x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
         records = phase.state_record(*elements(x)), phase.control_record(*elements(u))
-        value = with_sums(rate, sums_of(self.user, structure))(*records, known.record, SYMBOLIC)[0]
+        value = with_sums(rate, self._sums)(*records, known.record, SYMBOLIC)[0]
         control = control_at(self.conditions.phases[part], z, p)
         return ca.Function("rate", [x, u, known.given, known.free], [ca.SX(value)])(
             z[: x.numel()], control, *self._told(y, p)
@@ -290,9 +294,7 @@ class Rides:
 
     def _users_free(self, y: ca.SX) -> ca.SX:
         """Free parameters of the user's problem: durations in parts are their sums."""
-        structure, names = self.chart.course.structure, self.stated.free_names
-        assert structure is not None, "it has arcs"
-        sums, free = sums_of(self.user, structure), y[self.conditions.free_at]
+        names, free, sums = self.stated.free_names, y[self.conditions.free_at], self._sums
         own = [sum((free[names.index(part)] for part in sums.get(n, (n,))), ca.SX(0.0)) for n in self.user.free_names]
         return ca.vertcat(ca.SX(0, 1), *own)
 

@@ -59,12 +59,13 @@ def explore(typed: Namespace) -> Answer:
 
 def _written(subject: Subject, file: Path, force: bool) -> Answer:
     from perilune.app.frozen import frozen_page
+    from perilune.io.files import fresh_file, new_file
 
-    if file.exists() and not force:
-        raise PeriluneError("the file is there already", got=str(file), advice="choose another name, or pass --force")
+    new_file(file, "the page", force)
     with progress(False, deque(maxlen=LONGEST_LOG)) as watch:
         page = frozen_page(subject, watch)
-    file.write_text(page, encoding="utf-8")
+    with fresh_file(file, "the page") as beside:
+        beside.write_text(page, encoding="utf-8")
     return Answer(text=f"written to {file}: {len(page) / 1e6:.1f} MB", document={"written": str(file)})
 
 
