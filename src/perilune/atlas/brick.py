@@ -173,7 +173,7 @@ class Brick:
             lanes, begin = lanes[begin >= 0], begin[begin >= 0]
             if len(lanes):
                 guess, spread = self.nodes.along_slopes(begin, places[lanes], self.step)
-                led, good, _ = self._led(np.full(len(lanes), branch), places[lanes], guess, spread)
+                led, good = self._led(np.full(len(lanes), branch), places[lanes], guess, spread)
                 lanes = lanes[good & same(y[lanes], led.y)]
                 lanes = lanes[np.unique(keys[lanes], return_index=True)[1]]
                 self._solved(np.full(len(lanes), branch), places[lanes], y[lanes], np.full(len(lanes), np.inf))
@@ -210,9 +210,7 @@ class Brick:
         if not len(cell):
             return found
         places, branch = cells.low[cell] + bits(self.d)[end] * cells.size[cell], cells.branch[cell]
-        led, good, _ = self._led(
-            branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step)
-        )
+        led, good = self._led(branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step))
         there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
         differs = good & ~same(there, led.y)
         found[cell[differs]] = Status.TORN
@@ -376,32 +374,32 @@ class Brick:
             waiting = waiting[self.nodes.numbers(keys[waiting]) < 0]
         return replace(cells, corners=self._corners(cells.branch, cells.low, cells.size))
 
-    def _led(
-        self, branch: Whole, places: Whole, guess: Matrix, spread: Vector
-    ) -> tuple[Extremals, NDArray[np.bool_], Matrix]:
-        """Where Newton's method leads to at places, what of it belongs to its branch, and what it holds."""
+    def _led(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> tuple[Extremals, NDArray[np.bool_]]:
+        """Where Newton's method leads to at places, and what of it belongs to its branch."""
         values = self.origin + places * self.step
-        holds = self.borders.holds(self._sheets, branch, values)
         within = _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
+        holds = self.borders.holds(self._sheets, branch, values)
         found = self.chart.solve(values, guess, holds, limit=_MOST, reach=_ASTRAY * within)
         with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
             moved = np.linalg.norm(found.y - guess, axis=1)
-        return found, found.converged & (found.orientation == self._orientations[branch]) & (moved <= within), holds
+        return found, found.converged & (found.orientation == self._orientations[branch]) & (moved <= within)
 
     def _solved(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
         """Newton's method at places; what of it belongs to its branch comes among the nodes."""
         if not len(branch):
             return
-        found, good, holds = self._led(branch, places, guess, spread)
+        found, good = self._led(branch, places, guess, spread)
         if not good.any():
             return
-        here, holds, branch, places = found.of(np.nonzero(good)[0]), holds[good], branch[good], places[good]
+        here, branch, places = found.of(np.nonzero(good)[0]), branch[good], places[good]
         flown = self.reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
         self.nodes.add(
             self._keys(branch, places),
             branch=branch,
             place=places,
-            terms=self.chart.terms(here, holds),
+            terms=self.chart.terms(
+                here, lambda values: self.borders.holds(self._sheets, branch.repeat(len(values) // len(branch)), values)
+            ),
             margin=np.minimum(self.borders.margins_of(self._sheets, branch, here), flown.pays),
             length=here.length,
             **{name: getattr(flown, name) for name in FLOWN},

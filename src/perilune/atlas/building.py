@@ -19,7 +19,7 @@ from perilune.atlas.columns import (
 )
 from perilune.atlas.flooding import Key
 from perilune.atlas.lines import told_of_damage
-from perilune.atlas.region import Region, region_of
+from perilune.atlas.region import Region, refuse_moving_ranges, region_of
 from perilune.atlas.sampling import demand_count, sampled, thin_ones
 from perilune.atlas.store import MANIFEST, Store, clear
 from perilune.atlas.survey import Found, Survey, said_of, seeds
@@ -92,6 +92,7 @@ def build(
     demand(problem, Problem, "a problem to map")
     demand_callable(watch, "a watch")
     region, say = region_of(problem, axes, bricks), watch or silent
+    refuse_moving_ranges(problem, region)
     if not (isinstance(tolerance, float) and _TIGHTEST <= tolerance <= _LOOSEST):
         raise PeriluneError(
             "the tolerance of an atlas is out of range", got=repr(tolerance)[:40],

@@ -8,7 +8,7 @@ plane.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -71,6 +71,22 @@ class Extremals:
         """Some of the lanes."""
         named = {f.name: getattr(self, f.name)[lanes] for f in fields(self) if f.name != "roots"}
         return Extremals(**named, roots=self.roots.of(lanes))
+
+
+@dataclass(frozen=True)
+class Holds:
+    """What lanes hold beside the parameters that vary.
+
+    Attributes
+    ----------
+    choice
+        Masks of what can be held, then its values, (lanes, 2 k), canonical.
+    moves
+        Derivatives of the values that are held by the parameters, (lanes, d, k); None where they stay.
+    """
+
+    choice: Matrix
+    moves: NDArray[np.float64] | None = None
 
 
 def orientation(inverse: NDArray[np.float64]) -> Vector:
@@ -154,10 +170,17 @@ class Chart:
         plan = self.shooting.plan
         return plan.rows.searchsorted(self.conditions.stationarity_at.start + np.array(self.varied_at))
 
-    def choice(self, values: Matrix, holds: Matrix) -> Matrix:
-        """What is held in each lane: the parameters at their values, and `holds` (masks, values) of all others."""
+    @cached_property
+    def _held_rows(self) -> NDArray[np.int64]:
+        """Rows of what can be held, free parameters and then ranges, among the residuals that are left."""
+        c = self.conditions
+        free = range(c.stationarity_at.start, c.stationarity_at.stop)
+        return self.shooting.plan.rows.searchsorted([*free, *(row for row, _ in c.ranges)])
+
+    def choice(self, values: Matrix, holds: Holds) -> Matrix:
+        """What is held in each lane: the parameters at their values, and `holds` of all others."""
         choice = np.empty((len(values), 2 * self.shooting.plan.held))
-        choice[:] = holds
+        choice[:] = holds.choice
         choice[:, self._chosen[0]], choice[:, self._chosen[1]] = 1.0, values
         return choice
 
@@ -178,35 +201,46 @@ class Chart:
         names = [self.conditions.unknowns[i] for i in self.active]
         return np.array([named.get(name, 0.0) for name in names])
 
-    def solve(self, values: Matrix, y: Matrix, holds: Matrix, **settings: Any) -> Extremals:
+    def solve(self, values: Matrix, y: Matrix, holds: Holds, **settings: Any) -> Extremals:
         """Newton's method in each lane; settings as for it."""
         settings = {"limit": 12, "accuracy": FINEST, **settings}
         roots = self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings)
-        return self.told_of(values, roots)
+        return self.told_of(values, roots, holds.moves)
 
-    def at(self, values: Matrix, y: Matrix, holds: Matrix) -> Extremals:
+    def at(self, values: Matrix, y: Matrix, holds: Holds) -> Extremals:
         """What there is at points that need be no roots."""
-        return self.told_of(values, self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds)))
+        roots = self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds))
+        return self.told_of(values, roots, holds.moves)
 
-    def told_of(self, values: Matrix, roots: Roots) -> Extremals:
-        """What roots at values of the parameters, or points that need be none, say."""
+    def told_of(self, values: Matrix, roots: Roots, moves: NDArray[np.float64] | None = None) -> Extremals:
+        """What roots at values of the parameters, or points that need be none, say.
+
+        A parameter that moves what is held (`Holds`) has the columns of that beside its own, and its dJ/d(value).
+        """
         plan, columns, rows = roots.plan, roots.plan.columns, roots.rows
         inverse = rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
-        extra = rows[:, columns.extras]
+        slopes = inverse[:, self.places[:, None], self._rows[None]].transpose(0, 2, 1)
+        cost_slopes = rows[:, columns.extras][:, self.varied_at]
+        if moves is not None:
+            slopes += np.einsum("ldk,lnk->ldn", moves, inverse[:, self.places[:, None], self._held_rows[None]])
+            cost_slopes += np.einsum("ldk,lk->ld", moves, self.shooting.held_values(roots)[1])
         return Extremals(
             values=values,
             y=roots.y[:, self.active],
-            slopes=inverse[:, self.places[:, None], self._rows[None]].transpose(0, 2, 1),
-            cost=extra[:, -1],
-            cost_slopes=extra[:, self.varied_at],
+            slopes=slopes,
+            cost=roots.costs,
+            cost_slopes=cost_slopes,
             converged=roots.converged & np.isfinite(rows).all(axis=1),
             length=rows[:, 2] / (1.0 + rows[:, 3]),
             stepped=(roots.y[:, plan.active] + rows[:, columns.step])[:, self.places],
             roots=roots,
         )
 
-    def terms(self, found: Extremals, holds: Matrix) -> NDArray[np.float64]:
-        """Values and derivatives of y and J for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`."""
+    def terms(self, found: Extremals, holds: Callable[[Matrix], Holds]) -> NDArray[np.float64]:
+        """Values and derivatives of y and J for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`.
+
+        `holds` tells of as many values beside each lane as there are what it holds there.
+        """
         lanes, d = found.values.shape
         n = found.y.shape[1]
         out = np.zeros((lanes, 2**d, n + 1))
@@ -220,8 +254,8 @@ class Chart:
         beside, step = np.hstack([np.zeros((2 ** (d - 1), 1)), 2.0 * bits(d - 1) - 1.0]), _BESIDE * self.widths
         values = found.values[:, None] + step * beside
         y = found.y[:, None] + np.einsum("ki,lin->lkn", step * beside, found.slopes)
-        each = np.repeat(np.broadcast_to(holds, (lanes, holds.shape[-1])), len(beside), axis=0)
-        near = self.at(values.reshape(-1, d), y.reshape(-1, n), each)
+        values = values.reshape(-1, d)
+        near = self.at(values, y.reshape(-1, n), holds(values))
         slopes = np.concatenate([near.slopes, near.cost_slopes[:, :, None]], axis=2).reshape(
             lanes, len(beside), d, n + 1
         )

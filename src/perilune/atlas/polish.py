@@ -103,7 +103,8 @@ class Polisher:
         """
         chart, plan, count = self.chart, self.chart.shooting.plan, len(values)
         limits = self.borders.at(values)
-        choice = chart.choice(values, self.borders.holds(self.sheets, which, values, limits))
+        holds = self.borders.holds(self.sheets, which, values, limits)
+        choice = chart.choice(values, holds)
         y, length, steps = chart.whole(values, guess), np.full(count, _LOST), np.zeros(count, dtype=np.int64)
         going = shrinking = np.ones(count, dtype=bool)
         for number in range(1, _MOST + 1):  # a lane that is done stands still
@@ -128,9 +129,11 @@ class Polisher:
             flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
             left, (bound, away) = self._left(roots, y, guess, flown)
             good = flown.good
-        at, rises = y[:, chart.conditions.free_at], flown.rates
+        at, rises, slopes = y[:, chart.conditions.free_at], flown.rates, flown.rates[:, chart.varied_at]
         if self._multipliers:
             at, rises = np.hstack([at, flown.ranges]), np.hstack([rises, -y[:, self._multipliers]])
+        if holds.moves is not None:
+            slopes = slopes + np.einsum("ldk,lk->ld", holds.moves, rises)
         margin = self.borders.margins(self.sheets, which, y, at, rises, choice, limits)
         inside = np.minimum(margin, flown.pays) >= -SLACK
         answers = reached & inside & good & (bound <= SLACK)
@@ -139,7 +142,7 @@ class Polisher:
             y=y,
             choice=choice,
             cost=flown.cost,
-            slopes=flown.rates[:, chart.varied_at],
+            slopes=slopes,
             reached=reached,
             answers=answers,
             doubtful=~answers & ~(reached & ~inside) & ~breaking,

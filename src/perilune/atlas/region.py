@@ -205,6 +205,27 @@ def refuse_untaken(problem: Problem, region: Region) -> None:
         problem.with_given(**dict(zip(region.names, corner, strict=True)))
 
 
+def refuse_moving_ranges(problem: Problem, region: Region) -> None:
+    """Refuse ranges of free parameters that follow, by a function of the user's, from what varies.
+
+    An atlas keeps formulas and numbers: whoever opens it would have these ranges at one point only.
+    """
+    if problem.ranges is None or problem.declared:
+        return
+    for corner in product(*((axis.low, axis.high) for axis in region.axes)):
+        there = problem.with_given(**{n: v for n, v in zip(region.names, corner, strict=True) if n in problem.given})
+        for here, f in zip(problem.free, there.free, strict=True):
+            if f.name not in region.names and (here.lower, here.upper) != (f.lower, f.upper):
+                raise PeriluneError(
+                    f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
+                    got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where "
+                    + ", ".join(told(v, a.unit) for a, v in zip(region.axes, corner, strict=True)),
+                    expected=f"{told(here.lower, here.unit)} to {told(here.upper, here.unit)} everywhere",
+                    advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "
+                    "parameter",
+                )
+
+
 def _equal_parts(low: float, high: float, count: int) -> tuple[float, ...]:
     return (*(low + (high - low) * number / count for number in range(count)), high)
 

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.chart import Chart, Extremals
+from perilune.atlas.chart import Chart, Extremals, Holds
 from perilune.methods.starts import SIGNED
 from perilune.problem.extremal import Nature
 from perilune.problem.symbolic import free_scales
@@ -27,6 +28,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
+_DIFFERENCE = 1e-4  # of the range of a parameter: where differences of bounds are taken
 _SLACK = 1e-9  # canonical, by which a bound may be missed or a multiplier be on the wrong side
 
 
@@ -120,33 +122,64 @@ class Borders:
 
     def _state(self, p: Any, lower: Matrix, upper: Matrix) -> None:
         """Fill in what parameters say of lanes, one or all."""
-        chart, problem = self.chart, self.chart.problem
-        found = problem.ranges(p, NUMERIC) if problem.ranges is not None else {}
-        for i, name, size, bounded in self._chosen:
-            if name in found:
-                low, high, _ = found[name]
-                upper[:, i] = high / size
-                if bounded:
-                    lower[:, i] = low / size
-        for k, condition in enumerate(self._ranged, chart.shooting.plan.free):
-            low, high = condition.limits(p)
-            lower[:, k], upper[:, k] = low / problem.size_of(condition), high / problem.size_of(condition)
+        for i, low, high in self._ranges(p):
+            upper[:, i] = high
+            if low is not None:
+                lower[:, i] = low
+        for k, condition in enumerate(self._ranged, self.chart.shooting.plan.free):
+            size = self.chart.problem.size_of(condition)
+            lower[:, k], upper[:, k] = (bound / size for bound in condition.limits(p))
+
+    def _ranges(self, p: Any) -> list[tuple[int, Any, Any]]:
+        """Bounds of free parameters that follow from the given ones, canonical; None for one that is not looked at."""
+        if (problem := self.chart.problem).ranges is None:
+            return []
+        found = problem.ranges(p, NUMERIC)
+        told = ((i, *found[name][:2], size, bounded) for i, name, size, bounded in self._chosen if name in found)
+        return [(i, low / size if bounded else None, high / size) for i, low, high, size, bounded in told]
 
     def holds(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix, limits: Limits | None = None
-    ) -> Matrix:
-        """What each lane holds beside the parameters, as `Chart.solve` takes it; `which` is each lane's sheet."""
+    ) -> Holds:
+        """What each lane holds beside the parameters; `which` is each lane's sheet."""
         held = self.chart.shooting.plan.held
-        out = np.zeros((len(values), 2 * held))
+        out, moves = np.zeros((len(values), 2 * held)), None
         if not any(sheet.holds for sheet in sheets):
-            return out
-        lower, upper = limits or self.at(values)
+            return Holds(out)
+        both = limits or self.at(values)
         for number, sheet in enumerate(sheets):
             for name, side in sheet.holds.items():
-                here, i = which == number, self.names.index(name)
+                here, i, upper = np.nonzero(which == number)[0], self.names.index(name), int(side == "upper")
                 out[here, i] = 1.0
-                out[here, held + i] = (lower if side == "lower" else upper)[here, i]
-        return out
+                out[here, held + i] = both[upper][here, i]
+                if (i, upper) in self._moving and len(here):
+                    moves = np.zeros((len(values), len(self.chart.names), held)) if moves is None else moves
+                    moves[here, :, i] = self._rates(values[here], i, upper)
+        return Holds(out, moves)
+
+    @cached_property
+    def _moving(self) -> set[tuple[int, int]]:
+        """What can be held, and at which of its bounds, where parameters that vary move that."""
+        found = {
+            (k, upper)
+            for k, condition in enumerate(self._ranged, self.chart.shooting.plan.free)
+            for upper, bound in enumerate((condition.lower, condition.upper)) if bound in self.chart.names
+        }  # fmt: skip
+        if not self._chosen:
+            return found
+        several = {n: np.full(2, self._given.get(n, 1.0)) for n in self.chart.names}
+        try:  # what follows from arrays is one
+            told = self._ranges(SimpleNamespace(**{**self._given, **several}))
+        except (TypeError, ValueError, PeriluneError):
+            return found | {(i, upper) for i, *_ in self._chosen for upper in (0, 1)}
+        return found | {(i, upper) for i, *both in told for upper, bound in enumerate(both) if np.ndim(bound)}
+
+    def _rates(self, values: Matrix, i: int, upper: int) -> Matrix:
+        """Derivatives of a bound by the parameters, (lanes, d), canonical: differences of fourth order."""
+        d, step = values.shape[1], _DIFFERENCE * self.chart.widths
+        beside = np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.diag(step)  # (4, axes, d)
+        bounds = self.at((values[:, None, None] + beside).reshape(-1, d))[upper][:, i].reshape(-1, 4, d)
+        return np.einsum("k,lkd->ld", np.array([1.0, -8.0, 8.0, -1.0]) / 12.0, bounds) / step
 
     def margins_of(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
         """`margins` of extremals, or of points that need be none."""

@@ -1,0 +1,117 @@
+"""Atlases over the limits themselves: what is held there moves with the parameters."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune import PeriluneError
+from perilune.atlas import building
+from perilune.atlas.chart import Chart, Holds
+from perilune.atlas.query import open_atlas
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.problem.extremal import Nature
+from perilune.problem.variables import Given, Variable
+from perilune.words.types import Matrix, Vector
+
+build = partial(building.build, sample=0)  # proofs have tests of their own
+
+REWARD = 12.0  # m/s^3 for each m
+LONGEST = 1.1  # s
+
+
+def haul(patient: bool) -> pl.Problem:
+    """From rest to rest with the least int u^2/2 - 12 x(T): a haul of at most `high`.
+
+    Over X in T the effort is 6 X^2/T^3, so that one goes as far as one may, or X = T^3; where it is a `patient` one, T
+    is free up to 1.1 s times patience^2, and otherwise is given.
+    """
+    phase = pl.Phase(
+        name="haul",
+        states=tuple(Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("c", "m^2/s^3"))),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.v, x.x),
+        end_conditions=(Variable(name="still", unit="m/s"), Variable(name="far", unit="m", upper="high")),
+    )
+    values = {"high": (0.6, "m"), "reward": (REWARD, "m/s^3"), "longest": (LONGEST, "s")}
+    values |= {"patience": (1.0, "1")} if patient else {"T": (LONGEST, "s")}
+    return pl.Problem(
+        name="haul",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
+        free=(pl.Free(name="T", unit="s", lower=0.0, upper=2.0, typical=1.0),) if patient else (),
+        ranges=(lambda p, m: {"T": (0.0, p.longest * p.patience**2, 1.0)}) if patient else None,
+        objective=lambda x, p, m: x.c - p.reward * x.x,
+        objective_unit="m^2/s^3",
+    )
+
+
+def truth(high: Vector, T: Vector) -> tuple[Vector, Vector, Vector]:
+    """J, dJ/dhigh and dJ/dT."""
+    X = np.minimum(high, REWARD * T**3 / 12.0)
+    return 6.0 * X**2 / T**3 - REWARD * X, np.where(X == high, 12.0 * X / T**3 - REWARD, 0.0), -18.0 * X**2 / T**4
+
+
+def test_derivatives_by_a_limit_that_holds_are_those_of_closed_forms(tmp_path: Path) -> None:
+    """Of an end condition whose limit varies, held on one side of X = T^3 and free on the other."""
+    problem, axes = haul(False), {"high": (0.4, 1.6), "T": (0.95, 1.1)}
+    atlas = open_atlas(build(problem, axes, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform([0.4, 0.95], [1.6, 1.1], (300, 2))
+    found = atlas.query_many(points)
+    assert found.good.all()
+    J, by_high, by_T = truth(*points.T)
+    assert 50 < np.count_nonzero(by_high) < len(J) - 50
+    np.testing.assert_allclose(found.objective, J, rtol=1e-10)
+    np.testing.assert_allclose(found.slopes, np.stack([by_high, by_T], axis=1), rtol=1e-8, atol=1e-8)
+    alone = atlas.query(high=0.5, T=1.0)
+    assert alone.query is not None
+    np.testing.assert_allclose([alone.query.slopes[n] for n in axes], [6.0 - REWARD, -4.5], rtol=1e-8)
+
+
+def test_values_and_derivatives_move_with_every_bound_that_is_held() -> None:
+    """A range of a free parameter by a function of the user's, of two parameters, and the limit of an end."""
+    sheet = Sheet(holds={"T": "upper", "far": "upper"}, orientation=1.0, nature=Nature.LOCAL_OPTIMUM_AT_BOUND)
+    values = np.array([[0.6, 1.0, LONGEST], [0.55, 1.03, 1.05]])
+    chart = Chart(haul(True), ("high", "patience", "longest"), np.array([0.2, 0.1, 0.2]))
+    np.testing.assert_array_equal(chart.scale, 1.0)
+
+    def holds(at: Matrix) -> Holds:
+        return borders.holds([sheet], np.zeros(len(at), dtype=np.int64), at)
+
+    borders = Borders(chart)
+    known = pl.solve(haul(True)).unknowns
+    assert known is not None
+    found = chart.solve(values, chart.told(np.array(known))[None].repeat(2, axis=0), holds(values))
+    terms = chart.terms(found, holds)
+    assert found.converged.all()
+    high, patience, longest = values.T
+    T = longest * patience**2
+    J, by_high, by_T = truth(high, T)
+    np.testing.assert_allclose(found.cost, J, rtol=1e-12)
+    by_patience, by_longest = 2.0 * longest * patience * by_T, patience**2 * by_T
+    np.testing.assert_allclose(found.cost_slopes, np.stack([by_high, by_patience, by_longest], axis=1), rtol=1e-9)
+    mixed = -36.0 * high / T**4 * patience**2  # d2J/dhigh dlongest
+    np.testing.assert_allclose(terms[:, 0b101, -1], mixed, rtol=1e-6)
+    both = -18.0 * high**2 * (2.0 * patience) * (1.0 - 4.0) / T**4  # d2J/dpatience dlongest
+    np.testing.assert_allclose(terms[:, 0b110, -1], both, rtol=1e-6)
+
+
+def test_ranges_that_an_atlas_cannot_keep_are_refused(tmp_path: Path) -> None:
+    """By a function of the user's, which no file has; what does not move them may vary."""
+    problem = haul(True)
+    with pytest.raises(PeriluneError, match="the range of T follows from what varies") as refused:
+        build(problem, {"patience": (0.9, 1.1)}, tmp_path / "map")
+    assert "0.891 s" in str(refused.value)
+    assert not (tmp_path / "map").exists()
+    atlas = open_atlas(build(problem, {"high": (0.5, 0.7)}, tmp_path / "map"), lambda _: problem)
+    J, by_high, _ = truth(np.array([0.6]), np.array([LONGEST]))
+    answer = atlas.query(high=0.6)
+    assert answer.query is not None
+    np.testing.assert_allclose([answer.objective, answer.query.slopes["high"]], [J[0], by_high[0]], rtol=1e-10)
