@@ -16,31 +16,23 @@ All cells of one wave are computed together, in lanes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, had, torn_edges
-from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, same, some
-from perilune.atlas.chart import Chart, Extremals
+from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, torn_edges
+from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Status, Whole, joined, same, some
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
-from perilune.atlas.reflight import SLACK, Reflights
-from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.lattice import Lattice
+from perilune.atlas.reflight import SLACK
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
-_BITS = 13  # of a place along one axis, so that 4 of them and a branch make one number
 _FINEST = 2**6  # the shortest edge of a cell
 _KINKED = 2**9  # the same where the switches on the way change
-_APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
-_ASTRAY = 1.5  # times as far Newton's method may lead on the way: from farther it does not come back
-_MOST = 16  # evaluations for a new corner
 _SOWN = 2 * ENDING  # the largest cells in which a later branch begins
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
-
-FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
 
 
 class Brick:
@@ -48,35 +40,22 @@ class Brick:
 
     Parameters
     ----------
-    chart, borders, reflights, sheets
-        What is mapped, and what flies it a second time.
-    low, high
-        Corners of the box, canonical.
+    lattice
+        Its places, and what is known of them already.
     tolerance
         Relative, to which one step of Newton's method has to lead.
     watch
         Receives a line of text for each wave.
     """
 
-    def __init__(
-        self,
-        chart: Chart,
-        borders: Borders,
-        reflights: Reflights,
-        sheets: Sequence[Sheet],
-        low: Vector,
-        high: Vector,
-        tolerance: float,
-        watch: Watch = silent,
-    ) -> None:
-        self.chart, self.borders, self.reflights, self.sheets, self.watch = chart, borders, reflights, sheets, watch
-        self.origin, self.step, self.tolerance = low, (high - low) / WHOLE, tolerance
-        self.d, self.count = len(low), len(sheets)
-        self.nodes, self.own, self._left = Nodes(), list(range(len(sheets))), list[Extremal]()
+    def __init__(self, lattice: Lattice, tolerance: float, watch: Watch = silent) -> None:
+        self.lattice, self.tolerance, self.watch = lattice, tolerance, watch
+        self.nodes, self.step = lattice.nodes, lattice.step
+        self.count, self._left = len(lattice.all_sheets), list[Extremal]()
         self._looked_at = self._cells_looked_at = 0
         self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 
-    def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None = None) -> Cut:
+    def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cells | None = None) -> Cut:
         """Compute everything.
 
         Parameters
@@ -84,20 +63,15 @@ class Brick:
         sheet, place, y
             Extremals to begin with, and where they are, in lattice steps.
         before
-            What is known already, without these.
+            Cells that are known already, without these.
         """
-        waves = list[Cells]()
-        if before is not None:
-            self.nodes.add(self._keys(before.nodes["branch"], before.nodes["place"]), **before.nodes)
-            self.own = list(before.own)
-            waves.append(before.cells)
-        self._told()
+        waves = [] if before is None else [before]
         new = self._sown(sheet, place, y, before)
-        self._solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
+        self.lattice.solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
         if not self.nodes.count:  # where the side of a fold is rounding, none may be of its sheet
-            return Cut(nodes={}, cells=self._wholes(np.empty(0, dtype=np.int64)), own=tuple(self.own))
-        here = np.setdiff1d(sheet[new], before.cells.branch if before is not None else ())
-        cells = self._filled(self._wholes(here))
+            return Cut(nodes={}, cells=self.lattice.wholes(np.empty(0, dtype=np.int64)), own=tuple(self.lattice.own))
+        here = np.setdiff1d(sheet[new], before.branch if before is not None else ())
+        cells = self.lattice.filled(self.lattice.wholes(here))
         while True:
             while len(cells):
                 first = sum(map(len, waves))
@@ -123,32 +97,21 @@ class Brick:
             corners[i] = np.where(ending, corners[i], -1) if ending.any() else corners[i]
         done = replace(done, status=status, corners=corners)
         nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
-        return Cut(nodes=nodes, cells=done, own=tuple(self.own))
+        return Cut(nodes=nodes, cells=done, own=tuple(self.lattice.own))
 
     # -- branches -------------------------------------------------------------------------------------------------
 
-    def _told(self) -> None:
-        """What is known of the sheet of each branch."""
-        self._sheets = [self.sheets[number] for number in self.own]
-        self._orientations = np.array([sheet.orientation for sheet in self._sheets])
-        self._minimum = np.array([sheet.minimum for sheet in self._sheets])
-
-    def _alike(self, sheet: int) -> list[int]:
-        """The branches that hold the same as a sheet, on the same side of folds."""
-        mine = self.sheets[sheet]
-        return [branch for branch, sheet in enumerate(self._sheets) if sheet.alike(mine)]
-
-    def _sown(self, sheet: Whole, place: Whole, y: Matrix, before: Cut | None) -> list[int]:
+    def _sown(self, sheet: Whole, place: Whole, y: Matrix, before: Cells | None) -> list[int]:
         """Which extremals begin or go on with the first branch of their sheet; some others wait for a later one."""
         new, taken = list[int](), list[tuple[int, list[int], Vector]]()
         for i, (number, at, row) in enumerate(zip(sheet.tolist(), place.tolist(), y, strict=True)):
-            alike = self._alike(number)
-            here = [(b, self.nodes.at(self._keys(np.array(b), place[i]))) for b in alike]
-            known = [(self.own[b], known) for b, known in here if known is not None]
+            alike = self.lattice.alike(number)
+            here = [(b, self.nodes.at(self.lattice.keys(np.array(b), place[i]))) for b in alike]
+            known = [(self.lattice.own[b], known) for b, known in here if known is not None]
             known += [(other, told) for other, there, told in taken if other in alike and there == at]
             if any(same(told, row) for _, told in known):
                 continue
-            if before is not None and self._had(before.cells, [(number, place[i], row)])[0]:
+            if before is not None and self.lattice.had(before, [(number, place[i], row)])[0]:
                 continue
             if any(other == number for other, _ in known):
                 self._left.append((number, place[i], row))
@@ -157,26 +120,22 @@ class Brick:
                 taken.append((number, at, row))
         return new
 
-    def _had(self, cells: Cells, some: Sequence[Extremal]) -> NDArray[np.bool_]:
-        """Which extremals branches have, as nodes or in their cells."""
-        return had(cells, self.nodes, self.step, self._keys, self._alike, some)
-
     def _led_to(self) -> bool:
         """Whether branches grow by extremals that are left: by those to which one leads where it has nothing."""
         which, places, y = arrays_of(self._left)
         waiting = np.ones(len(which), dtype=bool)
-        for branch, own in enumerate(self._sheets):
-            mine = waiting & np.array([sheet.alike(own) for sheet in self.sheets])[which]
-            keys = self._keys(np.array(branch), places)
+        for branch, own in enumerate(self.lattice.sheets):
+            mine = waiting & np.array([sheet.alike(own) for sheet in self.lattice.all_sheets])[which]
+            keys = self.lattice.keys(np.array(branch), places)
             lanes = np.nonzero(mine & (self.nodes.numbers(keys) < 0))[0]
             begin = self.nodes.beside(branch, places[lanes], ENDING)
             lanes, begin = lanes[begin >= 0], begin[begin >= 0]
             if len(lanes):
                 guess, spread = self.nodes.along_slopes(begin, places[lanes], self.step)
-                led, good = self._led(np.full(len(lanes), branch), places[lanes], guess, spread)
+                led, good = self.lattice.led(np.full(len(lanes), branch), places[lanes], guess, spread)
                 lanes = lanes[good & same(y[lanes], led.y)]
                 lanes = lanes[np.unique(keys[lanes], return_index=True)[1]]
-                self._solved(np.full(len(lanes), branch), places[lanes], y[lanes], np.full(len(lanes), np.inf))
+                self.lattice.solved(np.full(len(lanes), branch), places[lanes], y[lanes], np.full(len(lanes), np.inf))
                 waiting[lanes] = False
         self._left = [one for one, still in zip(self._left, waiting.tolist(), strict=True) if still]
         return not waiting.all()
@@ -186,18 +145,16 @@ class Brick:
 
         None where nothing is left, or there are too many branches.
         """
-        had = self._had(done, self._left).tolist()
+        had = self.lattice.had(done, self._left).tolist()
         self._left = [one for one, known in zip(self._left, had, strict=True) if not known]
         if self._left and self._led_to():
             return some(done, np.zeros(0, dtype=np.int64))
-        if not self._left or len(self.own) >= self.count + _MOST_BRANCHES:
+        if not self._left or len(self.lattice.own) >= self.count + _MOST_BRANCHES:
             return None
         sheet, place, y = self._left.pop(0)
-        branch = np.array([len(self.own)])
-        self.own.append(sheet)
-        self._told()
-        self._solved(branch, place[None], y[None], np.full(1, np.inf))
-        root = self._wholes(branch)
+        branch = np.array([self.lattice.another_branch(sheet)])
+        self.lattice.solved(branch, place[None], y[None], np.full(1, np.inf))
+        root = self.lattice.wholes(branch)
         return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
 
     def _torn(self, cells: Cells) -> Whole:
@@ -209,8 +166,10 @@ class Brick:
         cell, begin, end = cell[leads], begin[leads], end[leads]
         if not len(cell):
             return found
-        places, branch = cells.low[cell] + bits(self.d)[end] * cells.size[cell], cells.branch[cell]
-        led, good = self._led(branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step))
+        places, branch = cells.low[cell] + bits(self.lattice.d)[end] * cells.size[cell], cells.branch[cell]
+        led, good = self.lattice.led(
+            branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step)
+        )
         there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
         differs = good & ~same(there, led.y)
         found[cell[differs]] = Status.TORN
@@ -218,7 +177,7 @@ class Brick:
             edges, ends = np.column_stack(torn[1:])[torn[0] == number], begin[~good & (cell == number)]
             self._ending[cells.box(number)] = ending_layers(cells.corners[number], edges.tolist(), ends.tolist())
         for i in np.nonzero(differs)[0].tolist():
-            self._left.append((self.own[int(branch[i])], places[i], led.y[i]))
+            self._left.append((self.lattice.own[int(branch[i])], places[i], led.y[i]))
         return found
 
     # -- cells ----------------------------------------------------------------------------------------------------
@@ -243,12 +202,12 @@ class Brick:
         axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
         child[cut] = len(done) + 2 * np.arange(len(cut))
         done = replace(done, status=status, axis=axis, child=child)
-        halves = self._halves(some(done, cut), axis[cut])
+        halves = self.lattice.halves(some(done, cut), axis[cut])
         # Layers that lie near one another are told apart in small cells alone.
         fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= _SOWN))[0]
         near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
         corners = np.where(np.isin(np.arange(len(halves)), fine)[:, None], halves.corners, -1)
-        filled = self._filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()])
+        filled = self.lattice.filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()])
         corners[fine] = self._looked_around(filled).corners
         return done, replace(halves, corners=corners)
 
@@ -261,12 +220,12 @@ class Brick:
         self._looked_at = self.nodes.count
         branch = self.nodes.rows("branch", new)
         for own in np.unique(branch[branch >= self.count]).tolist():
-            mine, others = new[branch == own], [b for b in self._alike(self.own[own]) if b != own]
+            mine, others = new[branch == own], [b for b in self.lattice.alike(self.lattice.own[own]) if b != own]
             y, places = self.nodes.rows("terms", mine)[:, 0, :-1], self.nodes.rows("place", mine)
             met = covered(done, self.nodes, self.step, others, places, y)
             for other in others:  # which may have no cell there, but the very node
                 met |= self.nodes.has(
-                    self._keys(np.array(other), places), y, self.nodes.count if other < own else first
+                    self.lattice.keys(np.array(other), places), y, self.nodes.count if other < own else first
                 )
             self.nodes.met = np.append(self.nodes.met, mine[met])
         return first
@@ -287,7 +246,7 @@ class Brick:
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
         kinked = (sequence != sequence[:, :1]).any(axis=1)
-        finest = np.where(self._minimum[cells.branch], np.where(kinked, _KINKED, _FINEST), ENDING)
+        finest = np.where(self.lattice.minimum[cells.branch], np.where(kinked, _KINKED, _FINEST), ENDING)
         none = (cells.corners < 0).all(axis=1)
         torn = np.full(len(cells), -1)
         small = np.nonzero((along <= ENDING) & ((status == Status.CUT) | (status == Status.ENDS) & ~none))[0]
@@ -299,115 +258,27 @@ class Brick:
     def _tried(self, cells: Cells) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
         """At the middle of cells: whether one step is enough, whether nothing there is an answer, where to cut."""
         terms, size = self.nodes.rows("terms", cells.corners), cells.size * self.step
-        values = self.origin + (cells.low + 0.5 * cells.size) * self.step
+        values = self.lattice.origin + (cells.low + 0.5 * cells.size) * self.step
         guess = interpolated(terms, np.full(size.shape, 0.5), size)[:, :-1]
-        holds = self.borders.holds(self._sheets, cells.branch, values)
-        first = self.chart.at(values, guess, holds)
+        holds = self.lattice.borders.holds(self.lattice.sheets, cells.branch, values)
+        first = self.lattice.chart.at(values, guess, holds)
         flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
-        second = self.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
-        sided = second.orientation == self._orientations[cells.branch]
+        second = self.lattice.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
+        sided = second.orientation == self.lattice.orientations[cells.branch]
         passed: NDArray[np.bool_] = flown & sided & (second.length <= self.tolerance)
-        margin = self.borders.margins_of(self._sheets, cells.branch, second)
+        margin = self.lattice.borders.margins_of(self.lattice.sheets, cells.branch, second)
         beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
 
     def _halved(self, cells: Cells, axis: Whole) -> Cells:
         """Both halves of cells, one after the other, with the corners that they lack."""
-        return self._looked_around(self._filled(self._halves(cells, axis), cells))
+        return self._looked_around(self.lattice.filled(self.lattice.halves(cells, axis), cells))
 
     def _looked_around(self, cells: Cells) -> Cells:
         """The same where small cells have what their own corners lead to at those that they lack.
 
         What is guessed from corners on several layers leads to none of them, and none of them ends there.
         """
-        self._filled(some(cells, cells.size.max(axis=1, initial=0) <= ENDING))
-        return replace(cells, corners=self._corners(cells.branch, cells.low, cells.size))
-
-    def _halves(self, cells: Cells, axis: Whole) -> Cells:
-        """Both halves of cells, one after the other."""
-        count = np.arange(len(cells))
-        size, far = cells.size.copy(), cells.low.copy()
-        size[count, axis] //= 2
-        far[count, axis] += size[count, axis]
-        low = np.stack([cells.low, far], axis=1).reshape(-1, self.d)
-        return self._cells(np.repeat(cells.branch, 2), low, np.repeat(size, 2, axis=0))
-
-    def _wholes(self, branch: Whole) -> Cells:
-        return self._cells(
-            branch, np.zeros((len(branch), self.d), dtype=np.int64), np.full((len(branch), self.d), WHOLE)
-        )
-
-    def _cells(self, branch: Whole, low: Whole, size: Whole) -> Cells:
-        none = np.full(len(branch), -1)
-        corners = self._corners(branch, low, size)
-        return Cells(branch=branch, low=low, size=size, corners=corners, axis=none, child=none, status=none)
-
-    def _filled(self, cells: Cells, wholes: Cells | None = None, near: Sequence[Whole] | None = None) -> Cells:
-        """The same with the corners solved for that are not there, from those of their `wholes`, or their own.
-
-        `near` are nodes of each cell to begin with in place of corners.
-        """
-        lacking = cells.corners < 0
-        if wholes is None and near is None:  # where there is no corner at all the sheet comes in from nodes around
-            lacking &= ~lacking.all(axis=1, keepdims=True)
-        cell, corner = np.nonzero(lacking)
-        if not len(cell):
-            return cells
-        places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
-        keys = self._keys(cells.branch[cell], places)
-        if wholes is not None or near is not None:
-            keys, once = np.unique(keys, return_index=True)
-            cell, places = cell[once], places[once]
-        if near is not None:
-            begin = [self.nodes.nearest(near[i], at) for i, at in zip(cell.tolist(), places, strict=True)]
-            guess, spread = self.nodes.along_slopes(np.array(begin), places, self.step)
-        elif wholes is not None:
-            guess, spread = self.nodes.guesses(wholes, cell // 2, places, self.step)
-        else:
-            guess, spread = self.nodes.guesses(cells, cell, places, self.step)
-        waiting = np.arange(len(keys))
-        while len(waiting):  # from one cell there may be a way to a place, and from another none
-            once = waiting[np.unique(keys[waiting], return_index=True)[1]]
-            self._solved(cells.branch[cell[once]], places[once], guess[once], spread[once])
-            waiting = np.setdiff1d(waiting, once)
-            waiting = waiting[self.nodes.numbers(keys[waiting]) < 0]
-        return replace(cells, corners=self._corners(cells.branch, cells.low, cells.size))
-
-    def _led(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> tuple[Extremals, NDArray[np.bool_]]:
-        """Where Newton's method leads to at places, and what of it belongs to its branch."""
-        values = self.origin + places * self.step
-        within = _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
-        holds = self.borders.holds(self._sheets, branch, values)
-        found = self.chart.solve(values, guess, holds, limit=_MOST, reach=_ASTRAY * within)
-        with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
-            moved = np.linalg.norm(found.y - guess, axis=1)
-        return found, found.converged & (found.orientation == self._orientations[branch]) & (moved <= within)
-
-    def _solved(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
-        """Newton's method at places; what of it belongs to its branch comes among the nodes."""
-        if not len(branch):
-            return
-        found, good = self._led(branch, places, guess, spread)
-        if not good.any():
-            return
-        here, branch, places = found.of(np.nonzero(good)[0]), branch[good], places[good]
-        flown = self.reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
-        self.nodes.add(
-            self._keys(branch, places),
-            branch=branch,
-            place=places,
-            terms=self.chart.terms(
-                here, lambda values: self.borders.holds(self._sheets, branch.repeat(len(values) // len(branch)), values)
-            ),
-            margin=np.minimum(self.borders.margins_of(self._sheets, branch, here), flown.pays),
-            length=here.length,
-            **{name: getattr(flown, name) for name in FLOWN},
-        )
-
-    def _corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:
-        """Nodes at the corners of cells, -1 where there is none."""
-        return self.nodes.numbers(self._keys(branch[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
-
-    def _keys(self, branch: Whole, places: Whole) -> Whole:
-        return (branch << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)
+        self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= ENDING))
+        return replace(cells, corners=self.lattice.corners(cells.branch, cells.low, cells.size))

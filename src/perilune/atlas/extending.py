@@ -34,7 +34,8 @@ from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
-from perilune.atlas.survey import Corners, Found, Survey, carried_on, reached_at, said_of, seeds
+from perilune.atlas.survey import Found, Survey, said_of, seeds
+from perilune.atlas.walking import Corners, carried_on, reached_at
 from perilune.families.elsewhere import Submits
 from perilune.io.reload import read_problem
 from perilune.methods.indirect import Indirect

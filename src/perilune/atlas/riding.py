@@ -25,7 +25,15 @@ import numpy as np
 from perilune.atlas.chart import Chart
 from perilune.conditions.canonical import PhaseExtremal, control_at, of_mode
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import SYMBOLIC, Unnumbered, column, elements, trace_at_end, trace_parameters
+from perilune.problem.symbolic import (
+    SYMBOLIC,
+    Parameters,
+    Unnumbered,
+    column,
+    elements,
+    trace_at_end,
+    trace_parameters,
+)
 from perilune.problem.tape import Expression
 from perilune.structures.restate import part_name, sums_of, with_sums
 from perilune.structures.structure import Condition, conditions_of
@@ -181,10 +189,8 @@ class Rides:
         x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
         records = phase.state_record(*elements(x)), phase.control_record(*elements(u))
         value = with_sums(rate, self._sums)(*records, known.record, SYMBOLIC)[0]
-        control = control_at(self.conditions.phases[part], z, p)
-        return ca.Function("rate", [x, u, known.given, known.free], [ca.SX(value)])(
-            z[: x.numel()], control, *self._told(y, p)
-        )
+        at = [z[: x.numel()], control_at(self.conditions.phases[part], z, p)]
+        return self._at([x, u], at, known, [ca.SX(value)], y, p)[0]
 
     def jumps(self, y: ca.SX, begins: Sequence[ca.SX], ends: Sequence[ca.SX], p: ca.SX) -> tuple[ca.SX, ca.SX]:
         """The least -nu of all jumps, each over 1 + its size, and by how much costates jump aside of the slopes.
@@ -254,15 +260,14 @@ class Rides:
         x = ca.SX.sym("x", len(phase.states))
         u = phase.control_record(*([ca.SX(0.0)] * len(phase.control_names)))
         S = [ca.SX(value(phase.state_record(*elements(x)), u, known.record, SYMBOLIC)[0]) for value in ride.rates]
-        slopes = ca.Function("slopes", [x, known.given, known.free], [ca.gradient(value, x) for value in S])
-        return list(slopes.call([at, *self._told(y, p)]))
+        return self._at([x], [at], known, [ca.gradient(value, x) for value in S], y, p)
 
     def _back(self, joint: int, at: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
         """How the states behind a joint between phases of the user's change by those before it."""
         phase, known = self.stated.phases[joint - 1], trace_parameters(self.stated)
         x = ca.SX.sym("x", len(phase.states))
         behind = column(self.stated.links[joint - 1](phase.state_record(*elements(x)), known.record, SYMBOLIC))
-        return ca.Function("back", [x, known.given, known.free], [ca.jacobian(behind, x)])(at, *self._told(y, p))
+        return self._at([x], [at], known, [ca.jacobian(behind, x)], y, p)[0]
 
     def _unexplained(self, joint: int, at: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
         """Takes from a jump of the costates all that the user's conditions have of it there."""
@@ -272,8 +277,7 @@ class Rides:
             start = column(self.stated.start(known.record, SYMBOLIC))
             moved = ca.jacobian(start, ca.vertcat(ca.SX(0, 1), *own))
             moved = moved[:, [j for j in range(moved.size2()) if not moved[:, j].is_zero()]]
-            moved = ca.Function("moved", [known.given, known.free], [ca.densify(moved)])(*self._told(y, p))
-            return _onto(moved)
+            return _onto(self._at([], [], known, [ca.densify(moved)], y, p)[0])
         k = self._arcs[joint - 1][0]
         phase, known = self.user.phases[k], trace_parameters(self.user)
         x = ca.SX.sym("x", len(phase.states))
@@ -287,6 +291,19 @@ class Rides:
         own = given[[names.index(name) for name in self.user.given]]
         slopes = ca.Function("psi", [x, known.given, known.free], [ca.densify(slopes)])(at, own, free)
         return ca.SX.eye(at.numel()) - _onto(slopes)
+
+    def _at(
+        self,
+        symbols: Sequence[ca.SX],
+        values: Sequence[ca.SX],
+        known: Parameters,
+        expressions: Sequence[ca.SX],
+        y: ca.SX,
+        p: ca.SX,
+    ) -> list[ca.SX]:
+        """Expressions in symbols and the parameters of the chart's problem, at values of them."""
+        traced = ca.Function("at", [*symbols, known.given, known.free], list(expressions))
+        return list(traced.call([*values, *self._told(y, p)]))
 
     def _told(self, y: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
         """What is given, and the free parameters, of the problem of the chart."""

@@ -9,7 +9,7 @@ Where such a walk ends it is followed around the fold at which it does, to the s
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -26,6 +26,7 @@ from perilune.atlas.natures import nature_behind_folds
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet, held_at
+from perilune.atlas.walking import MOST, carried, carried_on, reached_at, walked
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.problem.extremal import Extremal, Nature
@@ -35,16 +36,11 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
-Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
-
 _MOST_SHEETS, _AROUND = 16, 4  # of a chart; walks of a sheet that are followed around the folds at which they ended
 _NONE = "no answer"  # where other points have the arcs of theirs
 _HALVINGS = 3  # times that a point is looked at between answers of two kinds
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
-_SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
-_MOST = 20  # evaluations of a step
 _AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, that are on its side of folds
-_APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of the step there, and of 1 + |y|
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +195,7 @@ class Survey:
         while left and len(known.sheets) < _MOST_SHEETS:
             values, y, sheet = left.pop(0)
             holds = borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None])
-            start = chart.solve(values[None], y[None], holds, limit=_MOST)
+            start = chart.solve(values[None], y[None], holds, limit=MOST)
             if not start.converged[0]:
                 continue
             if _sided_by_rounding(chart, start):
@@ -331,105 +327,3 @@ def seeds(places: NDArray[np.int64], y: NDArray[np.float64]) -> NDArray[Any]:
     rows = np.zeros(len(sheet), dtype=seed_type(places.shape[1], y.shape[2]))
     rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], y[sheet, corner]
     return rows
-
-
-def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:
-    """Unknowns of a sheet at other values of the parameters, (targets, n); NaN where it does not lead to."""
-    here, share = walked(chart, borders, sheet, start, y, targets)
-    here[share < 1.0] = np.nan
-    return here
-
-
-def walked(
-    chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix
-) -> tuple[Matrix, Vector]:
-    """Follow a sheet along straight lines.
-
-    Parameters
-    ----------
-    chart, borders, sheet
-        Whose.
-    start, y
-        An extremal of it: values, and unknowns there, canonical.
-    targets
-        Values to which the lines lead, (targets, d), canonical.
-
-    Returns
-    -------
-    y, share
-        Unknowns where each walk ended, (targets, n), and which share of its way that is, (targets,).
-    """
-    count, which = len(targets), np.zeros(len(targets), dtype=np.int64)
-    first = chart.solve(start[None], y[None], borders.holds([sheet], which[:1], start[None]), limit=_MOST)
-    here = np.tile(first.y, (count, 1))
-    slopes = np.tile(first.slopes, (count, 1, 1))
-    share, stride = np.zeros(count), np.ones(count)
-    way = targets - start
-    for _ in range(_ROUNDS):
-        lanes = np.nonzero((share < 1.0) & (stride >= _SHORTEST))[0]
-        if not len(lanes) or not first.converged[0]:
-            break
-        ahead = np.minimum(1.0, share[lanes] + stride[lanes])
-        values = start + ahead[:, None] * way[lanes]
-        values[ahead == 1.0] = targets[lanes[ahead == 1.0]]
-        step = np.einsum("ld,ldn->ln", values - (start + share[lanes, None] * way[lanes]), slopes[lanes])
-        guess = here[lanes] + step
-        found = chart.solve(values, guess, borders.holds([sheet], which[lanes], values), limit=_MOST)
-        moved, allowed = np.linalg.norm(found.y - guess, axis=1), np.linalg.norm(step, axis=1)
-        good = found.converged & (found.orientation == sheet.orientation)
-        good &= moved <= _APART * allowed + _NEAR * (1.0 + np.linalg.norm(here[lanes], axis=1))
-        reached = lanes[good]
-        here[reached], slopes[reached], share[reached] = found.y[good], found.slopes[good], ahead[good]
-        stride[lanes] *= np.where(good, 2.0, 0.5)
-    return here, share
-
-
-def reached_at(places: NDArray[np.int64], y: Matrix) -> Corners:
-    """What a sheet is at the corners that it reaches."""
-    return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
-
-
-def carried_on(
-    chart: Chart, borders: Borders, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners
-) -> Corners:
-    """A sheet at corners to which it was not carried yet, from corner to neighbouring corner.
-
-    On from where it can be an answer alone: beyond its border it may turn back, and come to the same place with others.
-    """
-    reached, canonical = dict(known), values / chart.scale
-    numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
-    border = list(known)
-    while border := _within(chart, borders, sheet, canonical, numbers, {corner: reached[corner] for corner in border}):
-        ahead = list[tuple[int, ...]]()
-        for corner in border:
-            beside = [
-                (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
-                for axis in range(len(corner))
-                for way in (-1, 1)
-            ]
-            beside = [other for other in beside if other in numbers and other not in reached]
-            if beside:
-                targets = canonical[[numbers[other] for other in beside]]
-                rows = carried(chart, borders, sheet, canonical[numbers[corner]], reached[corner], targets)
-                new = {other: row for other, row in zip(beside, rows, strict=True) if np.isfinite(row[0])}
-                reached |= new
-                ahead += new
-        border = ahead
-    return reached
-
-
-def _within(
-    chart: Chart,
-    borders: Borders,
-    sheet: Sheet,
-    canonical: Matrix,
-    numbers: Mapping[tuple[int, ...], int],
-    corners: Corners,
-) -> list[tuple[int, ...]]:
-    """Those of the corners at which a sheet can be an answer."""
-    if not corners:
-        return []
-    values, which = canonical[[numbers[corner] for corner in corners]], np.zeros(len(corners), dtype=np.int64)
-    found = chart.at(values, np.array(list(corners.values())), borders.holds([sheet], which, values))
-    good = borders.margins_of([sheet], which, found) >= 0
-    return [corner for corner, here in zip(corners, good.tolist(), strict=True) if here]

@@ -20,6 +20,7 @@ from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of, w
 from perilune.atlas.course import Course, course_from
 from perilune.atlas.flooding import Key, Shards, spilled
 from perilune.atlas.hermite import bits
+from perilune.atlas.lattice import Lattice
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet
@@ -68,10 +69,10 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     """Nodes and cells of a brick, as their shards have them."""
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
-    before = task.before if task.before is not None and len(task.before[0]) else None
-    cut = Brick(chart, borders, reflights, task.sheets, low, high, task.tolerance, watch).cut(
-        task.sheet, task.place, task.y, None if before is None else _cut_of(*before, len(task.sheets))
-    )
+    before = None if task.before is None or not len(task.before[0]) else _cut_of(*task.before, len(task.sheets))
+    lattice = Lattice(chart, borders, reflights, task.sheets, low, high, before)
+    cells_before = None if before is None else before.cells
+    cut = Brick(lattice, task.tolerance, watch).cut(task.sheet, task.place, task.y, cells_before)
     d, n, own = len(low), task.y.shape[1], np.array(cut.own)
     nodes = np.zeros(len(cut.nodes.get("branch", ())), dtype=node_type(d, n))
     for name, rows in cut.nodes.items():

@@ -1,0 +1,176 @@
+"""The extremals of a brick: Newton's method at the places of its lattice, and cells with corners there.
+
+An extremal is a node, known by its branch and its place. Whether a root belongs to a branch is asked as it is found: it
+has to be near what led to it, and on its side of folds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.branches import Extremal, had
+from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, Whole
+from perilune.atlas.chart import Chart, Extremals
+from perilune.atlas.hermite import bits
+from perilune.atlas.reflight import Reflights
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.words.types import Matrix, Vector
+
+FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
+_BITS = 13  # of a place along one axis, so that 4 of them and a branch make one number
+_APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
+_ASTRAY = 1.5  # times as far Newton's method may lead on the way: from farther it does not come back
+_MOST = 16  # evaluations for a new corner
+
+
+class Lattice:
+    """The nodes of all branches in one box of the region.
+
+    Parameters
+    ----------
+    chart, borders, reflights, sheets
+        What is mapped, and what flies it a second time.
+    low, high
+        Corners of the box, canonical.
+    before
+        What is known already.
+    """
+
+    def __init__(
+        self,
+        chart: Chart,
+        borders: Borders,
+        reflights: Reflights,
+        sheets: Sequence[Sheet],
+        low: Vector,
+        high: Vector,
+        before: Cut | None,
+    ) -> None:
+        self.chart, self.borders, self._reflights, self.all_sheets = chart, borders, reflights, sheets
+        self.origin, self.step, self.d = low, (high - low) / WHOLE, len(low)
+        self.nodes, self.own = Nodes(), list(range(len(sheets)))
+        if before is not None:
+            self.nodes.add(self.keys(before.nodes["branch"], before.nodes["place"]), **before.nodes)
+            self.own = list(before.own)
+        self._told()
+
+    # -- branches -------------------------------------------------------------------------------------------------
+
+    def _told(self) -> None:
+        """What is known of the sheet of each branch."""
+        self.sheets = [self.all_sheets[number] for number in self.own]
+        self.orientations = np.array([sheet.orientation for sheet in self.sheets])
+        self.minimum = np.array([sheet.minimum for sheet in self.sheets])
+
+    def another_branch(self, sheet: int) -> int:
+        """The number of a new branch of a sheet."""
+        self.own.append(sheet)
+        self._told()
+        return len(self.own) - 1
+
+    def alike(self, sheet: int) -> list[int]:
+        """The branches that hold the same as a sheet, on the same side of folds."""
+        mine = self.all_sheets[sheet]
+        return [branch for branch, sheet in enumerate(self.sheets) if sheet.alike(mine)]
+
+    def had(self, cells: Cells, some: Sequence[Extremal]) -> NDArray[np.bool_]:
+        """Which extremals branches have, as nodes or in their cells."""
+        return had(cells, self.nodes, self.step, self.keys, self.alike, some)
+
+    # -- cells ----------------------------------------------------------------------------------------------------
+
+    def halves(self, cells: Cells, axis: Whole) -> Cells:
+        """Both halves of cells, one after the other."""
+        count = np.arange(len(cells))
+        size, far = cells.size.copy(), cells.low.copy()
+        size[count, axis] //= 2
+        far[count, axis] += size[count, axis]
+        low = np.stack([cells.low, far], axis=1).reshape(-1, self.d)
+        return self._cells(np.repeat(cells.branch, 2), low, np.repeat(size, 2, axis=0))
+
+    def wholes(self, branch: Whole) -> Cells:
+        """The whole brick as a cell of each branch."""
+        return self._cells(
+            branch, np.zeros((len(branch), self.d), dtype=np.int64), np.full((len(branch), self.d), WHOLE)
+        )
+
+    def _cells(self, branch: Whole, low: Whole, size: Whole) -> Cells:
+        none = np.full(len(branch), -1)
+        corners = self.corners(branch, low, size)
+        return Cells(branch=branch, low=low, size=size, corners=corners, axis=none, child=none, status=none)
+
+    def filled(self, cells: Cells, wholes: Cells | None = None, near: Sequence[Whole] | None = None) -> Cells:
+        """The same with the corners solved for that are not there, from those of their `wholes`, or their own.
+
+        `near` are nodes of each cell to begin with in place of corners.
+        """
+        lacking = cells.corners < 0
+        if wholes is None and near is None:  # where there is no corner at all the sheet comes in from nodes around
+            lacking &= ~lacking.all(axis=1, keepdims=True)
+        cell, corner = np.nonzero(lacking)
+        if not len(cell):
+            return cells
+        places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
+        keys = self.keys(cells.branch[cell], places)
+        if wholes is not None or near is not None:
+            keys, once = np.unique(keys, return_index=True)
+            cell, places = cell[once], places[once]
+        if near is not None:
+            begin = [self.nodes.nearest(near[i], at) for i, at in zip(cell.tolist(), places, strict=True)]
+            guess, spread = self.nodes.along_slopes(np.array(begin), places, self.step)
+        elif wholes is not None:
+            guess, spread = self.nodes.guesses(wholes, cell // 2, places, self.step)
+        else:
+            guess, spread = self.nodes.guesses(cells, cell, places, self.step)
+        waiting = np.arange(len(keys))
+        while len(waiting):  # from one cell there may be a way to a place, and from another none
+            once = waiting[np.unique(keys[waiting], return_index=True)[1]]
+            self.solved(cells.branch[cell[once]], places[once], guess[once], spread[once])
+            waiting = np.setdiff1d(waiting, once)
+            waiting = waiting[self.nodes.numbers(keys[waiting]) < 0]
+        return replace(cells, corners=self.corners(cells.branch, cells.low, cells.size))
+
+    # -- nodes ----------------------------------------------------------------------------------------------------
+
+    def led(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> tuple[Extremals, NDArray[np.bool_]]:
+        """Where Newton's method leads to at places, and what of it belongs to its branch."""
+        values = self.origin + places * self.step
+        holds = self.borders.holds(self.sheets, branch, values)
+        within = _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
+        found = self.chart.solve(values, guess, holds, limit=_MOST, reach=_ASTRAY * within)
+        with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
+            moved = np.linalg.norm(found.y - guess, axis=1)
+        return found, found.converged & (found.orientation == self.orientations[branch]) & (moved <= within)
+
+    def solved(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
+        """Newton's method at places; what of it belongs to its branch comes among the nodes."""
+        if not len(branch):
+            return
+        found, good = self.led(branch, places, guess, spread)
+        if not good.any():
+            return
+        here, branch, places = found.of(np.nonzero(good)[0]), branch[good], places[good]
+        flown = self._reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
+        self.nodes.add(
+            self.keys(branch, places),
+            branch=branch,
+            place=places,
+            terms=self.chart.terms(
+                here, lambda values: self.borders.holds(self.sheets, branch.repeat(len(values) // len(branch)), values)
+            ),
+            margin=np.minimum(self.borders.margins_of(self.sheets, branch, here), flown.pays),
+            length=here.length,
+            **{name: getattr(flown, name) for name in FLOWN},
+        )
+
+    def corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:
+        """Nodes at the corners of cells, -1 where there is none."""
+        return self.nodes.numbers(self.keys(branch[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
+
+    def keys(self, branch: Whole, places: Whole) -> Whole:
+        """Of nodes, by branches and places."""
+        return (branch << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)
