@@ -33,6 +33,8 @@ from problems.constrained import (
     parked,
     speed_limit,
     speed_limit_truth,
+    weak_bryson_denham,
+    weak_bryson_denham_truth,
 )
 from problems.ridden import string, string_in_two_phases
 from problems.singular import nearest_to_zero
@@ -51,8 +53,10 @@ def _all_of_bryson_denham(ceiling: float) -> float:
         (parked(0.2), "ceiling", 0.15, 0.25, lambda l: 2 / (9 * l), {"r"}),  # up to the end
         (brachistochrone(), "offset", 0.08, 0.12, lambda offset: brachistochrone_truth(offset)[2], {"r"}),
         (speed_limit(40.0), "limit", 38.0, 42.0, lambda limit: -speed_limit_truth(limit)[2], {"r"}),  # by its throttle
+        # A condition of the control is in the way of some that ride, and of others not.
+        (weak_bryson_denham(0.12, 5.8), "most", 4.6, 7.0, lambda a: weak_bryson_denham_truth(0.12, a), {"r"}),
     ],
-    ids=["bryson-denham", "parked", "brachistochrone", "speed limit"],
+    ids=["bryson-denham", "parked", "brachistochrone", "speed limit", "weak bryson-denham"],
 )
 def test_answers_that_ride_along_a_condition_are_those_of_closed_forms(
     problem: Problem,

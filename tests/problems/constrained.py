@@ -55,6 +55,28 @@ def bryson_denham_truth(ceiling: float) -> float:
     return 4 / (9 * ceiling) if ceiling <= 1 / 6 else 2 + 6 * (1 - 4 * ceiling) ** 2
 
 
+def weak_bryson_denham(ceiling: float, most: float) -> pl.Problem:
+    """The same with u^2 <= a^2 as another condition of the path, which the control keeps."""
+    whole = bryson_denham(ceiling)
+    swing = replace(
+        whole.phases[0],
+        path=lambda x, u, p, m: (p.ceiling - x.x, 1 - (u.u / p.most) ** 2),
+        path_conditions=_variables(room="m", strength="1"),
+    )
+    given = {**whole.given, **_given(most=(most, "m/s^2"))}
+    return replace(whole, name="weak_bryson_denham", phases=(swing,), given=given)
+
+
+def weak_bryson_denham_truth(ceiling: float, most: float) -> float:
+    """J of `weak_bryson_denham` with l < 1/6: below a = 2/(3 l) it brakes by a at first, and then less for d seconds.
+
+    v = 0 and x = l where it meets the ceiling give d^2 = 24 (l - 1/(2 a))/a, and J = a - a^2 d/6.
+    """
+    if most >= 2 / (3 * ceiling):
+        return bryson_denham_truth(ceiling)
+    return most - most**2 / 6 * math.sqrt(24 * (ceiling - 0.5 / most) / most)
+
+
 def parked(ceiling: float) -> pl.Problem:
     """The same to rest *on* the ceiling: it rides along x = l from 3 l to the end and J = 2/(9 l), for l < 1/3.
 

@@ -265,15 +265,13 @@ class Survey:
 def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]]:
     """What is gone through, and who does.
 
-    A control that keeps a condition flies as one that does not wherever that is not in its way.
+    A control that keeps a condition flies as one that does not wherever that is not in its way, so that what some keep
+    all do.
     """
-    plain = [one for one in solved if one.course.structure is None]
-    if plain:
-        yield Course(tuple(dict.fromkeys(name for one in plain for name in one.course.keep))), plain
-    of_arcs = [one for one in solved if one.course.structure is not None]
-    for text in dict.fromkeys(one.course.text for one in of_arcs):
-        alike = [one for one in of_arcs if one.course.text == text]
-        yield alike[0].course, alike
+    for text in dict.fromkeys(one.course.text for one in sorted(solved, key=lambda one: bool(one.course.text))):
+        alike = [one for one in solved if one.course.text == text]
+        keep = tuple(dict.fromkeys(name for one in alike for name in one.course.keep))
+        yield replace(alike[0].course, keep=keep), alike
 
 
 def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
