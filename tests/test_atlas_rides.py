@@ -36,7 +36,7 @@ from problems.constrained import (
     weak_bryson_denham,
     weak_bryson_denham_truth,
 )
-from problems.ridden import string, string_in_two_phases
+from problems.ridden import string, string_in_two_phases, two_strings
 from problems.singular import nearest_to_zero
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
@@ -177,6 +177,18 @@ def test_rides_go_on_over_a_joint_of_the_users_or_lie_on_one_side(tmp_path: Path
     truth = [_string_truth(1.2, first + second, math.cos(0.8), math.cos(0.9)) for first in points[:, 0].tolist()]
     np.testing.assert_allclose(found.objective[found.good], np.array(truth)[found.good], rtol=1e-9)
     assert len({label for label, n in enumerate(np.bincount(found.sheet[found.good])) if n}) == 3
+
+
+def test_what_is_ridden_at_once_is_one_chart_in_whichever_order_it_was_found(tmp_path: Path) -> None:
+    """Two strings that do not know of each other: one of k = 1.2, one of h, which leaves the bound before the other."""
+    string = (1.2, 0.8, 1.0, 0.9)
+    problem = two_strings(string, string).problem
+    atlas = open_atlas(build(problem, {"h": (1.02, 1.18)}, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform(1.02, 1.18, (100, 1))
+    found, T = atlas.query_many(points), problem.given["T"].value
+    assert found.good.all() and len(atlas.charted) == 1
+    truth = [sum(_string_truth(k, T, math.cos(0.8), math.cos(0.9)) for k in (1.2, h)) for h in points[:, 0].tolist()]
+    np.testing.assert_allclose(found.objective, truth, rtol=1e-10)
 
 
 def _string_truth(k: float, T: float, start: float, end: float) -> float:

@@ -245,7 +245,12 @@ def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> flo
 def arcs_of(
     problem: Problem, k: int, found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()
 ) -> tuple[Arc, ...]:
-    """The arcs of phase k between the times at which something begins, ends or is touched."""
+    """The arcs of phase k between the times at which something begins, ends or is touched.
+
+    What is ridden at once is named in the order in which the problem states it, so that the same arcs read the same.
+    """
+    order = list(margins(problem, k))
+    found = sorted(found, key=lambda contact: order.index(contact.name))
     known = conditions_of(problem, k, tuple({c.name for c in found})) if stays else {}
     cuts = sorted({t for c in (*found, *stays) for t in (c.begin, c.end) if 0.0 < t < duration})
     arcs = list[Arc]()
