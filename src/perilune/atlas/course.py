@@ -12,15 +12,19 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from perilune.conditions.held import Held
 from perilune.conditions.pontryagin import derive, keepable_conditions
 from perilune.methods.answer import Curves
+from perilune.problem.controls import Bounded
 from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import Joined
+from perilune.structures.regimes import WRONG, gain_along, linear_scalars
 from perilune.structures.restate import part_name, restate
-from perilune.structures.structure import Arc, Structure, conditions_of
+from perilune.structures.structure import SIDES, Arc, Structure, conditions_of, moved_by
 from perilune.words.outcome import PeriluneError
 
 _MOST_ORDER = 2  # of a condition whose multiplier is known while it is ridden (`perilune.atlas.riding`)
@@ -117,8 +121,46 @@ def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
             # Behind those of its arcs a solution lists others, without arcs, that break the path.
             natures = [extremal.nature for extremal in solution.extremals[: len(restated.extremals)]]
             extremals = [replace(e, nature=n) for e, n in zip(restated.extremals, natures, strict=True)]
-            return Course(own, known.structure), extremals
+            settled = _settled(solution, known.structure)
+            alike = derive(restate(solution.problem, settled), own).unknowns == curves.conditions.unknowns
+            return Course(own, settled if alike else known.structure), extremals
     raise PeriluneError("the control keeps some of the conditions that it can keep, which an atlas does not follow yet")
+
+
+def _settled(solution: Solution, structure: Structure) -> Structure:
+    """The same where scalars that keep what is ridden, and are on one bound all along each other arc, say so.
+
+    Where such an arc meets the ride the slope of H vanishes, so that there is a switch or none as rounding has it.
+    """
+    phases = list(structure.phases)
+    for k, arcs in enumerate(structure.phases):
+        for at, control in linear_scalars(solution.problem, k):
+            keeps = [control.name in _moved(solution.problem, k, arc) for arc in arcs]
+            if any(keeps) and not any(name == control.name for arc in arcs for name, _ in arc.regimes):
+                regimes = _regimes(solution, k, at, control, arcs, keeps)
+                if None not in regimes:
+                    said = zip(phases[k], regimes, strict=True)
+                    phases[k] = tuple(replace(arc, regimes=(*arc.regimes, (control.name, r))) for arc, r in said)
+    return Structure(tuple(phases))
+
+
+def _moved(problem: Problem, k: int, arc: Arc) -> set[str]:
+    """Components of the control that keep what an arc rides along."""
+    return {name for c in conditions_of(problem, k, arc.along).values() for name in moved_by(c)}
+
+
+def _regimes(
+    solution: Solution, k: int, at: int, control: Bounded, arcs: Sequence[Arc], keeps: Sequence[bool]
+) -> list[str | None]:
+    """The regime of a scalar on each arc; None where it is on no one bound."""
+    t, _, share = gain_along(solution, k, at, control)
+    found, begin = list[str | None](), 0.0
+    for arc, held in zip(arcs, keeps, strict=True):
+        here = share[(t > begin) & (t < arc.until)]
+        bounds = [side for side, bound in zip(SIDES, (0.0, 1.0), strict=True) if (np.abs(here - bound) <= WRONG).all()]
+        found.append("held" if held else bounds[0] if len(here) and bounds else None)
+        begin = arc.until
+    return found
 
 
 def _refuse_unknown(solution: Solution, structure: Structure) -> None:
