@@ -17,7 +17,7 @@ from perilune.shooting.function import Roots, Shooting
 from perilune.words.types import Matrix
 from perilune.words.watch import silent
 from problems.circles import meeting, to_circle
-from problems.constrained import brachistochrone
+from problems.constrained import brachistochrone, speed_limit, speed_limit_truth
 
 
 def test_mirror_images_are_listed_once() -> None:
@@ -102,3 +102,9 @@ def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch
     monkeypatch.setattr("perilune.methods.smoothing.Smoothing.root", lambda self, choice: None)
     with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*a condition more at the end"):
         pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)
+
+
+def test_a_root_beside_which_nothing_is_known_ends_no_solve() -> None:
+    """J^-1 of what one of the starts leads to is not finite: the flight that keeps the limit is found by others."""
+    found = pl.solve(speed_limit(25.0).with_given(g=2.2), level=0)
+    assert -found.objective == pytest.approx(speed_limit_truth(25.0, g=2.2)[2], rel=1e-10)

@@ -268,9 +268,9 @@ def speed_limit(limit: float) -> pl.Problem:
     )  # fmt: skip
 
 
-def speed_limit_truth(limit: float) -> tuple[float, float, float]:
+def speed_limit_truth(limit: float, **others: float) -> tuple[float, float, float]:
     """When the limit is met, when it is left [s], and the mass that lands [kg]: by the rocket equation."""
-    p = {name: given.value for name, given in speed_limit(limit).given.items()}
+    p = {**{name: given.value for name, given in speed_limit(limit).given.items()}, **others}
     g, c, burn = p["g"], p["c"], p["most"] / p["c"]
     fallen = (limit + p["v0"]) / g
     high = p["h0"] + p["v0"] * fallen - 0.5 * g * fallen**2

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.shooting.newton import AMPLIFIED, LAST_DIGITS, ROUND_OFF, SETTLED, Lanes
@@ -69,6 +70,8 @@ def reached(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lan
         How many directions are open in each lane.
     """
     roots = _shortest(shooting, Y, p, choice, leave)
+    finite: NDArray[np.bool_] = np.all(np.isfinite(roots.rows), axis=1)
+    roots = roots.failed(~finite)  # of others no direction is known
     curve = np.zeros(len(Y), dtype=bool)
     for way in (_ALONG, -_ALONG):  # it may end here on one side
         lanes = np.nonzero(roots.converged & ~curve)[0]
