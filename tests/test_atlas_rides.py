@@ -19,9 +19,11 @@ from perilune.atlas.course import PLAIN, course_of
 from perilune.atlas.query import open_atlas
 from perilune.atlas.reflight import SLACK, Reflights
 from perilune.atlas.sheets import Sheet
+from perilune.atlas.survey import Survey
 from perilune.atlas.tasks import Task, computed
 from perilune.methods.search import Search
 from perilune.problem.extremal import Nature
+from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix
 from perilune.words.watch import silent
 from problems.constrained import (
@@ -37,7 +39,7 @@ from problems.constrained import (
     weak_bryson_denham_truth,
 )
 from problems.ridden import string, string_in_two_phases, two_strings
-from problems.singular import nearest_to_zero
+from problems.singular import nearest_to_zero, swinging, swinging_at_bounds
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 
@@ -211,6 +213,34 @@ def test_singular_arcs_are_mapped(tmp_path: Path) -> None:
     assert found.good.all()
     np.testing.assert_allclose(found.objective, (points[:, 0] ** 3 + 0.125) / 3, rtol=1e-10)
     assert pl.prove(atlas.query(start=1.1), 3).outcome is pl.Outcome.PROVED  # a guess of arcs for its neighbours
+
+
+def test_bounds_that_singular_controls_break_cast_no_doubt_on_flights_at_bounds(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """From 1.84 s on the singular arc of the swing asks for more than there is, and from 2 s on there is none."""
+    monkeypatch.setattr(Survey, "_between", lambda *_: [])
+    problem = swinging(2.0)
+    atlas = open_atlas(build(problem, {"T": (1.75, 2.25)}, tmp_path / "map", bricks=2), lambda _: problem)
+    points = np.linspace(2.01, 2.24, 50)[:, None]
+    found = atlas.query_many(points)
+    assert found.good.all() and len(atlas.charted) == 2
+    truth = [swinging_at_bounds(duration) for duration in points[:, 0].tolist()]
+    np.testing.assert_allclose(found.objective, truth, rtol=1e-9)
+    assert atlas.query(T=2.1).objective == pytest.approx(swinging_at_bounds(2.1), rel=1e-9)
+    with pytest.raises(PeriluneError, match=r"u singular, .*breaks a condition, and a flight that keeps it may be"):
+        atlas.query(T=1.9)
+
+
+def test_of_a_ride_and_touches_of_the_same_cost_the_ride_answers(tmp_path: Path) -> None:
+    """Below 1/6 parabolas from touch to touch have the J of Bryson and Denham's ride; no proof of level 3 is theirs."""
+    problem = bryson_denham(0.2)
+    atlas = open_atlas(build(problem, {"ceiling": (0.09, 0.15)}, tmp_path / "map", bricks=2), lambda _: problem)
+    points = np.random.default_rng(0).uniform(0.09, 0.15, (100, 1))
+    found, labels = atlas.query_many(points), [label for charted in atlas.charted for label in charted.labels]
+    assert any(label.count("touches") == 2 for label in labels)
+    assert all("along" in labels[number] for number in found.sheet)
+    assert pl.prove(atlas.query(ceiling=0.11), 3).outcome is pl.Outcome.PROVED
 
 
 def test_a_singular_control_that_is_the_worst_is_told() -> None:

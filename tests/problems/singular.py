@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
+from numpy.polynomial import Polynomial
+
 import perilune as pl
 from perilune.problem.variables import Given, Variable
 from problems.answered import Answered
@@ -147,6 +149,17 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
         objective=lambda x, p, m: x.c,
         objective_unit="m^2/s",
     )
+
+
+def swinging_at_bounds(duration: float) -> float:
+    """J of the flight of `swinging` that is at its upper bound first and then at its lower, a polynomial [m^2/s]."""
+    x, s, cost, switch = 1.0, 0.0, 0.0, (4.0 * duration - 0.7) / 8.0
+    for rate, length in ((4.0, switch), (-4.0, duration - switch)):
+        speed = Polynomial([x, rate])
+        place = speed.integ(k=s)
+        cost += (0.5 * (speed * speed - place * place)).integ()(length)
+        x, s = speed(length), place(length)
+    return float(cost)
 
 
 def following() -> pl.Problem:

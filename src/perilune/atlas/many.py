@@ -20,12 +20,18 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 _CLEARLY = 1e-3  # relative: cells give J to 1e-6 where one step is enough, and are never so wrong
+_SAME = 1e-10  # relative: J of one flight by way of two charts
 _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits into a cache
 
 
 def clearly_worse(cost: Any, best: Any) -> Any:
     """Whether what a cell gives for J cannot be better than what was found, numbers or arrays."""
     return cost > best + _CLEARLY * (1.0 + abs(best))
+
+
+def equal(cost: Any, best: Any) -> Any:
+    """Whether two J are the same but for rounding, numbers or arrays."""
+    return abs(cost - best) <= _SAME * (1.0 + abs(best))
 
 
 class Answered(IntEnum):
@@ -36,7 +42,7 @@ class Answered(IntEnum):
     IMPOSSIBLE = 2  # physics refuses it
     NOT_BUILT = 3  # its brick is not there, or damaged
     NONE = 4  # no sheet has an answer there
-    ENDS = 5  # a sheet ends in its cell that might be better
+    ENDS = 5  # a sheet that might be better ends in its cell, breaks the path there, or is not borne out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +123,8 @@ class _Work:
         self.free = np.full((count, len(atlas.problem.free)), np.nan)
         self.sheet, self.steps = np.full(count, -1), np.zeros(count, dtype=np.int64)
         self.slopes, self.of_arcs = np.full(points.shape, np.nan), np.zeros(count, dtype=bool)
+        self.charts = sorted(atlas.charted, key=lambda charted: charted.rank)
+        self.rank = np.full(count, len(self.charts))  # of the chart of each answer among them
 
     def place(self) -> None:
         """Which points lie in the region, and which of them physics allows."""
@@ -146,11 +154,13 @@ class _Work:
             for number, offer in enumerate(offers):
                 lanes = np.nonzero(going & (chosen == number))[0]
                 ends, breaks = np.isnan(offer.y[lanes, 0]), offer.breaks[lanes]
-                for least, which in ((doubt, lanes[ends & ~breaks]), (breaking, lanes[breaks])):
+                broken = lanes[breaks & (not offer.charted.breaks_controls_alone)]
+                for least, which in ((doubt, lanes[ends & ~breaks]), (breaking, broken)):
                     least[which] = np.minimum(least[which], here[which])
                 if len(lanes := lanes[~ends]):
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
-                    for least, which in ((doubt, polished.doubtful), (breaking, polished.breaking)):
+                    breaks = polished.breaking & (not offer.charted.breaks_controls_alone)
+                    for least, which in ((doubt, polished.doubtful), (breaking, breaks)):
                         least[lanes[which]] = np.minimum(least[lanes[which]], here[lanes[which]])
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         doubt = np.where(self.of_arcs[some], doubt, np.minimum(doubt, breaking))
@@ -172,14 +182,18 @@ class _Work:
         """Polish, and keep what is better than what is known."""
         atlas, charted, chart = self.atlas, offer.charted, offer.charted.chart
         polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), offer.sheet), y)
-        better = polished.answers & (polished.cost < self.cost[points])
+        known, rank, of_arcs = self.cost[points], self.charts.index(charted), charted.of_arcs
+        with np.errstate(invalid="ignore"):
+            alike = polished.answers & equal(polished.cost, known)
+        self.of_arcs[points[alike]] |= of_arcs
+        better = polished.answers & np.where(alike, rank < self.rank[points], polished.cost < known)
         kept, problem = points[better], atlas.problem
         self.cost[kept] = polished.cost[better]
         self.bound[kept], self.steps[kept] = polished.bound[better], polished.steps[better]
         self.sheet[kept], self.away[kept] = offer.first + offer.sheet, polished.away[better]
         self.free[kept] = charted.free(polished.y[better])
         self.slopes[kept] = polished.slopes[better] * problem.objective_size / chart.scale
-        self.of_arcs[kept] = charted.of_arcs
+        self.rank[kept], self.of_arcs[points[better & ~alike]] = rank, of_arcs
         return polished
 
     def _offers(self, some: NDArray[np.int64]) -> list[_Offered]:

@@ -19,9 +19,10 @@ import numpy as np
 
 from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.hermite import interpolated
-from perilune.atlas.many import Answers, answers, clearly_worse
+from perilune.atlas.many import Answers, answers, clearly_worse, equal
 from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Charted, Reader, may_be_answers
+from perilune.atlas.reflight import SLACK
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
@@ -108,7 +109,7 @@ for _field in fields(Solution):  # an instance's own come before these
 class _Offer:
     """What a cell of one sheet gives at the point: unknowns (None where there are none to polish) and J, canonical.
 
-    Where it was `polished` and is an answer, J is that.
+    Where it was `polished`, and is an answer, J is that.
     """
 
     charted: Charted
@@ -122,6 +123,20 @@ class _Offer:
     @property
     def label(self) -> str:
         return self.charted.labels[self.number]
+
+    @property
+    def why(self) -> str:
+        """Why it is no answer, and casts doubt on others."""
+        polished, sheet = self.polished, f"the sheet '{self.label}'"
+        if self.breaks or (polished is not None and polished.breaking[0]):
+            return f"an extremal of {sheet} breaks a condition, and a flight that keeps it may be better than is known"
+        if polished is None:
+            return f"{sheet} ends in this cell"
+        if not polished.reached[0]:
+            return f"Newton's method leads to no extremal of {sheet} from what its cell gives"
+        if polished.flown.good[0]:
+            return f"the extremal of {sheet} is known to {polished.bound[0]:.1e} alone (relative; limit {SLACK:g})"
+        return f"the second flight does not bear out the extremal of {sheet}: {polished.flown.told}"
 
 
 class Atlas(Reader):
@@ -150,30 +165,33 @@ class Atlas(Reader):
         began = time.perf_counter()
         at = self._point(values)
         offers = self._offers(at)
-        tried, doubt, breaking, best = list[_Offer](), None, None, None
+        tried, doubts, breaking, best = list[_Offer](), list[_Offer](), list[_Offer](), None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
             if best is not None and clearly_worse(offer.cost, best.cost):
                 break
             if offer.breaks:
-                breaking = breaking or offer
+                breaking.append(offer)
                 continue
             if offer.y is None:
-                doubt = doubt or offer
+                doubts.append(offer)
                 continue
             canonical = (at / offer.charted.chart.scale)[None]
-            polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
+            polished = offer.polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
             if polished.breaking[0]:
-                breaking = breaking or offer
+                breaking.append(offer)
             elif polished.doubtful[0]:
-                doubt = doubt or offer
+                doubts.append(offer)
             elif polished.answers[0]:
-                offer.cost, offer.polished = float(polished.cost[0]), polished
+                offer.cost = float(polished.cost[0])
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
+        alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
+        best = min(alike, key=lambda one: (one.charted.rank, one.cost), default=None)
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
-        if breaking is not None and (best is None or not best.charted.of_arcs):
-            doubt = breaking if doubt is None else min(doubt, breaking, key=lambda one: one.cost)
+        if not any(one.charted.of_arcs for one in alike):
+            doubts += [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
+        doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
         if best is None or damaged or (doubt is not None and doubt.cost < best.cost):
             raise self._nothing(at, doubt)
@@ -291,7 +309,7 @@ class Atlas(Reader):
                 "this part of the atlas is not built yet", got=got, advice="build it again with --resume"
             )
         near = self._nearest(at)
-        why = f"the sheet '{doubt.label}' ends in this cell" if doubt else "no sheet has an answer in this cell"
+        why = "no sheet has an answer in this cell" if doubt is None else doubt.why
         return PeriluneError(
             f"the atlas has no answer here: {why}",
             got=got,

@@ -39,6 +39,7 @@ from perilune.shooting.extremals import Found
 from perilune.shooting.function import Root
 from perilune.structures.carry import joined
 from perilune.structures.restate import renumbered, sums_of
+from perilune.structures.structure import margins
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -143,6 +144,22 @@ class Charted:
     def of_arcs(self) -> bool:
         """Whether its extremals are made of several arcs."""
         return self.chart.course.structure is not None
+
+    @cached_property
+    def rank(self) -> tuple[int, int]:
+        """Which of several charts that have the same J answers: the least; how often it touches, and its arcs.
+
+        A flight that touches twice in place of riding has the same J, and no proof of level 3.
+        """
+        structure = self.chart.course.structure
+        if structure is None:
+            return 0, 1
+        return sum(len(arc.touches) for arcs in structure.phases for arc in arcs), structure.count
+
+    @cached_property
+    def breaks_controls_alone(self) -> bool:
+        """Whether its extremals can break bounds of singular controls and nothing else: all others keep these."""
+        return not any(margins(self.chart.user, k) for k in range(len(self.chart.user.phases)))
 
     @cached_property
     def labels(self) -> list[str]:

@@ -96,6 +96,18 @@ class Reflown:
         return (missed <= _NEARLY) & ~(np.maximum(missed, self.drift) <= SLACK)
 
     @property
+    def told(self) -> str:
+        """What speaks the most against the first extremal, in words."""
+        against = {
+            "its ends are missed by": float(self.residual[0]),
+            "a condition of the path, or a bound, is broken by": -float(self.path[0]),
+            "another control makes H less by": -float(self.minimum[0]),
+            "H drifts by": float(self.drift[0]),
+        }
+        words = max(against, key=lambda name: against[name])
+        return f"{words} {against[words]:.1e} (canonical; limit {SLACK:g})"
+
+    @property
     def _missed(self) -> Vector:
         """The largest of what is missed but H; NaN where anything is."""
         return np.maximum(self.residual, -np.minimum(self.path, self.minimum))
