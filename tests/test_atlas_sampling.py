@@ -17,6 +17,7 @@ from command_line import HYBRID, read_json
 from perilune.atlas import sampling
 from perilune.atlas.building import build
 from perilune.atlas.extending import extend
+from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sampling import Certificate, Sample, assured, drawn_at_random, drawn_thin, sample_of
@@ -55,6 +56,26 @@ def test_what_is_drawn_are_nodes_and_their_certificates_are_kept(built: Path) ->
         again = prove(atlas.query(vehicle_thrust=one.values[0]), 3)  # as anyone may
         assert again.verification.level == one.level == 3 and one.failed == ()
     assert len({one.values for one in sample.drawn}) == 3
+
+
+def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tmp_path: Path) -> None:
+    """They say nothing of the whole. At the common side the other one's brick answers: a proof there is dropped."""
+    beside = Path(shutil.copytree(built, tmp_path / "copy"))
+    other = build(cho_landing(), {"vehicle.thrust": (450.0, 455.0)}, tmp_path / "other", sample=1)
+    line = proofs(beside)[0]
+    at_side = {**line["drawn"][0], "values": [450.0]}
+    text = (beside / MANIFEST).read_text().replace(json.dumps(line), json.dumps({**line, "thin": [at_side]}))
+    (beside / MANIFEST).write_text(text)
+    atlas = open_atlas(merge(beside, other, tmp_path / "merged"))
+    sample, before = sample_of(atlas), [*sample_of(open_atlas(built)).drawn, *sample_of(open_atlas(other)).drawn]
+    assert not sample.drawn and not sample.thin and sample.share == 0.0
+    assert sorted(one.values for one in sample.kept) == sorted(one.values for one in before)
+    assert "4 of 4 drawn of the atlases that were merged proved to level 3" in sample.told(atlas)
+    assert any(note.startswith("1 of the proofs of the merged atlases are dropped") for note in atlas.survey["notes"])
+    for one in sample.kept:
+        assert prove(atlas.query(vehicle_thrust=one.values[0]), 3).verification.level == one.level == 3
+    extend(atlas.store.directory, {}, sample=2)
+    assert len(sample_of(open_atlas(atlas.store.directory)).drawn) == 2
 
 
 def test_what_a_draw_says_of_all_is_the_binomial_bound() -> None:

@@ -91,9 +91,10 @@ def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
 def refuse_no_sample(line: Mapping[str, Any], d: int) -> None:
     """ValueError for a line of proofs that cannot be one, of an atlas of d axes."""
     _demand(_whole(line.get("asked")) and line["asked"] >= 0, "how many proofs")
-    for kind in ("drawn", "thin"):
-        _demand(_all(line.get(kind), dict), "certificates")
-        for one in line[kind]:
+    for kind in ("drawn", "thin", "kept"):
+        certificates: Any = line.get(kind, [] if kind == "kept" else None)
+        _demand(_all(certificates, dict), f"certificates that are {kind}")
+        for one in certificates:
             values = one.get("values")
             _demand(_all(values, int, float) and len(values) == d and _whole(one.get("level")), "a certificate")
             _demand(_all(one.get("failed"), str), "checks that failed")

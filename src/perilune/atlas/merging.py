@@ -1,13 +1,15 @@
 """Two atlases of one problem made one: of the same region, each a part of it, or of regions that lie side by side.
 
 Nothing is computed. The charts of the second follow those of the first, unless both were made from one survey; where
-both have a part of the region whole, that of the first is taken. Every shard is looked at before it is taken over. The
-header is written last: before that there is no atlas, and the same command goes on.
+both have a part of the region whole, that of the first is taken. Every shard is looked at before it is taken over, and
+a proof is taken over where all that answers at its node is. The header is written last: before that there is no atlas,
+and the same command goes on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +31,7 @@ from perilune.atlas.columns import (
     widths_of,
 )
 from perilune.atlas.region import Axis, Region
+from perilune.atlas.sampling import LEVEL, lines_of_samples
 from perilune.atlas.store import HEADER, Store, clear
 from perilune.io.export import versions
 from perilune.io.reload import read_problem
@@ -46,13 +49,14 @@ Place = tuple[int, ...]  # numbers of a brick, with its chart before them or wit
 
 @dataclass(frozen=True)
 class _Part:
-    """One of the two: where it is, its header, survey and region, and its bricks by chart and numbers."""
+    """One of the two: where it is, its header, survey and region, its bricks by chart and numbers, and its proofs."""
 
     kept: Store
     header: Mapping[str, Any]
     survey: Mapping[str, Any]
     region: Region
     bricks: Mapping[tuple[int, ...], Mapping[str, Any]]
+    samples: Sequence[Mapping[str, Any]]
 
     @cached_property
     def wholes(self) -> set[Place]:
@@ -112,7 +116,8 @@ def merge(
     Returns
     -------
     Path
-        The directory, for `perilune.atlas.open`. What both lack is built by ``perilune atlas extend`` with no range.
+        The directory, for `perilune.atlas.open`. What both lack is built by ``perilune atlas extend`` with no range,
+        which also draws proofs among all; those of the two that are kept say nothing of the whole.
 
     Raises
     ------
@@ -149,7 +154,13 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
         raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
     region = survey_region(header_region(read_problem(header, problem_from_scenario), header), survey)
     bricks = kept.latest(survey, len(region.axes))
-    return _Part(kept, header, survey, region, bricks)
+    samples = lines_of_samples(kept, survey["digest"], _nodes(bricks.values()), len(region.axes))
+    return _Part(kept, header, survey, region, bricks, samples)
+
+
+def _nodes(lines: Iterable[Mapping[str, Any]]) -> int:
+    """How many nodes bricks have, by their lines."""
+    return sum(line["nodes"]["rows"] for line in lines)
 
 
 def _refuse_unlike(one: _Part, other: _Part) -> None:
@@ -220,10 +231,37 @@ def _lines(kept: Store, one: _Part, other: _Part, region: Region, watch: Watch) 
     edges = [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     notes = list(dict.fromkeys([*one.survey.get("notes", []), *other.survey.get("notes", [])]))[:MOST_NOTES]
     digest = digest_of([edges, lines])
+    proofs, lost = _proofs((one, other), region, taken)
+    if lost:
+        watch(said := f"{lost} of the proofs of the merged atlases are dropped: what answers at their nodes is of both")
+        notes = [*notes, said][-MOST_NOTES:]
     yield {"kind": "survey", "digest": digest, "edges": edges, "charts": lines, "notes": notes}
     for count, (key, (part, line)) in enumerate(sorted(taken.items(), key=lambda item: item[0]), 1):
         watch(f"{count} of {len(taken)} bricks")
         yield _copied(kept, part, line, key, digest, lines[key[0]]["unknowns"])
+    if any(proofs.values()):  # nothing was asked of the whole
+        nodes = _nodes(line for _, line in taken.values())
+        yield {"kind": "sample", "survey": digest, "nodes": nodes, "asked": 0, "level": LEVEL, **proofs}
+
+
+def _proofs(
+    parts: Sequence[_Part], region: Region, taken: Mapping[Place, tuple[_Part, Mapping[str, Any]]]
+) -> tuple[dict[str, list[Any]], int]:
+    """The proofs at whose places all that answers is of the atlas that they are of, and how many others there are."""
+    found, lost, of_place = {"drawn": [], "thin": [], "kept": []}, 0, dict[Place, list[_Part]]()
+    for (_, *place), (part, _) in taken.items():
+        of_place.setdefault(tuple(place), []).append(part)
+    for part in parts:
+        own = Counter(tuple(place) for _, *place in part.bricks)
+        for kind, one in ((k, one) for line in part.samples for k in found for one in line.get(k, ())):
+            values = np.array(one["values"], dtype=float)
+            place, here = part.region.brick_of(values), of_place.get(region.brick_of(values), [])
+            whole = len(here) == own[place] and all(of is part for of in here)
+            if whole and place == region.brick_of(values):  # on a common side of both it is a node of the other
+                found["thin" if kind == "thin" else "kept"].append(one)
+            else:
+                lost += 1
+    return found, lost
 
 
 def _shift(a: Axis, b: Axis, joined: Axis) -> int:

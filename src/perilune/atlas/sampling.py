@@ -75,11 +75,14 @@ class Sample:
         At random.
     thin, thin_nodes
         Of those with a thin margin, and how many of these there are.
+    kept
+        Of atlases that were merged to this one: drawn of parts of it, they say nothing of the whole.
     """
 
     drawn: tuple[Certificate, ...] = ()
     thin: tuple[Certificate, ...] = ()
     thin_nodes: int = 0
+    kept: tuple[Certificate, ...] = ()
 
     @property
     def proved(self) -> int:
@@ -94,7 +97,7 @@ class Sample:
     @property
     def unproved(self) -> tuple[Certificate, ...]:
         """Those that are not."""
-        return tuple(one for one in (*self.drawn, *self.thin) if not one.proved)
+        return tuple(one for one in (*self.drawn, *self.thin, *self.kept) if not one.proved)
 
     def told(self, atlas: Atlas) -> list[str]:
         """The same in sentences."""
@@ -102,6 +105,9 @@ class Sample:
         if self.thin:
             good = sum(one.proved for one in self.thin)
             lines.append(f"{good} of {len(self.thin)} with a thin margin proved, of {self.thin_nodes} that there are")
+        if self.kept:
+            good = sum(one.proved for one in self.kept)
+            lines.append(f"{good} of {len(self.kept)} drawn of the atlases that were merged proved to level {LEVEL}")
         return [*lines, *(unproved_text(atlas, one) for one in self.unproved)]
 
 
@@ -218,11 +224,15 @@ def sampled(
 
 def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:
     """The lines of what was drawn of the atlas as it is now."""
-    digest, nodes = atlas.survey.get("digest"), _nodes(atlas)
-    found = [line for line in atlas.store.lines() if line.get("kind") == "sample"]
+    return lines_of_samples(atlas.store, atlas.survey.get("digest"), _nodes(atlas), len(atlas.region.axes))
+
+
+def lines_of_samples(kept: Store, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
+    """The lines of what was drawn of so many nodes of a survey over d axes."""
+    found = [line for line in kept.lines() if line.get("kind") == "sample"]
     with told_of_damage(MANIFEST):
         for line in found:
-            refuse_no_sample(line, len(atlas.region.axes))
+            refuse_no_sample(line, d)
     return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
 
 
@@ -238,6 +248,7 @@ def sample_of(atlas: Atlas) -> Sample:
         drawn=tuple(_certificate(said) for line in lines for said in line["drawn"]),
         thin=tuple(thin.values()),
         thin_nodes=sum(line.get("thin", 0) for line in atlas.said.values()),
+        kept=tuple(_certificate(said) for line in lines for said in line.get("kept", ())),
     )
 
 
