@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import math
 import os
 import pickle
 import shutil
@@ -34,6 +35,7 @@ from perilune.atlas.columns import cell_type, node_type
 from perilune.atlas.flooding import Key, spilled
 from perilune.atlas.hermite import bits, interpolated
 from perilune.atlas.many import Answered
+from perilune.atlas.march import extrapolated
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import Brick
 from perilune.atlas.reflight import Reflights
@@ -668,3 +670,14 @@ def test_the_maps_of_the_examples_are_stated_rightly() -> None:
     assert set(maps.MAPS) == {"hybrid", "precision", "capsule"}
     for scenario, axes in maps.MAPS.values():
         assert len(region_of(load_file(scenario).problem, axes).axes) == len(axes)
+
+
+def test_second_flights_lose_little_to_rounding() -> None:
+    """Once round a circle in 2048 steps: each rounds the state once, and 2.8e-14 were lost where it did ten times."""
+    z, h = ca.SX.sym("z", 2), ca.SX.sym("h")
+    step = ca.Function("step", [z, h], [extrapolated(lambda point: ca.vertcat(-point[1], point[0]), z, h)])
+    around = step.mapaccum(2048)
+    for angle in np.linspace(0.1, 1.4, 8).tolist():
+        begin = np.array([math.cos(angle), math.sin(angle)])
+        end = np.array(around(begin, 2 * math.pi / 2048))[:, -1]
+        np.testing.assert_allclose(end, begin, rtol=0, atol=1e-14)

@@ -115,7 +115,7 @@ def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
     free, h = ca.SX.sym("free", len(rides.stated.free)), ca.SX.sym("h")
     state = ca.SX.sym("state", size + len(NOTHING_SEEN))
     z = state[:size]
-    after = _extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
+    after = extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
     path, minimum, value = _seen(rides, k, mode, z, numbers, free)
     bent = singular.bent(rides.stated, rides.stated.phases[k], extremal, mode, z, numbers, free)
     seen = [
@@ -138,27 +138,30 @@ def step_settling(rides: Rides, k: int, mode: int) -> ca.Function:
     free, h = ca.SX.sym("free", len(rides.stated.free)), ca.SX.sym("h")
     size = flown.size1_in(0)
     state = ca.SX.sym("state", size + len(NOTHING_SEEN))
-    after = _extrapolated(lambda point: flown(point, numbers[known]), state[:size], h)
+    after = extrapolated(lambda point: flown(point, numbers[known]), state[:size], h)
     still = ca.vertcat(state[: extremal.half], ca.SX.zeros(extremal.half, 1))
     path, _, _ = _seen(rides, k, mode, still, numbers, free)
     seen = ca.vertcat(ca.fmin(state[size], path), state[size + 1 :])
     return ca.Function("step", [state, numbers, free, h], [ca.cse(ca.vertcat(after, seen))])
 
 
-def _extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
-    """A step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length."""
+def extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
+    """A step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length.
+
+    What is extrapolated are ways from z, which are short: so a step rounds z once, and not some ten times.
+    """
     first, table = rate(z), list[ca.SX]()
     for j, count in enumerate(_SUBSTEPS):
         part = h / count
-        before, here = z, z + part * first
+        before, way = ca.SX.zeros(z.numel()), part * first
         for _ in range(count - 1):
-            before, here = here, before + 2 * part * rate(here)
-        row = [here]
+            before, way = way, before + 2 * part * rate(z + way)
+        row = [way]
         for k in range(1, j + 1):
             ratio = (count / _SUBSTEPS[j - k]) ** 2 - 1.0
             row.append(row[k - 1] + (row[k - 1] - table[k - 1]) / ratio)
         table = row
-    return table[-1]
+    return z + table[-1]
 
 
 def _seen(rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
