@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import csv
 import io
 import json
 import socket
@@ -10,9 +12,10 @@ import sys
 import urllib.error
 import urllib.request
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
+from multiprocessing import active_children
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 import pytest
@@ -24,8 +27,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError
+from perilune.app.beside import Beside
+from perilune.app.client import MESSAGE, Client, asked, hello
 from perilune.app.frozen import frozen_page
-from perilune.app.server import MESSAGE, asked, hello
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
 from perilune.scenario import load_text
@@ -78,11 +82,92 @@ def test_a_page_is_told_what_moves_and_the_flight_that_follows(address: str) -> 
             assert found["phases"][0]["way"]["kind"] == "limb" and "H" in found["phases"][0]["columns"]
             burns.append(found["free"]["retro_delta_v"])
         assert burns[0] == 0.0 and burns[1] > 500.0
+        assert len(_told(page, "slice")["objective"]) == 61
         family = _told(page, "family")
         assert min(family["objective"]) == pytest.approx(found["objective"], rel=1e-9)
-        assert len(_told(page, "slice")["objective"]) == 61
         proof = _told(page, "proof")
         assert (proof["outcome"], proof["level"]) == ("PROVED", 3)
+
+
+class _Page:
+    """A page without a browser or a server: asks by `put`, and keeps what it is told."""
+
+    def __init__(self) -> None:
+        self._asked, self.told = asyncio.Queue[dict[str, str]](), list[dict[str, Any]]()
+
+    def put(self, **request: Any) -> None:
+        self.told.clear()
+        self._asked.put_nowait({"type": "websocket.receive", "text": json.dumps(request)})
+
+    async def receive(self) -> dict[str, str]:
+        return await self._asked.get()
+
+    async def send_text(self, text: str) -> None:
+        self.told.append(json.loads(text))
+
+    async def until(self, kind: str) -> dict[str, Any]:
+        while not (found := [said for said in self.told if said["type"] == kind]):
+            await asyncio.sleep(0.01)
+        return found[0]
+
+
+def _told_to(subject: Subject, story: Callable[[_Page], Awaitable[None]]) -> None:
+    """A story of a page of a subject, to its end."""
+
+    async def live() -> None:
+        page, beside = _Page(), Beside()
+        running = asyncio.ensure_future(Client(subject, cast("Any", page), beside).run())
+        try:
+            await asyncio.wait_for(story(page), 60.0)
+        finally:
+            running.cancel()
+            beside.close()
+
+    asyncio.run(live())
+
+
+def test_without_an_atlas_a_flight_jumps_when_it_is_compared() -> None:
+    """Past 277.867 s it stays on its family; at rest the best is shown, and proved by whatever process there is."""
+
+    async def story(page: _Page) -> None:
+        flights = list[dict[str, Any]]()
+        for number, isp in enumerate((273.0, 277.0, 279.0, 283.0)):
+            page.put(number=number, values={ISP: isp})
+            flights.append(await page.until("flight"))
+        assert [found["source"] for found in flights] == ["nothing", *3 * ["neighbour"]]
+        assert all(found["free"]["retro_delta_v"] == 0.0 for found in flights)
+        proof = await page.until("proof")
+        assert (proof["number"], proof["outcome"]) == (3, "PROVED")
+        jumped = next(said for said in page.told if said["type"] == "flight" and said["source"] == "jumped")
+        assert jumped["number"] == 3 and jumped["free"]["retro_delta_v"] > 500.0
+        before, after = (-found["objective"] for found in (flights[-1], jumped))
+        assert after > before + 0.1 and f"{after:.6g} kg" in jumped["words"] and f"{before:.6g} kg" in jumped["words"]
+        roots = [(root["free"]["retro_delta_v"], root["objective"]) for root in jumped["roots"]]
+        assert len(roots) == len(jumped["extremals"]) == 3 and -before in [pytest.approx(J, rel=1e-9) for _, J in roots]
+        reached = (await page.until("family"))["values"]
+        assert reached[0] <= min(dv for dv, _ in roots) and reached[-1] > max(dv for dv, _ in roots)
+        for child in active_children():
+            child.kill()
+        page.put(number=4, values={ISP: 284.0})
+        assert (await page.until("compared"))["words"] == "best of 3 found"
+        assert (await page.until("proof"))["outcome"] == "PROVED"
+        assert "killed" in (await page.until("notice"))["words"]
+
+    _told_to(subject_of(None), story)
+
+
+def test_a_lander_that_is_too_weak_comes_alive_where_its_slider_makes_it_strong_enough() -> None:
+    subject = subject_of(ROOT / "examples" / "precision_landing.toml", ["vehicle.thrust=2000 N"])
+    thrust = next(knob for knob in subject.knobs if knob.name == "vehicle_thrust")
+
+    async def story(page: _Page) -> None:
+        page.put(number=0, values={})
+        said = await page.until("refusal")
+        assert said["impossible"] and "cannot stop the descent" in said["what"]
+        page.put(number=1, values={"vehicle_thrust": thrust.high})
+        assert (await page.until("flight"))["number"] == 1
+
+    _told_to(subject, story)
 
 
 def test_only_the_newest_values_are_answered(address: str) -> None:
@@ -137,11 +222,23 @@ def test_nothing_is_handed_out_without_the_token_or_by_another_name(address: str
             raise OSError("this machine has no other address")
 
 
-def test_figures_are_handed_out_in_one_archive(address: str) -> None:
-    with urllib.request.urlopen(address + "figures.zip?retro.specific_impulse=279") as answer:
-        names = zipfile.ZipFile(io.BytesIO(answer.read())).namelist()
-    assert len(names) > 3 and all(name.endswith(".svg") for name in names)
-    assert _status(address + "figures.zip?retro.specific_impulse=1e9") == 400
+def test_what_is_shown_is_handed_out_and_nothing_else(address: str) -> None:
+    """Figures, table and scenario are of the very flight of a page, which names it by the number it was told."""
+    with _socket(address) as page:
+        client = _told(page, "hello")["client"]
+        page.send(json.dumps({"number": 7, "values": {ISP: 279.0}}))
+        found = _told(page, "flight")
+        query = f"?client={client}&number=7"
+        with urllib.request.urlopen(address + "figures.zip" + query) as answer:
+            names = zipfile.ZipFile(io.BytesIO(answer.read())).namelist()
+        assert len(names) > 3 and all(name.endswith(".svg") for name in names)
+        with urllib.request.urlopen(address + "flight.csv" + query) as answer:
+            head, *_, last = csv.reader(io.TextIOWrapper(answer))
+        landed = float(last[head.index("m [kg]")])
+        assert landed == pytest.approx(found["results"]["landed_mass"]["value"], rel=1e-12)
+        assert _status(address + f"flight.csv?client={client}&number=6") == 409
+        assert _status(address + "flight.csv?client=nobody&number=7") == 409
+        assert _status(address + "scenario.toml" + query) == 400  # an atlas has none
 
 
 def test_too_much_at_once_ends_the_page(address: str) -> None:
@@ -168,7 +265,7 @@ def test_nothing_outlives_it(subject: Subject) -> None:
             _told(page, "proof")
             process.kill()
         process.communicate(timeout=10)  # which ends when nobody is left who could write
-    work = "import asyncio, time; from perilune.app.resting import in_thread"
+    work = "import asyncio, time; from perilune.app.beside import in_thread"
     run = "asyncio.run(asyncio.wait_for(in_thread(time.sleep, 60), 0.1))"
     with pytest.raises(subprocess.CalledProcessError):  # by the timeout inside, not the one outside
         subprocess.run([sys.executable, "-c", f"{work}; {run}"], check=True, timeout=20, capture_output=True)
@@ -180,15 +277,16 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
     text = subject.scenario({"vehicle_thrust": 470.0})
     assert 'thrust = "470 N"' in text
     template = subject_of(None)  # of which the body is known by its name
-    text = template.scenario({"body_radius": 1.8e6})
-    read, moved = load_text(text).given, template.problem.with_given(body_radius=1.8e6).given
+    values = {"body_radius": 1.7e6 + 1 / 3, "vehicle_thrust": 1300 / 3, "orbit_perilune_altitude": 14e3 + 1 / 7}
+    text = template.scenario(values)
+    read, moved = load_text(text).given, template.problem.with_given(**values).given  # to the last bit
     assert {name: given.value for name, given in read.items()} == {name: given.value for name, given in moved.items()}
     without = subject_of(ROOT / "examples" / "ordinary_lander.toml")
     assert "retro" not in {
         knob.key.partition(".")[0] for knob in without.knobs
     }  # a file with it states another problem
     with pytest.raises(PeriluneError, match="far from its range"):
-        asked('{"number": 0, "values": {"vehicle_thrust": 1}}', subject)
+        asked('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
 
 
 def test_a_page_that_needs_no_server_holds_its_flights(subject: Subject) -> None:

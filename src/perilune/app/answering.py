@@ -6,6 +6,8 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from perilune.atlas.query import Atlas, Mapped
 from perilune.conditions.canonical import extremal_parameters
 from perilune.methods.answer import Curves
@@ -13,10 +15,12 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.function import Shooting
 from perilune.solve import solve
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import CANNOT_BE_FLOWN, InfeasibleError, PeriluneError
+from perilune.words.watch import Iteration, Watch, silent
 
 _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side
+_LOOK = 0.5  # s from nothing, where a neighbour leads nowhere
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +45,10 @@ class Flown:
     latency: float
 
 
+class NoneNear(PeriluneError):
+    """No flight is near the one before; from nothing there may be one."""
+
+
 @dataclass
 class Answering:
     """Answers one client.
@@ -59,11 +67,13 @@ class Answering:
     atlas: Atlas | None = None
     last: Solution | None = field(default=None)
 
-    def at(self, values: Mapping[str, float]) -> Flown:
+    def at(self, values: Mapping[str, float], watch: Watch = silent) -> Flown:
         """The flight at values of given parameters [SI]; all others are as the problem has them.
 
         Raises
         ------
+        NoneNear
+            If there is none near the flight before, and a short look from nothing found none.
         PeriluneError
             If there is none: why.
         """
@@ -75,7 +85,7 @@ class Answering:
         except PeriluneError:
             found = None  # the map ends here; a neighbour may know more
         if found is None:
-            found = self._near(values)
+            found = self._near(values, watch)
         self.last = found[0]
         return Flown(solution=found[0], source=found[1], words=found[2], latency=time.perf_counter() - began)
 
@@ -99,22 +109,54 @@ class Answering:
         axis = next(axis for axis in atlas.region.axes if axis.name == name)
         return 0.5 * (float(axis.low) + float(axis.high))
 
-    def _near(self, values: Mapping[str, float]) -> tuple[Solution, str, str]:
-        given = {name: value for name, value in values.items() if name in self.problem.given}
-        problem = self.problem.with_given(**given)
+    def problem_at(self, values: Mapping[str, float]) -> Problem:
+        """The problem at values of given parameters [SI].
+
+        Raises
+        ------
+        PeriluneError
+            If one of them is outside what is declared of it.
+        """
+        return self.problem.with_given(**{name: value for name, value in values.items() if name in self.problem.given})
+
+    def _near(self, values: Mapping[str, float], watch: Watch) -> tuple[Solution, str, str]:
+        problem = self.problem_at(values)
         if self.last is not None:
             try:
-                return solve(problem, guess=self.last, level=0), "neighbour", "an extremal near the flight before"
-            except InfeasibleError:
-                raise
+                found = solve(problem, guess=self.last, level=0, watch=watch)
+                return found, "neighbour", "an extremal near the flight before"
+            except InfeasibleError as error:
+                if error.reason == CANNOT_BE_FLOWN:
+                    raise
             except PeriluneError:
                 pass  # a family that ends here: from nothing there may be another
-        found = solve(problem, level=0)
-        return found, "nothing", "found from nothing"
+            watch = _shortly(watch)
+        try:
+            found = solve(problem, level=0, watch=watch)
+        except _TooLong:
+            what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
+            raise NoneNear(what, advice=advice) from None
+        return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
+
+
+class _TooLong(BaseException):
+    """A look that takes too long; no error, which a method would try to mend."""
+
+
+def _shortly(watch: Watch) -> Watch:
+    """The same for a moment, then `_TooLong`."""
+    end = time.monotonic() + _LOOK
+
+    def seen(event: Iteration | str) -> None:
+        watch(event)
+        if time.monotonic() > end:
+            raise _TooLong
+
+    return seen
 
 
 def family(solution: Solution) -> dict[str, object] | None:
-    """J of the extremals along which the first free parameter is held, to either side of the answer.
+    """J of the extremals along which the first free parameter is held, as far as others were found, and a little more.
 
     None where nothing is free, or the answer has arcs: {"name", "unit", "values", "objective"}, SI.
     """
@@ -122,26 +164,26 @@ def family(solution: Solution) -> dict[str, object] | None:
     if not isinstance(curves, Curves) or not solution.problem.free:
         return None
     shooting, root, problem = Shooting(curves.conditions), curves.root, curves.problem
-    scale, first = problem.scales.of(problem.free[0].unit), curves.conditions.free_at.start
-    limits = [limit / scale for limit in (problem.free[0].lower, problem.free[0].upper)]
+    held, first = problem.free[0], curves.conditions.free_at.start
+    scale = problem.scales.of(held.unit)
     here = float(root.y[first])
-    reach = 0.3 * max(abs(here), 0.1 * min(abs(limits[1] - limits[0]), 10.0))
+    width = 0.3 * max(abs(here), 0.1 * min(abs(held.upper - held.lower) / scale, 10.0))
+    others = [extremal.free[held.name] / scale for extremal in solution.extremals if held.name in extremal.free]
     points = [(here, root.cost)]
     p = extremal_parameters(problem)
-    for way in (-1, 1):
+    for end in (min(here - width, *others), max(here + width, *others)):
+        end = min(max(end, held.lower / scale), held.upper / scale)
         y = root.y
-        for step in range(1, _FAMILY + 1):
-            value = min(max(here + way * reach * step / _FAMILY, limits[0]), limits[1])
-            choice = shooting.holding({0: value})
-            found = shooting.root(y, p, choice, limit=20)
-            if not found.converged or value in limits:
+        for value in np.linspace(here, end, _FAMILY + 1)[1:]:
+            found = shooting.root(y, p, shooting.holding({0: float(value)}), limit=20)
+            if end == here or not found.converged:
                 break
             y = found.y
-            points.append((value, found.cost))
+            points.append((float(value), found.cost))
     points.sort()
     return {
-        "name": problem.free[0].name,
-        "unit": problem.free[0].unit,
+        "name": held.name,
+        "unit": held.unit,
         "values": [value * scale for value, _ in points],
         "objective": [cost * problem.objective_size for _, cost in points],
     }

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from perilune.io.columns import columns
-from perilune.io.export import solution_document
+from perilune.io.export import extremals_document, solution_document
+from perilune.io.files import finite
 from perilune.problem.solution import Solution, full
 from perilune.problem.verification import Verification
 from perilune.report.limb import plane_of_flight
@@ -45,12 +46,18 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
         "unit": solution.problem.objective_unit,
         "results": document["results"],
         "free": dict(solution.free),
-        "extremals": document["extremals"],
+        **extremals(solution),
         "structure": document.get("structure", []),
         "phases": phases,
         "proof": proof(solution.verification),
         "views": _views(solution),
     }
+
+
+def extremals(solution: Solution) -> dict[str, Any]:
+    """All that were found, best first: in words, and the free parameters and J of each [SI]."""
+    found = [{"free": dict(extremal.free), "objective": extremal.objective} for extremal in solution.extremals]
+    return finite({"extremals": extremals_document(solution), "roots": found})
 
 
 def _views(solution: Solution) -> dict[str, Any]:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from perilune.app.answering import Answering
+from perilune.app.client import hello
 from perilune.app.frames import flight, refusal
-from perilune.app.server import hello, page_files
+from perilune.app.server import page_files
 from perilune.app.subject import Subject
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent

@@ -5,11 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from perilune.atlas.query import Atlas
-from perilune.models.kinds import key_of
+from perilune.models.kinds import KINDS, key_of
+from perilune.problem.preflight import possible, preflight
 from perilune.problem.problem import Problem
+from perilune.words.declared import Quantity
+from perilune.words.outcome import PeriluneError
+from perilune.words.types import Vector
 
 _WIDE, _TURN = 0.25, math.radians(10.0)  # of a value to either side; of an angle that is 0
+_FURTHER = 12.0  # times as far, where nothing near by can be flown
+_LOOKS = 32  # values between one and the end of its range
+_HALVINGS = 6  # towards the last value that can be stated
+_NATURE = ("body", "atmosphere")  # sections that nobody chooses
 _FAR = 1e4  # m: lengths from here on are shown in km
 
 
@@ -27,6 +37,8 @@ class Knob:
         Range and first value [SI].
     mapped
         Whether it is an axis of the atlas.
+    natural
+        Whether it is a number of nature, which nobody chooses.
     """
 
     name: str
@@ -37,10 +49,11 @@ class Knob:
     high: float
     value: float
     mapped: bool = False
+    natural: bool = False
 
 
 def knobs(problem: Problem, atlas: Atlas | None = None) -> tuple[Knob, ...]:
-    """Every given parameter that can be moved, the axes of an atlas first, and the body, which nobody chooses, last.
+    """Every given parameter that can be moved, the axes of an atlas first, and what nobody chooses last.
 
     Where some are keys of a scenario, the others follow from these, and are left out.
     """
@@ -48,26 +61,79 @@ def knobs(problem: Problem, atlas: Atlas | None = None) -> tuple[Knob, ...]:
     found = [_knob(problem, axis.name, float(axis.low), float(axis.high), mapped=True) for axis in axes]
     stated = {name for name in problem.given if key_of(name) != name} or set(problem.given)
     for name in stated - {axis.name for axis in axes}:
-        given = problem.given[name]
-        reach = _reach(float(given.value), given.unit)
+        reach = _reach(problem, name)
         if reach is not None:
             found.append(_knob(problem, name, *reach))
     order = {name: place for place, name in enumerate([*(axis.name for axis in axes), *problem.given])}
-    return tuple(sorted(found, key=lambda knob: (not knob.mapped, knob.key.startswith("body."), order[knob.name])))
+    return tuple(sorted(found, key=lambda knob: (not knob.mapped, knob.natural, order[knob.name])))
 
 
 def _knob(problem: Problem, name: str, low: float, high: float, mapped: bool = False) -> Knob:
-    given = problem.given.get(name)
+    given, key = problem.given.get(name), key_of(name)
     value = 0.5 * (low + high) if given is None else min(max(float(given.value), low), high)
     unit, size = _shown(problem.unit_of(name), max(abs(low), abs(high)))
-    return Knob(name=name, key=key_of(name), unit=unit, size=size, low=low, high=high, value=value, mapped=mapped)
+    natural = key.partition(".")[0] in _NATURE or key.endswith("standard_gravity")
+    return Knob(
+        name=name, key=key, unit=unit, size=size, low=low, high=high, value=value, mapped=mapped, natural=natural
+    )  # fmt: skip
 
 
-def _reach(value: float, unit: str) -> tuple[float, float] | None:
-    """A range around a value; None where it says nothing of its size."""
-    if value:
-        return min(value * (1 - _WIDE), value * (1 + _WIDE)), max(value * (1 - _WIDE), value * (1 + _WIDE))
-    return (-_TURN, _TURN) if unit == "rad" else None
+def _reach(problem: Problem, name: str) -> tuple[float, float] | None:
+    """A range around a value, as far as it may be stated and flown; None where nothing says how wide it is."""
+    value, room = float(problem.given[name].value), _room(problem, name)
+    if not room:
+        return None
+    section, _, key = key_of(name).partition(".")
+    kind = KINDS.get(problem.name)
+    entry = kind.sections[section].keys.get(key) if kind is not None and section in kind.sections else None
+    least, most = -math.inf, math.inf
+    if entry is not None and isinstance(entry.declared, Quantity):
+        least, most = entry.declared.low, entry.declared.high
+    low, high = (_end(problem, name, value, min(max(value + way * room, least), most)) for way in (-1, 1))
+    return (low, high) if low < high else None
+
+
+def _room(problem: Problem, name: str) -> float:
+    """How far a value may be moved to either side: by its own size, else by those beside it."""
+    given = problem.given[name]
+    if given.value:
+        return _WIDE * abs(given.value)
+    if given.unit == "rad":
+        return _TURN
+    section = key_of(name).partition(".")[0] + "."
+    alike = [
+        abs(g.value) for other, g in problem.given.items() if key_of(other).startswith(section) and g.unit == given.unit
+    ]
+    return _WIDE * max(alike, default=0.0)
+
+
+def _end(problem: Problem, name: str, value: float, end: float) -> float:
+    """The end of a range: where from `value` on all can be stated and, if anything there can, be flown."""
+    values = np.linspace(value, end, _LOOKS + 1)
+    flown = _possible(problem, name, values)
+    if not flown[0]:  # nor is the value itself: as far as something can be flown, if it is not much further
+        further = value + _FURTHER * (values - value)
+        flown = _possible(problem, name, further)
+        return float(further[-1] if flown.any() and _stated(problem, name, further[-1]) else values[-1])
+    good, bad = value, float(values[-1] if flown.all() else values[np.argmin(flown) - 1])
+    if _stated(problem, name, bad):
+        return bad
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if _stated(problem, name, middle) else (good, middle)
+    return good
+
+
+def _possible(problem: Problem, name: str, values: Vector) -> Vector:
+    return np.broadcast_to(possible(preflight(problem, over={name: values})), values.shape)
+
+
+def _stated(problem: Problem, name: str, value: float) -> bool:
+    try:
+        problem.with_given(**{name: float(value)})
+    except PeriluneError:
+        return False
+    return True
 
 
 def _shown(unit: str, most: float) -> tuple[str, float]:

@@ -1,99 +1,100 @@
-"""What takes long beside the server: proofs in a process, answers in threads; neither outlives the program."""
+"""What is done when nothing moves: a flight is compared with what is found from nothing, and proved.
+
+What is followed from neighbour to neighbour stays on its family of extremals, across a jump of the best too.
+"""
 
 from __future__ import annotations
 
-import asyncio
-import os
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager, suppress
-from multiprocessing import active_children, get_context, parent_process
-from multiprocessing.connection import wait
-from threading import Thread
-from typing import Any, TypeVar
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
 
+from perilune.app.answering import family
 from perilune.app.frames import proof
+from perilune.problem.extremal import Extremal
+from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.solve import prove, solve
+from perilune.words.units import told
+from perilune.words.watch import Watch
 
 LEVEL = 3
-_T = TypeVar("_T")
+_SAME = 1e-7  # of J: far above what Newton's method leaves, far below what anybody would change a flight for
 
 
-async def in_thread(work: Callable[..., _T], *arguments: Any) -> _T:
-    """As `asyncio.to_thread`, but nobody waits for it at the end of the program."""
-    loop = asyncio.get_running_loop()
-    answer = loop.create_future()
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """What is to be shown, and how it stands among what was found from nothing.
 
-    def told(settle: Callable[[Any], None], value: Any) -> None:
-        if not answer.done():  # nor for who has gone
-            settle(value)
+    Parameters
+    ----------
+    solution
+        The better one, with all extremals of both.
+    jumped
+        Whether it is another than the one that was followed.
+    words
+        The same for people.
+    family
+        Of another one: J along its free parameter (`perilune.app.answering.family`), which needs it as it was found.
+    """
 
-    def run() -> None:
-        try:
-            done = answer.set_result, work(*arguments)
-        except Exception as error:
-            done = answer.set_exception, error
-        with suppress(RuntimeError):  # the program has ended
-            loop.call_soon_threadsafe(told, *done)
-
-    Thread(target=run, daemon=True).start()
-    return await answer
-
-
-class Prover:
-    """Proves one solution after the other."""
-
-    def __init__(self) -> None:
-        self._pool: ProcessPoolExecutor | None = None
-
-    async def proved(self, solution: Solution) -> dict[str, Any]:
-        """The proof of a solution: its checks, whether it is proved, and how long that took."""
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_the_program)
-        with _deaf():  # the process begins with what is handed to it first
-            proving = asyncio.get_running_loop().run_in_executor(self._pool, _proved, solution)
-        return await proving
-
-    def close(self) -> None:
-        """End it, in the middle of a proof too."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            for child in active_children():
-                child.terminate()
+    solution: Solution
+    jumped: bool
+    words: str
+    family: dict[str, object] | None = None
 
 
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """A process that begins in it does not hear Ctrl-C, which the terminal sends to all: it ends with the program."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def compared(followed: Solution, watch: Watch) -> Compared:
+    """Solve from nothing what was followed, and take the better of both.
+
+    Raises
+    ------
+    PeriluneError
+        If nothing is found from nothing.
+    """
+    found = solve(followed.problem, level=0, watch=watch)
+    room, best = _SAME * (1.0 + abs(found.objective)), found.extremals
+    own = replace(followed.extremals[0], nature=followed.extremals[0].nature.unguided)
+    if found.objective < followed.objective - room:
+        if all(abs(own.objective - other.objective) > room for other in best):
+            best = (*best, *_outdone([own]))
+        words = f"the optimum has jumped: {cost(found)}, best of {len(best)} found; {cost(followed)} where it was"
+        found = replace(found, extremals=best)
+        return Compared(solution=found, jumped=True, words=words, family=family(found))
+    same = abs(found.objective - followed.objective) <= room
+    best = (own, *(best[1:] if same else _outdone(best)))
+    words = f"best of {len(best)} found" + ("" if same else ", the others from nothing")
+    return Compared(solution=replace(followed, extremals=best), jumped=False, words=words)
 
 
-def _end_with_the_program() -> None:
-    """Leave nothing behind a program that was killed."""
-    parent = parent_process()
-    assert parent is not None, "of a process of a pool"
+def from_nothing(problem: Problem, watch: Watch) -> Compared:
+    """A flight where none is near.
 
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
+    Raises
+    ------
+    PeriluneError
+        If there is none.
+    """
+    found = solve(problem, level=0, watch=watch)
+    words = f"found from nothing, where none is near; best of {len(found.extremals)} found"
+    return Compared(solution=found, jumped=True, words=words, family=family(found))
 
-    Thread(target=watch, daemon=True).start()
 
-
-def _proved(solution: Solution) -> dict[str, Any]:
-    import time
-
-    from perilune.solve import prove
-
+def proved(solution: Solution, watch: Watch) -> dict[str, Any]:
+    """The proof of a solution: its checks, whether it is proved, and how long that took."""
     began = time.perf_counter()
     found = prove(solution, LEVEL)
     outcome, level = found.outcome.name, found.verification.level
     return {"outcome": outcome, "level": level, "proof": proof(found.verification), "took": time.perf_counter() - began}
+
+
+def cost(solution: Solution) -> str:
+    """What is minimised or maximised, in words."""
+    problem = solution.problem
+    name, value = (problem.maximised, -solution.objective) if problem.maximised else ("J", solution.objective)
+    return f"{name.replace('_', ' ')} {told(value, problem.objective_unit)}"
+
+
+def _outdone(extremals: Iterable[Extremal]) -> list[Extremal]:
+    return [replace(e, nature=e.nature.outdone) for e in extremals]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from perilune.problem.solution import Solution
 from perilune.scenario import load_file, load_text, template
 from perilune.scenario.text import apply, parse, written
 from perilune.words.outcome import PeriluneError
+from perilune.words.units import parse_quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +62,22 @@ class Subject:
             del document["body"]  # a known body has the quantities it has: with another it is stated by all of them
             moved = {knob: knob.value for knob in self.knobs if knob.key.startswith("body.")} | moved
         changes = [
-            f"{knob.key}={value / knob.size:.12g} {knob.unit if knob.unit != '1' else ''}"
-            for knob, value in moved.items()
+            f"{knob.key}={exact(value, knob.unit, self.problem.unit_of(knob.name))}" for knob, value in moved.items()
         ]
         for change in changes:
-            apply(document, change.strip())
-        return written(document, [change.strip() for change in changes]) if changes else self.text
+            apply(document, change)
+        return written(document, changes) if changes else self.text
+
+
+def exact(value: float, shown: str, unit: str) -> str:
+    """A value in SI as a quantity in the unit that is shown, which reads back to the last bit; else in SI."""
+    near = value / parse_quantity("1" if shown == "1" else f"1 {shown}", unit)
+    below, above = math.nextafter(near, -math.inf), math.nextafter(near, math.inf)
+    for number in (near, below, above, math.nextafter(below, -math.inf), math.nextafter(above, math.inf)):
+        text = f"{repr(number).removesuffix('.0')} {shown}".removesuffix(" 1")
+        if parse_quantity(text, unit) == value:
+            return text
+    return f"{value!r} {unit}".removesuffix(" 1")
 
 
 def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:

@@ -28,7 +28,8 @@ def explore(typed: Namespace) -> Answer:
             got=f"no {missing.name}",
             advice="pip install 'perilune[explore]'",
         ) from None
-    from perilune.app.server import MESSAGE, Explorer
+    from perilune.app.client import MESSAGE
+    from perilune.app.server import Explorer
     from perilune.app.subject import subject_of
 
     subject = subject_of(typed.target, typed.changes or ())

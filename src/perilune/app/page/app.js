@@ -20,12 +20,19 @@
     socket.send(JSON.stringify({ number: state.number, values: state.values, slice: axes() }));
   }
   function receive(said) {
-    if (said.type === "hello") { begin(said); return; }
+    if (said.type === "hello") { state.client = said.client; begin(said); return; }
+    if (said.type === "progress") { // what takes long makes way for what is newer
+      if (said.number >= state.shown) { state.doing = said; dirty = true; }
+      if (again) { waiting = waiting.slice(0, 1); }
+    }
+    if (said.type === "notice") { state.notice = said.words; dirty = true; }
+    if (["flight", "refusal", "fault", "compared", "proof"].includes(said.type)) { state.doing = null; }
     if (said.type === "flight" || said.type === "refusal" || said.type === "fault") { waiting = waiting.filter((number) => number > said.number); }
-    if (said.type === "flight") { state.flight = said; state.shown = said.number; state.frames += 1; state.family = null; state.refused = null; dirty = true; }
-    if (said.type === "refusal" || said.type === "fault") { state.refused = said; state.shown = said.number; dirty = true; }
+    if (said.type === "flight") { state.flight = said; state.shown = said.number; state.frames += 1; state.family = null; state.refused = null; state.notice = ""; dirty = true; }
+    if (said.type === "refusal" || said.type === "fault") { state.refused = said; state.shown = said.number ?? state.number; dirty = true; }
     if (said.type === "family") { state.family = said; dirty = true; }
     if (said.type === "slice") { state.slice = said; dirty = true; }
+    if (said.type === "compared" && said.number === state.shown) { state.flight.compared = said.words; if (said.extremals) { state.flight.extremals = said.extremals; state.flight.roots = said.roots; } dirty = true; }
     if (said.type === "proof" && said.number === state.shown && !again) { state.flight.proof = said.proof; state.flight.proved = said; dirty = true; }
     if (again) { ask(); }
     if (dirty) { dirty = false; requestAnimationFrame(show); }
@@ -42,7 +49,7 @@
     document.title = `${said.title} · perilune`; text($("title"), said.title); state.knobs = said.knobs; state.coasts = said.coasts || []; state.maximised = said.maximised;
     for (const knob of said.knobs) { state.first[knob.name] = knob.value; }
     state.values = linked();
-    const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
+    const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.filter((k) => !k.natural).slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
     $("knob-list").replaceChildren(...main.map(row)); $("more-list").replaceChildren(...rest.map(row)); $("more").hidden = !rest.length || !!frozen;
     $("scenario").hidden = !said.scenario; $("figures").hidden = !!frozen; $("slice-box").hidden = !few.length;
     for (const [id, place] of [["slice-x", 0], ["slice-y", 1]]) {
@@ -54,27 +61,36 @@
   }
   function linked() { // the values that the address holds
     const from = new URLSearchParams(location.hash.slice(1));
-    return Object.fromEntries(state.knobs.map((k) => { const v = parseFloat(from.get(k.key)); return [k.name, Number.isFinite(v) ? clamp(k, v * k.size) : state.first[k.name]]; }));
+    return Object.fromEntries(state.knobs.map((k) => { const v = parseFloat(from.get(k.key)); return [k.name, Number.isFinite(v) ? placed(k, v * k.size) : state.first[k.name]]; }));
   }
   const nearest = (grid, v) => grid.reduce((best, at) => Math.abs(at - v) < Math.abs(best - v) ? at : best);
-  const clamp = (knob, v) => knob.grid ? nearest(knob.grid, v) : Math.min(knob.high, Math.max(knob.low, v));
+  const placed = (knob, v) => knob.grid ? nearest(knob.grid, v) : v; // what is outside a slider's range widens it
+  const clamp = (knob, v) => { const now = state.values[knob.name]; return placed(knob, Math.min(Math.max(knob.high, now), Math.max(Math.min(knob.low, now), v)) / knob.size * knob.size); }; // as it is shown
+  function exact(knob, v) { // the number in the unit that is shown which gives this value to the last bit, for links
+    const near = v / knob.size, step = Math.abs(near) * 2 ** -53;
+    return [0, 1, -1, 2, -2, 3, -3, 4, -4].map((k) => near + k * step).find((at) => at * knob.size === v) ?? near;
+  }
   function row(knob) {
     const box = document.createElement("div"), id = "knob-" + knob.name, label = document.createElement("label"), name = document.createElement("b");
     const slider = document.createElement("input"), number = document.createElement("input"), right = document.createElement("span");
     box.className = "knob"; text(name, knob.key); label.htmlFor = id;
-    slider.type = "range"; slider.id = id; slider.min = knob.low / knob.size; slider.max = knob.high / knob.size; slider.step = "any"; slider.dataset.name = knob.name;
+    slider.type = "range"; slider.id = id; slider.step = "any"; slider.dataset.name = knob.name;
     number.type = "number"; number.step = "any"; number.setAttribute("aria-label", `${knob.key} in ${knob.unit}`);
     right.append(number, " " + (knob.unit === "1" ? "" : knob.unit)); label.append(name, right); box.append(label, slider);
-    const set = () => { const v = state.values[knob.name] / knob.size; slider.value = v; if (document.activeElement !== number) { number.value = +v.toPrecision(7); } slider.setAttribute("aria-valuetext", told(v, knob.unit)); };
+    const set = () => {
+      const v = exact(knob, state.values[knob.name]);
+      slider.min = Math.min(knob.low / knob.size, v); slider.max = Math.max(knob.high / knob.size, v); slider.value = v; slider.setAttribute("aria-valuetext", told(v, knob.unit));
+      number.title = String(v); if (document.activeElement !== number) { number.value = +v.toPrecision(7); }
+    };
     knob.set = set; set();
     let held = false;
-    const move = (v) => { if (!held) { remember(); held = true; } state.values[knob.name] = clamp(knob, v * knob.size); set(); ask(); };
+    const move = (v) => { if (!held) { remember(); held = true; } state.values[knob.name] = placed(knob, v * knob.size); set(); ask(); };
     slider.oninput = () => move(parseFloat(slider.value)); slider.onchange = () => { held = false; save(); };
     slider.onkeydown = (event) => { // an even step, ten times as far with Shift
       const way = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
-      if (way) { event.preventDefault(); held = false; move(state.values[knob.name] / knob.size + way * (event.shiftKey ? 10 : 1) * (knob.high - knob.low) / knob.size / 200); held = false; save(); }
+      if (way) { event.preventDefault(); held = false; move(clamp(knob, state.values[knob.name] + way * (event.shiftKey ? 10 : 1) * (knob.high - knob.low) / 200) / knob.size); held = false; save(); }
     };
-    number.onchange = () => { const v = parseFloat(number.value); if (Number.isFinite(v)) { held = false; move(v); held = false; save(); } number.value = +(state.values[knob.name] / knob.size).toPrecision(7); };
+    number.onchange = () => { const v = parseFloat(number.value); if (Number.isFinite(v)) { held = false; move(v); held = false; save(); } number.value = +exact(knob, state.values[knob.name]).toPrecision(7); };
     return box;
   }
   function remember() { state.past.push({ ...state.values }); if (state.past.length > HOT) { state.past.shift(); } state.ahead = []; buttons(); }
@@ -82,7 +98,7 @@
   function undo() { if (state.past.length) { state.ahead.push({ ...state.values }); restore(state.past.pop()); } }
   function redo() { if (state.ahead.length) { state.past.push({ ...state.values }); restore(state.ahead.pop()); } }
   function buttons() { $("undo").disabled = !state.past.length; $("redo").disabled = !state.ahead.length; }
-  function hash() { const moved = new URLSearchParams(); for (const k of state.knobs) { if (state.values[k.name] !== state.first[k.name]) { moved.set(k.key, +(state.values[k.name] / k.size).toPrecision(10)); } } return moved.toString(); }
+  function hash() { const moved = new URLSearchParams(); for (const k of state.knobs) { if (state.values[k.name] !== state.first[k.name]) { moved.set(k.key, exact(k, state.values[k.name])); } } return moved.toString(); }
   function save() { history.replaceState(null, "", "#" + hash()); }
   function axes() { const a = $("slice-x").value, b = $("slice-y").value; return [a, b].filter((name, i, all) => name && all.indexOf(name) === i); }
 
@@ -93,10 +109,10 @@
     if (refused) {
       const lines = [refused.what, refused.reason, refused.got && `got: ${refused.got}`, refused.expected && `expected: ${refused.expected}`, refused.try && `try: ${refused.try}`];
       text($("refusal"), lines.filter(Boolean).join("\n"));
-      text($("source"), refused.impossible ? "physics says no" : "no answer here");
+      const node = document.createElement("span"); text(node, refused.impossible ? "physics says no" : "no answer here"); waits([node]);
       return;
     }
-    if (!flight) { return; }
+    if (!flight) { waits([]); return; }
     source(flight); numbers(flight);
     Draw.path($("path"), [flight, ...state.pins.map((p) => p.flight)]);
     const flat = !flight.views.ground && Draw.series(flight, "east").length && Draw.series(flight, "north").length;
@@ -106,11 +122,17 @@
     requestAnimationFrame(Draw.look); // what came last may have moved others into sight
   }
   function source(flight) {
-    const proof = flight.proved, ms = `${(1000 * flight.latency).toFixed(1)} ms`, node = $("source");
-    node.replaceChildren();
-    const said = document.createElement(proof && proof.outcome === "PROVED" ? "b" : proof ? "i" : "span");
-    text(said, proof ? `${proof.outcome}, level ${proof.level}${flight.source === "neighbour" ? ": a local optimum, compared with no other" : ""}` : flight.words);
-    node.append(said, flight.source === "stored" ? "" : proof ? `, in ${proof.took.toFixed(1)} s; ${flight.words}, ${ms}` : `, ${ms}`);
+    const proof = flight.proved, ms = `${(1000 * flight.latency).toFixed(1)} ms`, parts = [];
+    const part = (kind, words) => { const node = document.createElement(kind); text(node, words); parts.push(node); };
+    if (proof) { part(proof.outcome === "PROVED" ? "b" : "i", `${proof.outcome}, level ${proof.level}, in ${proof.took.toFixed(1)} s`); }
+    part(flight.source === "jumped" ? "i" : "span", flight.compared ? `${flight.words}, ${flight.compared}` : flight.words);
+    if (flight.source !== "stored") { part("span", ms); }
+    waits(parts);
+  }
+  function waits(parts) { // what is done now, and what went wrong beside it
+    if (state.doing) { const node = document.createElement("span"); text(node, `${state.doing.words || "at work"}, ${state.doing.took.toFixed(0)} s`); parts.push(node); }
+    if (state.notice) { const node = document.createElement("i"); text(node, state.notice); parts.push(node); }
+    $("source").replaceChildren(...parts.flatMap((node, i) => i ? ["; ", node] : [node]));
   }
   function numbers(flight) {
     $("numbers").replaceChildren(...Object.entries(flight.results).map(([name, result]) => {
@@ -154,7 +176,8 @@
     $("extremals").replaceChildren(table);
     const family = state.family, sign = state.maximised ? -1 : 1; $("family").classList.toggle("stale", !family); // of the flight before
     if (family && family.values.length > 2) {
-      const mark = [[flight.free[family.name], sign * flight.objective]];
+      const others = flight.roots.slice(1).filter((e) => family.name in e.free).map((e) => [e.free[family.name], sign * e.objective, Draw.css("--ink")]);
+      const mark = [...others, [flight.free[family.name], sign * flight.objective]];
       Draw.lines($("family"), "family", `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} along ${family.name.replaceAll("_", " ")}`, flight.unit, family.values, [{ name: "extremals with it held", values: family.objective.map((v) => sign * v) }], 170, mark);
     }
   }
@@ -217,6 +240,7 @@
   $("pin").onclick = () => { if (!state.flight) { return; } if (state.pins.length >= 2) { state.pins = []; } else { state.pins.push({ values: { ...state.values }, flight: state.flight }); } text($("pin"), state.pins.length >= 2 ? "Unpin all" : "Pin"); show(); };
   $("link").onclick = async () => { save(); try { await navigator.clipboard.writeText(location.href); text($("link"), "Copied"); } catch { text($("link"), "Copy the address above"); } setTimeout(() => text($("link"), "Copy link"), 1500); };
   $("csv").onclick = () => {
+    if (!frozen) { fetched("flight.csv", "text/csv"); return; }
     const f = state.flight; if (!f) { return; }
     const names = [...new Set(f.phases.flatMap((p) => Object.keys(p.columns)))], unit = (n) => (f.phases.find((p) => p.columns[n]) || { columns: {} }).columns[n].unit;
     const lines = [["phase", "time [s]", ...names.map((n) => `${n} [${unit(n)}]`)].join(",")];
@@ -225,7 +249,7 @@
   };
   $("picture").onclick = () => { const svg = $("path-svg"); if (svg) { give("path.svg", "image/svg+xml", svg.outerHTML); } };
   async function fetched(name, kind) {
-    const answer = await fetch(`${name}?${hash()}`);
+    const answer = await fetch(`${name}?${new URLSearchParams({ client: state.client, number: state.shown })}`); // what is shown
     if (answer.ok) { give(name, kind, await answer.blob()); } else { text($("refusal"), await answer.text()); $("refusal").hidden = false; }
   }
   $("figures").onclick = () => fetched("figures.zip", "application/zip"); $("scenario").onclick = () => fetched("scenario.toml", "text/plain");

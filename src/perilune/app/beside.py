@@ -1,0 +1,149 @@
+"""What takes long beside the server: a process for one piece of work after the other, and threads for answers.
+
+Neither outlives the program.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.connection import wait
+from threading import Thread
+from typing import Any, TypeVar
+
+from perilune.words.outcome import PeriluneError
+from perilune.words.watch import Iteration
+
+_GRACE = 2.0  # s that work for which nobody waits may go on when other work comes, before its process is ended
+_TRIES = 2  # of work whose process is killed
+_T = TypeVar("_T")
+
+
+class Dropped(BaseException):
+    """Nobody waits for what is computed; no error, which a method would try to mend."""
+
+
+async def in_thread(work: Callable[..., _T], *arguments: Any) -> _T:
+    """As `asyncio.to_thread`, but nobody waits for it at the end of the program."""
+    loop = asyncio.get_running_loop()
+    answer = loop.create_future()
+
+    def told(settle: Callable[[Any], None], value: Any) -> None:
+        if not answer.done():  # nor for who has gone
+            settle(value)
+
+    def run() -> None:
+        try:
+            done = answer.set_result, work(*arguments)
+        except Exception as error:
+            done = answer.set_exception, error
+        with suppress(RuntimeError):  # the program has ended
+            loop.call_soon_threadsafe(told, *done)
+
+    Thread(target=run, daemon=True).start()
+    return await answer
+
+
+class Beside:
+    """A process that does one piece of work after the other; one that was killed is begun anew."""
+
+    def __init__(self) -> None:
+        self._context = get_context("spawn")
+        self._wanted = self._context.RawValue("q", 0)  # the number of the work that somebody waits for
+        self._pool: ProcessPoolExecutor | None = None
+        self._one = asyncio.Lock()
+        self._left: asyncio.Future[Any] | None = None
+        self.killed = 0
+
+    async def done(self, work: Callable[..., _T], *arguments: Any) -> _T:
+        """``work(*arguments, watch)`` in the process. If it is cancelled, the watch ends it at its next line.
+
+        Raises
+        ------
+        PeriluneError
+            If the process is killed each time; else what the work raises.
+        """
+        async with self._one:
+            if self._left is not None:
+                ended, _ = await asyncio.wait([self._left], timeout=_GRACE)
+                if not ended:
+                    self._end()
+                self._left = None
+            for _ in range(_TRIES):
+                try:
+                    return await self._tried(work, *arguments)
+                except BrokenExecutor:
+                    self.killed += 1
+                    self._end()
+            raise PeriluneError("the process beside the page was killed whenever it worked on this flight")
+
+    async def _tried(self, work: Callable[..., _T], *arguments: Any) -> _T:
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(1, self._context, _begin, (self._wanted,))
+        self._wanted.value += 1
+        with _deaf():  # the process begins with what is handed to it first
+            number, loop = self._wanted.value, asyncio.get_running_loop()
+            running = loop.run_in_executor(self._pool, _in_process, number, work, *arguments)
+        running.add_done_callback(lambda done: done.cancelled() or done.exception())  # also if nobody asks
+        try:
+            await asyncio.wait([running])
+        except asyncio.CancelledError:
+            self._wanted.value += 1
+            self._left = running
+            raise
+        return running.result()
+
+    def close(self) -> None:
+        """End it, in the middle of its work too."""
+        self._end()
+
+    def _end(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            for child in active_children():
+                child.terminate()
+            self._pool = None
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """A process that begins in it does not hear Ctrl-C, which the terminal sends to all: it ends with the program."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_number: Any = None  # in the process: that of the work that somebody waits for
+
+
+def _begin(wanted: Any) -> None:
+    """Know what is waited for, and leave nothing behind a program that was killed."""
+    global _number
+    _number = wanted
+    parent = parent_process()
+    assert parent is not None, "of a process of a pool"
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
+
+
+def _in_process(number: int, work: Callable[..., _T], *arguments: Any) -> _T:
+    def watch(event: Iteration | str) -> None:
+        if _number.value != number:
+            raise Dropped
+
+    watch("")
+    return work(*arguments, watch)

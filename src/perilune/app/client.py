@@ -1,0 +1,284 @@
+"""One page that is open: what it asks, what it is told, and what is computed for it meanwhile.
+
+The newest values are answered and older ones dropped; at rest the flight is compared with what is found from nothing,
+and proved.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from perilune.app.answering import Answering, Flown, NoneNear, family
+from perilune.app.beside import Beside, Dropped, in_thread
+from perilune.app.frames import extremals, flight, refusal
+from perilune.app.resting import compared, from_nothing, proved
+from perilune.app.slices import slice_of
+from perilune.app.subject import Subject
+from perilune.problem.solution import Solution
+from perilune.words.outcome import PeriluneError
+from perilune.words.watch import Iteration
+
+MESSAGE = 16_384  # bytes that a message may have
+COMPARING = 30.0  # s that are given to looking from nothing for a better flight
+_MOST, _PER = 240, 2.0  # messages in so many seconds
+_REST = 0.35  # s without a new value until what takes longer is done
+_TELL, _SLOW = 0.7, 1.0  # s until it is said that a flight takes its time; until it makes way for newer values
+_FAR = 100.0  # times the largest value of a slider that may be typed
+_T = TypeVar("_T")
+
+
+class Shown(NamedTuple):
+    """What a page shows: the number and values of its request, and the flight; None where there is none."""
+
+    number: int
+    values: dict[str, float]
+    solution: Solution | None
+
+
+class Client:
+    """Answers one page.
+
+    Parameters
+    ----------
+    subject, socket, beside
+        What is explored, the page, and the process for what takes long.
+    """
+
+    def __init__(self, subject: Subject, socket: WebSocket, beside: Beside) -> None:
+        self.subject, self.socket, self.beside = subject, socket, beside
+        self.name = secrets.token_urlsafe(9)
+        self.answering = Answering(subject.problem, subject.atlas, subject.known)
+        self.shown = Shown(-1, {}, None)
+        self._newest: dict[str, Any] | None = None
+        self._new = asyncio.Event()
+        self._when: list[float] = []
+        self._doing = ""
+
+    async def run(self) -> None:
+        """Until it has gone."""
+        await self._send({"type": "hello", "client": self.name, **hello(self.subject)})
+        reading, answering = asyncio.create_task(self._read()), asyncio.create_task(self._answer())
+        done, left = await asyncio.wait([reading, answering], return_when=asyncio.FIRST_COMPLETED)
+        for task in left:
+            task.cancel()
+        for task in done:
+            with suppress(WebSocketDisconnect, RuntimeError):
+                task.result()
+
+    async def _read(self) -> None:
+        """Take what comes; only the newest waits."""
+        while True:
+            message = await self.socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            text = message.get("text") or ""
+            now = time.monotonic()
+            self._when = [*(at for at in self._when if now - at < _PER), now]
+            if len(self._when) > _MOST or len(text) > MESSAGE:
+                await self.socket.close(1008, "too much at once")
+                return
+            try:
+                self._newest = asked(text, self.subject)
+            except PeriluneError as error:
+                await self._send({"type": "fault", **refusal(error)})
+                continue
+            self._new.set()
+
+    async def _answer(self) -> None:
+        while True:
+            await self._new.wait()
+            self._new.clear()
+            request = self._newest
+            assert request is not None, "set before the event"
+            found = await self._telling(in_thread(self._flown, request), request)
+            if found is None:
+                continue  # something newer came
+            await self._show(request, found)
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._new.wait(), _REST)
+                continue
+            await self._rested(request, found)
+
+    async def _telling(self, work: Awaitable[_T], request: dict[str, Any]) -> _T:
+        """Say what is done as long as it is done."""
+        doing, began = asyncio.ensure_future(work), time.monotonic()
+        while not (await asyncio.wait([doing], timeout=_TELL))[0]:
+            said = {"words": self._doing, "took": time.monotonic() - began}
+            await self._send({"type": "progress", "number": request["number"], **said})
+        return doing.result()
+
+    def _flown(self, request: dict[str, Any]) -> Flown | PeriluneError | None:
+        """In a thread: the flight at the newest values, why there is none, or None where newer values have come."""
+        began, self._doing = time.monotonic(), ""
+
+        def watch(event: Iteration | str) -> None:
+            if isinstance(event, str):
+                self._doing = event
+            if self._new.is_set() and time.monotonic() - began > _SLOW:
+                raise Dropped
+
+        try:
+            return self.answering.at(request["values"], watch)
+        except PeriluneError as error:
+            return error
+        except Dropped:
+            return None
+
+    async def _show(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
+        number, values = request["number"], request["values"]
+        head = {"number": number, "values": values}
+        if isinstance(found, Flown):
+            self.shown = Shown(number, values, found.solution)
+            began = time.perf_counter()
+            document = await in_thread(flight, found.solution)
+            latency = found.latency + time.perf_counter() - began
+            more = {"source": found.source, "words": found.words, "solved": found.latency, "latency": latency}
+            await self._send({"type": "flight", **head, **document, **more})
+        else:
+            self.shown = Shown(number, values, None)
+            await self._send({"type": "refusal", **head, **refusal(found)})
+
+    # -- at rest --------------------------------------------------------------------------------------------------
+
+    async def _rested(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
+        """What takes longer than a frame, as long as nothing newer comes."""
+        number, killed = request["number"], self.beside.killed
+        if isinstance(found, Flown) and self.subject.atlas is not None:
+            await self._beside_it("slice", number, partial(slice_of, self.subject, request["values"], request["slice"]))
+        try:
+            better = None if self._new.is_set() else await self._compared(request, found)
+            if better is not None:
+                await self._beside_it("family", number, partial(family, better))
+                proof = await self._unless_newer(self.beside.done(proved, better))
+                if proof is not None:
+                    await self._send({"type": "proof", "number": number, **proof})
+        except PeriluneError as error:
+            await self._send({"type": "notice", "words": error.what})
+        if self.beside.killed > killed:
+            words = "the process that compares and proves was killed, and begun anew"
+            await self._send({"type": "notice", "words": words})
+
+    async def _beside_it(self, kind: str, number: int, work: Callable[[], dict[str, Any] | None]) -> None:
+        """What is shown beside a flight, unless newer values have come."""
+        if not self._new.is_set() and (known := await in_thread(_quietly, work)) is not None:
+            await self._send({"type": kind, "number": number, **known})
+
+    async def _compared(self, request: dict[str, Any], found: Flown | PeriluneError) -> Solution | None:
+        """The flight that is to be proved: what was shown, or what is found from nothing, which is shown then."""
+        if isinstance(found, Flown) and found.source != "neighbour":
+            return found.solution
+        if isinstance(found, PeriluneError) and not isinstance(found, NoneNear):
+            return None
+        began, self._doing = time.perf_counter(), f"looking from nothing for a better one, for {COMPARING:g} s at most"
+        try:
+            if isinstance(found, NoneNear):
+                work = self.beside.done(from_nothing, self.answering.problem_at(request["values"]))
+            else:
+                work = self.beside.done(compared, found.solution)
+            better = await self._telling(self._unless_newer(work, COMPARING), request)
+        except (TimeoutError, PeriluneError) as error:
+            if isinstance(found, NoneNear):
+                if isinstance(error, PeriluneError):
+                    await self._show(request, error)
+                return None
+            why = f"within {COMPARING:g} s" if isinstance(error, asyncio.TimeoutError) else "from nothing"
+            words = f"compared with no other: none was found {why}"
+            await self._send({"type": "compared", "number": request["number"], "words": words})
+            return found.solution
+        if better is None:
+            return None
+        if better.jumped:
+            took = time.perf_counter() - began
+            self.answering.last = better.solution
+            jump = Flown(solution=better.solution, source="jumped", words=better.words, latency=took)
+            await self._show(request, jump)
+            if better.family is not None:
+                await self._send({"type": "family", "number": request["number"], **better.family})
+        else:
+            self.shown = self.shown._replace(solution=better.solution)
+            told = {"words": better.words, **extremals(better.solution)}
+            await self._send({"type": "compared", "number": request["number"], **told})
+        return better.solution
+
+    async def _unless_newer(self, work: Awaitable[_T], limit: float | None = None) -> _T | None:
+        """What comes of it; None, and it is dropped, where newer values come before. TimeoutError after the limit."""
+        doing, newer = asyncio.ensure_future(work), asyncio.ensure_future(self._new.wait())
+        try:
+            await asyncio.wait([doing, newer], timeout=limit, return_when=asyncio.FIRST_COMPLETED)
+            if self._new.is_set():
+                return None
+            if not doing.done():
+                raise TimeoutError
+            return doing.result()
+        finally:
+            newer.cancel()
+            doing.cancel()
+
+    async def _send(self, document: dict[str, Any]) -> None:
+        await self.socket.send_text(json.dumps(document, allow_nan=False, separators=(",", ":")))
+
+
+def hello(subject: Subject) -> dict[str, Any]:
+    """What a page has to know before anything is asked."""
+    problem = subject.problem
+    return {
+        "title": subject.title,
+        "kind": problem.name,
+        "mapped": subject.atlas is not None,
+        "scenario": bool(subject.text),
+        "maximised": problem.maximised or "",
+        "knobs": [vars(knob) for knob in subject.knobs],
+        "coasts": _coasts() if problem.views.ground is not None and problem.views.ground.coasts else [],
+    }
+
+
+def _coasts() -> list[list[list[float]]]:
+    from perilune.report.ground import coastline
+
+    return [line.round(1).tolist() for line in coastline()]
+
+
+def asked(text: str, subject: Subject) -> dict[str, Any]:
+    """A request of a page, looked at: finite numbers of an ordinary size for knobs that there are.
+
+    Raises
+    ------
+    PeriluneError
+        If it is anything else.
+    """
+    try:
+        said = json.loads(text)
+        number, values = int(said["number"]), said["values"]
+        found = {str(name): float(value) for name, value in values.items()}
+        axes = [str(name) for name in said.get("slice", [])][:2]
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+        raise PeriluneError("a message that no page sends", expected="number, values, slice") from None
+    known = {knob.name: knob for knob in subject.knobs}
+    for name, value in found.items():
+        if name not in known:
+            raise PeriluneError("there is no such parameter to move", got=name[:60])
+        knob = known[name]
+        most = _FAR * max(abs(knob.low), abs(knob.high))
+        if not abs(value) <= most:  # nor is what is no number
+            expected = f"at most {most / knob.size:.3g} {knob.unit}".removesuffix(" 1")
+            raise PeriluneError(
+                f"{knob.key} is far from its range", got=f"{value / knob.size:.6g}"[:40], expected=expected
+            )
+    return {"number": number, "values": found, "slice": [name for name in axes if name in known and known[name].mapped]}
+
+
+def _quietly(work: Any) -> Any:
+    """What comes of it; None where the physics or the map say no."""
+    try:
+        return work()
+    except PeriluneError:
+        return None

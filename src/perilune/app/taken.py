@@ -1,0 +1,51 @@
+"""What a page takes away of the flight that it shows: the scenario, a table, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from zipfile import ZipFile
+
+from perilune.app.client import Shown
+from perilune.app.subject import Subject
+from perilune.io.exports.provenance import provenance
+from perilune.io.exports.writing import write
+from perilune.problem.solution import Solution
+from perilune.words.outcome import PeriluneError
+
+
+def _scenario(subject: Subject, shown: Shown) -> bytes:
+    return subject.scenario(shown.values).encode()
+
+
+def _table(subject: Subject, shown: Shown) -> bytes:
+    with TemporaryDirectory() as folder:
+        file = write(_flight(shown), Path(folder) / "flight.csv", "csv", provenance(_flight(shown), None))
+        return file.read_bytes()
+
+
+def _figures(subject: Subject, shown: Shown) -> bytes:
+    from perilune.report.figures import drawings  # and with it a library that takes a second to load
+
+    made = BytesIO()
+    with ZipFile(made, "w") as archive:
+        for name, draw in drawings(_flight(shown)).items():
+            drawn = BytesIO()
+            draw().savefig(drawn, format="svg")
+            archive.writestr(f"{name}.svg", drawn.getvalue())
+    return made.getvalue()
+
+
+def _flight(shown: Shown) -> Solution:
+    if shown.solution is None:
+        raise PeriluneError("there is no flight at these values")
+    return shown.solution
+
+
+# By name; each raises PeriluneError if there is no such thing of what is shown.
+TAKEN: Mapping[str, Callable[[Subject, Shown], bytes]] = MappingProxyType(
+    {"scenario.toml": _scenario, "flight.csv": _table, "figures.zip": _figures}
+)
