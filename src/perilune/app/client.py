@@ -28,7 +28,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Iteration
 
 MESSAGE = 16_384  # bytes that a message may have
-COMPARING = 30.0  # s that are given to looking from nothing for a better flight
+COMPARING = 60.0  # s that are given to looking from nothing for a better flight
 _MOST, _PER = 240, 2.0  # messages in so many seconds
 _REST = 0.35  # s without a new value until what takes longer is done
 _TELL, _SLOW = 0.7, 1.0  # s until it is said that a flight takes its time; until it makes way for newer values
@@ -118,7 +118,7 @@ class Client:
 
     def _flown(self, request: dict[str, Any]) -> Flown | PeriluneError | None:
         """In a thread: the flight at the newest values, why there is none, or None where newer values have come."""
-        began, self._doing = time.monotonic(), ""
+        began, self._doing = time.monotonic(), "stating and deriving"
 
         def watch(event: Iteration | str) -> None:
             if isinstance(event, str):

@@ -130,7 +130,7 @@
     waits(parts);
   }
   function waits(parts) { // what is done now, and what went wrong beside it
-    if (state.doing) { const node = document.createElement("span"); text(node, `${state.doing.words || "at work"}, ${state.doing.took.toFixed(0)} s`); parts.push(node); }
+    if (state.doing) { const node = document.createElement("span"); text(node, `${state.doing.words.length > 90 ? state.doing.words.slice(0, 90) + "…" : state.doing.words}, ${state.doing.took.toFixed(0)} s`); parts.push(node); }
     if (state.notice) { const node = document.createElement("i"); text(node, state.notice); parts.push(node); }
     $("source").replaceChildren(...parts.flatMap((node, i) => i ? ["; ", node] : [node]));
   }
