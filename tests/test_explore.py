@@ -150,6 +150,7 @@ def test_without_an_atlas_a_flight_jumps_when_it_is_compared() -> None:
             child.kill()
         page.put(number=4, values={ISP: 284.0})
         assert (await page.until("compared"))["words"] == "best of 3 found"
+        assert (await page.until("family"))["values"][0] == 0.0
         assert (await page.until("proof"))["outcome"] == "PROVED"
         assert "killed" in (await page.until("notice"))["words"]
 

@@ -12,6 +12,7 @@ import secrets
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -203,11 +204,12 @@ class Client:
             await self._show(request, jump)
             if better.family is not None:
                 await self._send({"type": "family", "number": request["number"], **better.family})
-        else:
-            self.shown = self.shown._replace(solution=better.solution)
-            told = {"words": better.words, **extremals(better.solution)}
-            await self._send({"type": "compared", "number": request["number"], **told})
-        return better.solution
+            return better.solution
+        assert isinstance(found, Flown), "what jumped was another"
+        known = replace(found.solution, extremals=better.solution.extremals)  # as it was found, with its family
+        self.shown = self.shown._replace(solution=known)
+        await self._send({"type": "compared", "number": request["number"], "words": better.words, **extremals(known)})
+        return known
 
     async def _unless_newer(self, work: Awaitable[_T], limit: float | None = None) -> _T | None:
         """What comes of it; None, and it is dropped, where newer values come before. TimeoutError after the limit."""

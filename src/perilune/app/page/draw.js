@@ -2,7 +2,7 @@
 "use strict";
 const Draw = (() => {
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const colours = () => [css("--go"), css("--hot"), css("--good"), "#9333ea", "#0891b2"];
+  const colours = () => [css("--go"), css("--hot"), css("--good"), "#a855f7", "#0891b2"];
   const fine = (v) => v === null || v === undefined ? "none" : Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(3) : String(+v.toPrecision(5));
   const plots = new Map();
 
@@ -33,7 +33,7 @@ const Draw = (() => {
     entry.plot = new uPlot({
       width, height, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => { const room = Math.max(0.08 * (high - low), 0.5 * (entry.least - (high - low)), 1e-300), flat = high - low < 1e-12 * Math.max(Math.abs(low), Math.abs(high)); return flat && !entry.least ? [low - 0.1 * Math.abs(low) - 1e-9, high + 0.1 * Math.abs(high) + 1e-9] : [low - room, high + room]; } } }, cursor: { points: { size: 5 } },
       legend: { show: curves.length > 1 },
-      axes: [{ ...axis, size: 26 }, { ...axis, values: (_, ticks) => ticks.map((v) => Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(0) : String(+v.toPrecision(4))) }],
+      axes: [{ ...axis, size: 26 }, { ...axis, values: (_, ticks) => ticks.map((v) => Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(1).replace(".0e", "e").replace("e+", "e") : String(+v.toPrecision(4))) }],
       series: [{ label: "t", value: (_, v) => fine(v) }, ...curves.map((c, i) => ({ label: c.name, stroke: c.colour || colours()[i % 5], width: c.dash ? 1 : 1.6, dash: c.dash, points: { show: false }, value: (_, v) => fine(v) }))],
       hooks: { draw: [(u) => {
         for (const point of entry.mark || []) {
