@@ -13,6 +13,7 @@ import urllib.error
 import urllib.request
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, cast
@@ -302,3 +303,13 @@ def test_what_cannot_be_explored_is_refused(tmp_path: Path, capsys: pytest.Captu
     with socket.create_server(("127.0.0.1", 0)) as taken:
         assert obey(["explore", "--no-open", "--port", str(taken.getsockname()[1])]) == 2
     assert "cannot be used" in capsys.readouterr().err
+
+
+def test_a_page_without_an_atlas_jumps_too() -> None:
+    """Followed from both ends, so that on either side of 277.867 s the better family is there."""
+    subject = subject_of(None)
+    knob = next(knob for knob in subject.knobs if knob.name == ISP)
+    page = frozen_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
+    document = json.loads(page.partition('id="frozen">')[2].partition("</script>")[0])
+    burns = [(flight["values"][ISP], flight["free"]["retro_delta_v"] > 0.0) for flight in document["flights"]]
+    assert burns == [(isp, isp > 277.867) for isp, _ in burns]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -52,17 +53,28 @@ def frozen_page(subject: Subject, watch: Watch = silent) -> str:
     chosen = [knob for knob in subject.knobs if knob.mapped][:2] or list(subject.knobs[:1])
     count = _ALONG if len(chosen) == 1 else _BOTH
     grids = [np.linspace(knob.low, knob.high, count).tolist() for knob in chosen]
-    answering, flights = Answering(subject.problem, subject.atlas, subject.known), list[dict[str, Any]]()
-    for number, values in enumerate(product(*grids)):
-        if number % 10 == 0:
-            watch(f"{number} of {count ** len(chosen)} flights")
-        flights.append(_one(answering, dict(zip((knob.name for knob in chosen), values, strict=True))))
+    points = [dict(zip((knob.name for knob in chosen), values, strict=True)) for values in product(*grids)]
+    flights = _flights(subject, points, watch)
+    if subject.atlas is None:  # from neighbour to neighbour a family is kept across a jump: from the other end, another
+        back = _flights(subject, points[::-1], watch)[::-1]
+        flights = [
+            min(pair, key=lambda found: found.get("objective", math.inf)) for pair in zip(flights, back, strict=True)
+        ]
     if not any(found["type"] == "flight" for found in flights):
         raise PeriluneError("there is no flight at any point of the page", got=flights[0]["what"])
     told = hello(subject)
     knobs = [{**vars(knob), "grid": grid, "mapped": False} for knob, grid in zip(chosen, grids, strict=True)]
     document = {"hello": {**told, "knobs": knobs, "mapped": False, "scenario": False}, "flights": flights}
     return _page(page_files(), json.dumps(document, allow_nan=False, separators=(",", ":")))
+
+
+def _flights(subject: Subject, points: Sequence[Mapping[str, float]], watch: Watch) -> list[dict[str, Any]]:
+    answering, flights = Answering(subject.problem, subject.atlas, subject.known), list[dict[str, Any]]()
+    for number, values in enumerate(points):
+        if number % 10 == 0:
+            watch(f"{number} of {len(points)} flights")
+        flights.append(_one(answering, values))
+    return flights
 
 
 def _one(answering: Answering, values: Mapping[str, float]) -> dict[str, Any]:
