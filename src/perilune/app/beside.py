@@ -28,6 +28,10 @@ class Dropped(BaseException):
     """Nobody waits for what is computed; no error, which a method would try to mend."""
 
 
+class Killed(PeriluneError):
+    """The process of some work was killed whenever it was begun."""
+
+
 async def in_thread(work: Callable[..., _T], *arguments: Any) -> _T:
     """As `asyncio.to_thread`, but nobody waits for it at the end of the program."""
     loop = asyncio.get_running_loop()
@@ -65,7 +69,7 @@ class Beside:
 
         Raises
         ------
-        PeriluneError
+        Killed
             If the process is killed each time; else what the work raises.
         """
         async with self._one:
@@ -80,7 +84,7 @@ class Beside:
                 except BrokenExecutor:
                     self.killed += 1
                     self._end()
-            raise PeriluneError("the process beside the page was killed whenever it worked on this flight")
+            raise Killed("the process that compares and proves was killed whenever it worked on this flight")
 
     async def _tried(self, work: Callable[..., _T], *arguments: Any) -> _T:
         if self._pool is None:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from perilune.app.answering import Answering, Flown, NoneNear, family
-from perilune.app.beside import Beside, Dropped, in_thread
+from perilune.app.beside import Beside, Dropped, Killed, in_thread
 from perilune.app.frames import extremals, flight, refusal
 from perilune.app.resting import compared, from_nothing, proved
 from perilune.app.slices import slice_of
@@ -129,24 +129,28 @@ class Client:
 
         try:
             return self.answering.at(request["values"], watch)
-        except PeriluneError as error:
-            return error
         except Dropped:
             return None
+        except Exception as error:
+            return in_words(error)
 
     async def _show(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
         number, values = request["number"], request["values"]
         head = {"number": number, "values": values}
         if isinstance(found, Flown):
-            self.shown = Shown(number, values, found.solution)
             began = time.perf_counter()
-            document = await in_thread(flight, found.solution)
-            latency = found.latency + time.perf_counter() - began
-            more = {"source": found.source, "words": found.words, "solved": found.latency, "latency": latency}
-            await self._send({"type": "flight", **head, **document, **more})
-        else:
-            self.shown = Shown(number, values, None)
-            await self._send({"type": "refusal", **head, **refusal(found)})
+            try:
+                document = await in_thread(flight, found.solution)
+            except Exception as error:
+                found = in_words(error)
+            else:
+                latency = found.latency + time.perf_counter() - began
+                more = {"source": found.source, "words": found.words, "solved": found.latency, "latency": latency}
+                self.shown = Shown(number, values, found.solution)
+                await self._send({"type": "flight", **head, **document, **more})
+                return
+        self.shown = Shown(number, values, None)
+        await self._send({"type": "refusal", **head, **refusal(found)})
 
     # -- at rest --------------------------------------------------------------------------------------------------
 
@@ -162,8 +166,11 @@ class Client:
                 proof = await self._unless_newer(self.beside.done(proved, better))
                 if proof is not None:
                     await self._send({"type": "proof", "number": number, **proof})
-        except PeriluneError as error:
-            await self._send({"type": "notice", "words": error.what})
+        except WebSocketDisconnect:
+            raise
+        except Exception as error:
+            told = in_words(error)
+            await self._send({"type": "notice", "words": f"{told.what} {told.got}".strip()})
         if self.beside.killed > killed:
             words = "the process that compares and proves was killed, and begun anew"
             await self._send({"type": "notice", "words": words})
@@ -186,12 +193,16 @@ class Client:
             else:
                 work = self.beside.done(compared, found.solution)
             better = await self._telling(self._unless_newer(work, COMPARING), request)
+        except Killed:
+            raise
         except (TimeoutError, PeriluneError) as error:
             if isinstance(found, NoneNear):
-                if isinstance(error, PeriluneError):
-                    await self._show(request, error)
+                late = PeriluneError(
+                    "there is no extremal near the flight before", got=f"none in {COMPARING:g} s from nothing"
+                )
+                await self._show(request, error if isinstance(error, PeriluneError) else late)
                 return None
-            why = f"within {COMPARING:g} s" if isinstance(error, asyncio.TimeoutError) else "from nothing"
+            why = f"within {COMPARING:g} s" if isinstance(error, TimeoutError) else "from nothing"
             words = f"compared with no other: none was found {why}"
             await self._send({"type": "compared", "number": request["number"], "words": words})
             return found.solution
@@ -227,6 +238,14 @@ class Client:
 
     async def _send(self, document: dict[str, Any]) -> None:
         await self.socket.send_text(json.dumps(document, allow_nan=False, separators=(",", ":")))
+
+
+def in_words(error: Exception) -> PeriluneError:
+    """The same for a page; what is no refusal is a fault of the program."""
+    if isinstance(error, PeriluneError):
+        return error
+    got = f"{type(error).__name__}: {str(error)[:300]}"
+    return PeriluneError("perilune failed, which is a fault of the program and not yours", got=got)
 
 
 def hello(subject: Subject) -> dict[str, Any]:
