@@ -77,15 +77,16 @@ class Answering:
         PeriluneError
             If there is none: why.
         """
-        began = time.perf_counter()
+        began, why = time.perf_counter(), ""
         try:
             found = self._mapped(values)
         except InfeasibleError:
             raise
-        except PeriluneError:
-            found = None  # the map ends here; a neighbour may know more
+        except PeriluneError as error:
+            found, why = None, f" (the map: {error.what})"  # which ends here; a neighbour may know more
         if found is None:
-            found = self._near(values, watch)
+            near, source, words = self._near(values, watch)
+            found = near, source, words + why
         self.last = found[0]
         return Flown(solution=found[0], source=found[1], words=found[2], latency=time.perf_counter() - began)
 
