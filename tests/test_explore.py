@@ -6,6 +6,7 @@ import asyncio
 import csv
 import io
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -31,6 +32,7 @@ from perilune import PeriluneError
 from perilune.app.beside import Beside
 from perilune.app.client import MESSAGE, Client, asked, hello
 from perilune.app.frozen import frozen_page
+from perilune.app.server import page_files
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
 from perilune.scenario import load_text
@@ -313,3 +315,23 @@ def test_a_page_without_an_atlas_jumps_too() -> None:
     document = json.loads(page.partition('id="frozen">')[2].partition("</script>")[0])
     burns = [(flight["values"][ISP], flight["free"]["retro_delta_v"] > 0.0) for flight in document["flights"]]
     assert burns == [(isp, isp > 277.867) for isp, _ in burns]
+
+
+def _light(colour: str) -> float:
+    """Relative luminance as WCAG 2.2 defines it."""
+    digits = colour.lstrip("#") if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+    parts = (int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4))
+    red, green, blue = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def test_every_colour_of_a_word_stands_out_from_its_ground() -> None:
+    """At least 4.5 to 1, in the light and in the dark."""
+    themes = re.findall(r":root \{.*?\}", page_files()["style.css"].decode())
+    assert len(themes) == 2
+    for theme in themes:
+        colours = {name: _light(colour) for name, colour in re.findall(r"--(\w+): (#\w+)", theme)}
+        for word in ("ink", "soft", "go", "hot", "good", "bad"):
+            for ground in ("paper", "box"):
+                low, high = sorted((colours[word], colours[ground]))
+                assert (high + 0.05) / (low + 0.05) >= 4.5, (word, ground)

@@ -290,10 +290,8 @@ def asked(text: str, subject: Subject) -> dict[str, Any]:
         knob = known[name]
         most = _FAR * max(abs(knob.low), abs(knob.high))
         if not abs(value) <= most:  # nor is what is no number
-            expected = f"at most {most / knob.size:.3g} {knob.unit}".removesuffix(" 1")
-            raise PeriluneError(
-                f"{knob.key} is far from its range", got=f"{value / knob.size:.6g}"[:40], expected=expected
-            )
+            got, expected = (f"{size / knob.size:.6g} {knob.unit}".removesuffix(" 1") for size in (value, most))
+            raise PeriluneError(f"{knob.key} is far from its range", got=got, expected=f"at most {expected}")
     return {"number": number, "values": found, "slice": [name for name in axes if name in known and known[name].mapped]}
 
 

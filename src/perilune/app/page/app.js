@@ -73,7 +73,7 @@
   function row(knob) {
     const box = document.createElement("div"), id = "knob-" + knob.name, label = document.createElement("label"), name = document.createElement("b");
     const slider = document.createElement("input"), number = document.createElement("input"), right = document.createElement("span");
-    box.className = "knob"; text(name, knob.key); label.htmlFor = id;
+    box.className = "knob"; name.append(...knob.key.split(/(?<=[._])/).flatMap((piece) => [piece, document.createElement("wbr")])); label.htmlFor = id;
     slider.type = "range"; slider.id = id; slider.step = "any"; slider.dataset.name = knob.name;
     number.type = "number"; number.step = "any"; number.setAttribute("aria-label", `${knob.key} in ${knob.unit}`);
     right.append(number, " " + (knob.unit === "1" ? "" : knob.unit)); label.append(name, right); box.append(label, slider);
@@ -122,11 +122,11 @@
     requestAnimationFrame(Draw.look); // what came last may have moved others into sight
   }
   function source(flight) {
-    const proof = flight.proved, ms = `${(1000 * flight.latency).toFixed(1)} ms`, parts = [];
+    const proof = flight.proved, took = flight.latency < 1 ? `${(1000 * flight.latency).toFixed(1)} ms` : `${flight.latency.toFixed(1)} s`, parts = [];
     const part = (kind, words) => { const node = document.createElement(kind); text(node, words); parts.push(node); };
     if (proof) { part(proof.outcome === "PROVED" ? "b" : "i", `${proof.outcome}, level ${proof.level}, in ${proof.took.toFixed(1)} s`); }
     part(flight.source === "jumped" ? "i" : "span", flight.compared ? `${flight.words}, ${flight.compared}` : flight.words);
-    if (flight.source !== "stored") { part("span", ms); }
+    if (flight.source !== "stored") { part("span", took); }
     waits(parts);
   }
   function waits(parts) { // what is done now, and what went wrong beside it

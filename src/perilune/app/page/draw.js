@@ -28,10 +28,10 @@ const Draw = (() => {
     }
     if (known) { known.plot.destroy(); }
     const ink = css("--soft"), grid = { stroke: css("--line"), width: 1 };
-    const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui", size: 52 };
+    const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui", size: 66 };
     const entry = { names, box, width, mark, least };
     entry.plot = new uPlot({
-      width, height, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => { const room = Math.max(0.08 * (high - low), 0.5 * (entry.least - (high - low)), 1e-300), flat = high - low < 1e-12 * Math.max(Math.abs(low), Math.abs(high)); return flat && !entry.least ? [low - 0.1 * Math.abs(low) - 1e-9, high + 0.1 * Math.abs(high) + 1e-9] : [low - room, high + room]; } } }, cursor: { points: { size: 5 } },
+      width, height, pxAlign: 0, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => { const room = Math.max(0.08 * (high - low), 0.5 * (entry.least - (high - low)), 1e-300), flat = high - low < 1e-12 * Math.max(Math.abs(low), Math.abs(high)); return flat && !entry.least ? [low - 0.1 * Math.abs(low) - 1e-9, high + 0.1 * Math.abs(high) + 1e-9] : [low - room, high + room]; } } }, cursor: { points: { size: 5 } },
       legend: { show: curves.length > 1 },
       axes: [{ ...axis, size: 26 }, { ...axis, values: (_, ticks) => ticks.map((v) => Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(1).replace(".0e", "e").replace("e+", "e") : String(+v.toPrecision(4))) }],
       series: [{ label: "t", value: (_, v) => fine(v) }, ...curves.map((c, i) => ({ label: c.name, stroke: c.colour || colours()[i % 5], width: c.dash ? 1 : 1.6, dash: c.dash, points: { show: false }, value: (_, v) => fine(v) }))],
