@@ -26,6 +26,14 @@ def atlas(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def alone(atlas: Path) -> Path:
+    """A page in a file, as from a mail."""
+    file = atlas.parent / "page.html"
+    file.write_text(frozen_page(subject_of(atlas)), encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with playwright.sync_playwright() as started:
         made = started.chromium.launch(executable_path=CHROMIUM, args=QUIET)
@@ -101,6 +109,18 @@ def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(
         assert "another vehicle.mass" in page.inner_text("#slice-words")
 
 
+def test_without_an_atlas_the_flight_follows_as_fast_and_jumps_at_rest(page: Any) -> None:
+    with served() as address:
+        page.goto(address)
+        until(page, "perilune.frames > 0")
+        assert _drag(page, 0.5, 0.05, 2.0) >= 40
+        until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v === 0")
+        _drag(page, 0.05, 0.5, 0.3)
+        until(page, "perilune.flight.source === 'jumped' && perilune.flight.free.retro_delta_v > 500")
+        until(page, "!!perilune.flight.proved")
+        assert "PROVED, level 3" in page.inner_text("#source") and "has jumped" in page.inner_text("#source")
+
+
 def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page: Any) -> None:
     """An approach that begins below the glide slope cannot be flown."""
     with served(str(ROOT / "examples" / "precision_landing.toml"), "--set", "approach.up=800 m") as address:
@@ -141,15 +161,11 @@ def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
-def test_a_page_from_a_file_alone_shows_its_flights(
-    page: Any, atlas: Path, tmp_path: Path, width: int, scheme: str
-) -> None:
-    """As from a mail: no server; nothing wider than the screen; the jump is in it."""
-    file = tmp_path / "page.html"
-    file.write_text(frozen_page(subject_of(atlas)), encoding="utf-8")
+def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, width: int, scheme: str) -> None:
+    """No server; nothing wider than the screen; the jump is in it."""
     page.set_viewport_size({"width": width, "height": 844})
     page.emulate_media(color_scheme=scheme)
-    page.goto(file.as_uri())
+    page.goto(alone.as_uri())
     until(page, "perilune.frames > 0")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.locator(ISP).scroll_into_view_if_needed()

@@ -7,6 +7,7 @@ becomes a path. What a page takes away is the flight that it shows.
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 from collections.abc import Mapping
 from importlib.resources import files
@@ -52,6 +53,7 @@ class Explorer:
         self._hosts = {f"{host}:{port}" for host in ("127.0.0.1", "localhost")}
         self._files = page_files()
         self._open, self._beside = dict[str, Client](), Beside()
+        self._taking = asyncio.Lock()  # figures are drawn one after the other
         self.app = Starlette(
             routes=[
                 WebSocketRoute("/{token}/live", self._live),
@@ -83,7 +85,8 @@ class Explorer:
         if client is None or str(client.shown.number) != query.get("number"):
             return PlainTextResponse("this flight is shown no longer: ask again", status_code=409, headers=_HEADERS)
         try:
-            content = await in_thread(TAKEN[name], self.subject, client.shown)
+            async with self._taking:
+                content = await in_thread(TAKEN[name], self.subject, client.shown)
         except PeriluneError as error:
             return PlainTextResponse(str(error), status_code=400, headers=_HEADERS)
         return Response(content, media_type="application/octet-stream", headers=_HEADERS)
