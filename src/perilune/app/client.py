@@ -32,7 +32,7 @@ MESSAGE = 16_384  # bytes that a message may have
 COMPARING = 60.0  # s that are given to looking from nothing for a better flight
 _MOST, _PER = 240, 2.0  # messages in so many seconds
 _REST = 0.35  # s without a new value until what takes longer is done
-_TELL, _SLOW = 0.7, 1.0  # s until it is said that a flight takes its time; until it makes way for newer values
+_TELL, _SLOW = 1.0, 1.0  # s until it is said that a flight takes its time; until it makes way for newer values
 _FAR = 100.0  # times the largest value of a slider that may be typed
 _T = TypeVar("_T")
 
@@ -163,7 +163,8 @@ class Client:
             better = None if self._new.is_set() else await self._compared(request, found)
             if better is not None:
                 await self._beside_it("family", number, partial(family, better))
-                proof = await self._unless_newer(self.beside.done(proved, better))
+                self._doing = "proving"
+                proof = await self._telling(self._unless_newer(self.beside.done(proved, better)), request)
                 if proof is not None:
                     await self._send({"type": "proof", "number": number, **proof})
         except WebSocketDisconnect:

@@ -13,6 +13,7 @@ const Draw = (() => {
   function whenSeen(node, work) { if (seen(node)) { later.delete(node); work(); } else { later.set(node, work); } }
   const look = () => { for (const [node, work] of [...later]) { if (seen(node)) { later.delete(node); work(); } } };
   addEventListener("scroll", look, { passive: true });
+  addEventListener("beforeprint", () => { for (const [node, work] of [...later]) { later.delete(node); work(); } });
 
   function lines(box, key, title, unit, x, curves, height = 150, mark = null, least = 0) {
     box.style.minHeight = `${height}px`;
