@@ -6,6 +6,7 @@ import asyncio
 import csv
 import io
 import json
+import math
 import re
 import socket
 import subprocess
@@ -35,6 +36,7 @@ from perilune.app.frozen import frozen_page
 from perilune.app.server import page_files
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
+from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_text
 
 ISP = "retro_specific_impulse"
@@ -291,6 +293,19 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
     }  # a file with it states another problem
     with pytest.raises(PeriluneError, match="far from its range"):
         asked('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
+
+
+def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:
+    """Whatever one of them says alone may be stated and is not refused; numbers of nature are apart."""
+    for name in ("precision_landing", "mars_pinpoint", "polar_descent"):
+        subject = subject_of(ROOT / "examples" / f"{name}.toml")
+        knobs = {knob.key: knob for knob in subject.knobs}
+        for knob in knobs.values():
+            assert knob.low <= knob.value <= knob.high and knob.low < knob.high
+            for value in (knob.low, knob.high):
+                refuse_impossible(preflight(subject.problem.with_given(**{knob.name: value})))
+        assert knobs["vehicle.standard_gravity"].natural and not knobs["vehicle.thrust"].natural
+    assert knobs["start.latitude"].high == math.pi / 2 and "start.sideways_speed" in knobs  # which is 0 m/s
 
 
 def test_a_page_that_needs_no_server_holds_its_flights(subject: Subject) -> None:

@@ -15,7 +15,7 @@ from perilune.words.declared import Quantity
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
-_WIDE, _TURN = 0.25, math.radians(10.0)  # of a value to either side; of an angle that is 0
+_WIDE, _TURN = 0.25, math.radians(10.0)  # of a value to either side; of an angle at most
 _FURTHER = 12.0  # times as far, where nothing near by can be flown
 _LOOKS = 32  # values between one and the end of its range
 _HALVINGS = 6  # towards the last value that can be stated
@@ -97,7 +97,8 @@ def _room(problem: Problem, name: str) -> float:
     """How far a value may be moved to either side: by its own size, else by those beside it."""
     given = problem.given[name]
     if given.value:
-        return _WIDE * abs(given.value)
+        room = _WIDE * abs(given.value)
+        return min(room, _TURN) if given.unit == "rad" else room
     if given.unit == "rad":
         return _TURN
     section = key_of(name).partition(".")[0] + "."
@@ -130,7 +131,8 @@ def _possible(problem: Problem, name: str, values: Vector) -> Vector:
 
 def _stated(problem: Problem, name: str, value: float) -> bool:
     try:
-        problem.with_given(**{name: float(value)})
+        with np.errstate(all="ignore"):  # a model may find out by its numbers
+            problem.with_given(**{name: float(value)})
     except PeriluneError:
         return False
     return True
