@@ -68,6 +68,7 @@ def _views(solution: Solution) -> dict[str, Any]:
         "histories": [{"caption": shown.caption, "quantities": list(shown.quantities)} for shown in views.histories],
         "ground": [ground.longitude, ground.latitude] if ground is not None and ground.longitude else None,
         "coasts": bool(views.ground and views.ground.coasts),
+        "controls": list(dict.fromkeys(name for phase in solution.problem.phases for name in phase.control_names)),
     }
 
 

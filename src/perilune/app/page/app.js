@@ -152,10 +152,11 @@
     const names = [...new Set(flight.phases.flatMap((p) => Object.keys(p.columns)))];
     const adjoint = names.filter((n) => n.startsWith("lambda_") || n === "H");
     const shown = flight.views.histories.flatMap((h) => h.quantities).filter((n, i, all) => names.includes(n) && all.indexOf(n) === i);
-    const steering = shown.filter((n) => /thrust|angle|throttle|bank|lift|attack|pointing/.test(n)), others = shown.filter((n) => !steering.includes(n));
-    const plain = names.filter((n) => !adjoint.includes(n) && !shown.includes(n));
-    const rest = plain.filter((n) => !steering.includes(n)), turned = steering.length ? steering : plain.filter((n) => /toward|direction|thrust|throttle|lift|bank|attack/.test(n));
-    panels("states", flight, [...others, ...rest.filter((n) => !turned.includes(n))].slice(0, 10)); panels("controls", flight, turned.slice(0, 6));
+    // Of the controls: what the problem shows of them (an angle, a throttle), and their own components where it shows none.
+    const steering = shown.filter((n) => /thrust|(?<!path_)angle|throttle|bank|lift|attack|pointing/.test(n) && n !== "thrust_acceleration");
+    const turned = steering.length ? steering : flight.views.controls.filter((n) => names.includes(n));
+    const others = shown.filter((n) => !turned.includes(n)), rest = names.filter((n) => !adjoint.includes(n) && !shown.includes(n) && !flight.views.controls.includes(n));
+    panels("states", flight, [...others, ...rest].slice(0, 10)); panels("controls", flight, turned.slice(0, 6));
     panels("costates", flight, [...adjoint.filter((n) => n !== "H").slice(0, 9), ...adjoint.filter((n) => n === "H")]);
   }
   function panels(id, flight, names) {
