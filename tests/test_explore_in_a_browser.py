@@ -134,6 +134,10 @@ def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page:
         assert "glide slope" in page.inner_text("#refusal")
         page.click("#undo")
         until(page, "document.getElementById('refusal').hidden", 60.0)
+        page.fill("input[aria-label='approach.up in m']", "1234.5678912345")  # outside of the slider's range
+        page.keyboard.press("Enter")
+        assert page.evaluate("perilune.values.approach_up") == 1234.5678912345
+        assert page.evaluate("+document.getElementById('knob-approach_up').max") == 1234.5678912345
 
 
 def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
