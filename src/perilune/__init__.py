@@ -7,7 +7,7 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # name: module. Loaded on first use, so that `import perilune` costs nothing.
 _EXPORTS = {
