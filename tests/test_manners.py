@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
@@ -38,6 +39,31 @@ def test_a_line_says_what_it_is(landing: Problem, hybrid: Solution) -> None:
     first, *others = proved.verification.checks
     failed = replace(proved.verification, checks=(replace(first, value=1.0), *others))
     assert repr(failed).endswith(f"checks passed; failed: {first.name}>")
+
+
+def test_records_of_arrays_are_a_line_too(hybrid: Solution, tmp_path: Path) -> None:
+    flown = hybrid.trajectories[0]
+    nodes = len(flown.time)
+    assert repr(flown.state) == f"<Curve of 5 values at {nodes} nodes, 0 s to 286.864 s>"
+    parts = "5 states, 2 values of the control, 5 costates"
+    assert repr(flown) == f"<Trajectory of descent: {nodes} nodes, 0 s to 286.864 s; {parts}>"
+    assert repr(hybrid.problem.phases[0]) == (
+        "<Phase descent: r [m], phi [rad], u [m/s], v [m/s], m [kg]; steered by transverse, radial; lasts flight_time>"
+    )
+    table = pl.Table(tuple(range(30)), tuple(x**2 for x in range(30)))
+    assert repr(table) == "<Table of 30 points, smooth: 0 to 29 onto 0 to 841>"
+    assert "unknowns" not in repr(hybrid.extremals[0])
+    pl.atlas.build(hybrid.problem, {"retro.specific_impulse": (300.0, 301.0)}, tmp_path / "map", tolerance=1e-6)
+    mapped = pl.atlas.open(tmp_path / "map")
+    assert repr(mapped) == "<Atlas of hybrid_landing: retro.specific_impulse from 300 s to 301 s>"
+    assert repr(mapped.query(retro_specific_impulse=301.0)).startswith(
+        "<Solution of hybrid_landing by indirect: SOLVED"
+    )
+    assert repr(mapped.query_many(np.array([[300.5], [400.0]]))) == "<Answers at 1 of 2 points>"
+    assert re.fullmatch(
+        r"<Slice of hybrid_landing, retro.specific_impulse from 300 s to 301 s: 5 of 5 points; J -1\S+ kg to -1\S+ kg>",
+        repr(pl.atlas.sliced(mapped, points=5)),
+    )
 
 
 def test_a_notebook_shows_pages_without_a_network(hybrid: Solution) -> None:

@@ -45,7 +45,7 @@ class Answered(IntEnum):
     ENDS = 5  # a sheet that might be better ends in its cell, breaks the path there, or is not borne out
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Answers:
     """Answers at many points, (points,) each; NaN where there is none.
 
@@ -75,6 +75,9 @@ class Answers:
     guess_error: Vector
     error_bound: Vector
     slopes: Matrix
+
+    def __repr__(self) -> str:
+        return f"<Answers at {np.count_nonzero(self.good)} of {len(self.good)} points>"
 
     @property
     def good(self) -> NDArray[np.bool_]:

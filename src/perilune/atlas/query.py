@@ -74,7 +74,7 @@ class Query:
     latency: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Mapped(Solution):
     """A solution that was read from an atlas; `query` says how."""
 

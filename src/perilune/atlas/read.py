@@ -232,6 +232,9 @@ class Reader:
         self.said: dict[tuple[int, ...], dict[str, Any]] = {}
         self.refresh()
 
+    def __repr__(self) -> str:
+        return f"<Atlas of {self.problem.name}: {', '.join(axis.extent for axis in self.region.axes)}>"
+
     def refresh(self) -> None:
         """Look again at what the manifest says."""
         survey, before = self.store.survey(), self.said

@@ -19,7 +19,7 @@ from perilune.words.asked import refused
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import told
+from perilune.words.units import told, told_range
 
 MOST_AXES = 4
 _MOST_BRICKS = 10**6
@@ -59,6 +59,11 @@ class Axis:
     def key(self) -> str:
         """What a user calls it: ``vehicle.thrust``."""
         return key_of(self.name)
+
+    @property
+    def extent(self) -> str:
+        """``vehicle.thrust from 430 N to 450 N``."""
+        return f"{self.key} from {told_range(self.edges, self.unit)}"
 
     def told(self, value: float) -> str:
         """A value of it [SI] in words."""

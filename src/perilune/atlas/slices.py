@@ -23,6 +23,7 @@ from perilune.problem.problem import Problem
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
+from perilune.words.units import told_range
 
 POINTS = 101  # along each axis
 _MOST = 2000
@@ -33,7 +34,7 @@ _WHY = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Slice:
     """Answers over one or two axes, the others held.
 
@@ -70,6 +71,12 @@ class Slice:
     reasons: tuple[str, ...]
     size: Matrix
     nodes: Matrix
+
+    def __repr__(self) -> str:
+        along = ", ".join(axis.extent for axis in self.axes)
+        good, cost = self.answers.good, told_range(self.answers.objective, self.problem.objective_unit)
+        points = f"{np.count_nonzero(good)} of {len(good)} points"
+        return f"<Slice of {self.problem.name}, {along}: {points}; J {cost or 'nowhere'}>"
 
     @property
     def shape(self) -> tuple[int, ...]:

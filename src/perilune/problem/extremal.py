@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 
@@ -49,4 +49,4 @@ class Extremal:
     free: Mapping[str, float]
     objective: float
     nature: Nature
-    unknowns: tuple[float, ...] = ()
+    unknowns: tuple[float, ...] = field(default=(), repr=False)

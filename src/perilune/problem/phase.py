@@ -9,13 +9,14 @@ from functools import cached_property
 from typing import Any
 
 from perilune.problem.controls import Control
+from perilune.problem.shown import ShownPhase
 from perilune.problem.variables import Variable
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Physics
 
 
-@dataclass(frozen=True, kw_only=True)
-class Phase:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Phase(ShownPhase):
     """One arc with smooth dynamics.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What problems and solutions show of themselves, in a line, in a notebook, to other libraries.
+"""What problems, solutions and their parts show of themselves, in a line, in a notebook, to other libraries.
 
 What needs rooms above is done there (`perilune.words.face`).
 """
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from perilune.words.face import method
+from perilune.words.units import told, told_range
 
 if TYPE_CHECKING:
     import pandas
@@ -30,8 +31,41 @@ class ShownProblem:
         return method("problem_page")(self)
 
 
+class ShownPhase:
+    """How a phase shows itself."""
+
+    def __repr__(self: Any) -> str:
+        states = ", ".join(f"{state.name} [{state.unit}]" for state in self.states)
+        steered = ", ".join(self.control_names) or "nothing"
+        return f"<Phase {self.name}: {states}; steered by {steered}; lasts {self.duration}>"
+
+
+class ShownCurve:
+    """How a curve shows itself."""
+
+    def __repr__(self: Any) -> str:
+        nodes, components = self.values.shape
+        return f"<Curve of {components} values at {nodes} nodes, {told_range(self.time, 's')}>"
+
+
+class ShownTrajectory:
+    """How the flight of a phase shows itself."""
+
+    def __repr__(self: Any) -> str:
+        curves = {"states": self.state, "values of the control": self.control, "costates": self.costate}
+        parts = ", ".join(f"{curve.values.shape[1]} {name}" for name, curve in curves.items() if curve is not None)
+        return f"<Trajectory of {self.phase}: {len(self.time)} nodes, {told_range(self.time, 's')}; {parts}>"
+
+
 class ShownSolution:
     """How a solution shows itself."""
+
+    def __repr__(self: Any) -> str:
+        problem = self.problem
+        free = [f"{name} = {told(value, problem.unit_of(name))}" for name, value in self.free.items()]
+        numbers = [f"J = {told(self.objective, problem.objective_unit)}", *free]
+        proof = f"{self.outcome.name}, {self.verification.title}"
+        return f"<Solution of {problem.name} by {self.method}: {proof}; {', '.join(numbers)}>"
 
     def plot(self, name: str = "") -> Figure:
         """A figure of the flight; see `perilune.report.shown.plot`.

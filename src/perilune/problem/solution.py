@@ -21,7 +21,7 @@ from perilune.problem.extremal import Extremal
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.peaks import peaks
 from perilune.problem.problem import Problem
-from perilune.problem.shown import ShownSolution
+from perilune.problem.shown import ShownCurve, ShownSolution, ShownTrajectory
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Check, Verification
 from perilune.words.asked import demand_index, demand_numbers
@@ -29,14 +29,13 @@ from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, Outcome, PeriluneError
 from perilune.words.same import same_fields
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import told
 from perilune.words.watch import Iteration
 
 _ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Curve:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Curve(ShownCurve):
     """A vector function of time: values and rates at nodes, cubic Hermite between them. Its arrays are read-only.
 
     Parameters
@@ -106,8 +105,8 @@ class Curve:
         return out if np.ndim(t) else out[0]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Trajectory:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Trajectory(ShownTrajectory):
     """One phase of a solution, in SI, time from the phase's ignition.
 
     Parameters
@@ -210,7 +209,7 @@ class Statistics:
     arcs: int = 0
     residual: float = float("nan")
     wall_time: float = float("nan")
-    history: tuple[Iteration, ...] = ()
+    history: tuple[Iteration, ...] = field(default=(), repr=False)
     claimed: bool = False
 
 
@@ -283,13 +282,6 @@ class Solution(ShownSolution):
 
     def __hash__(self) -> int:
         return hash((self.problem, self.method, self.outcome, tuple(self.free)))
-
-    def __repr__(self) -> str:
-        problem = self.problem
-        free = [f"{name} = {told(value, problem.unit_of(name))}" for name, value in self.free.items()]
-        numbers = [f"J = {told(self.objective, problem.objective_unit)}", *free]
-        proof = f"{self.outcome.name}, {self.verification.title}"
-        return f"<Solution of {problem.name} by {self.method}: {proof}; {', '.join(numbers)}>"
 
     @property
     def parameters(self) -> Any:

@@ -22,6 +22,7 @@ import numpy as np
 
 from perilune.words.asked import refused
 from perilune.words.outcome import PeriluneError
+from perilune.words.units import told_range
 
 # name in `m`: name in numpy. The symbolic twin takes the same keys.
 NUMPY_NAMES = {
@@ -56,7 +57,7 @@ def _knots(name: str, values: Any) -> tuple[float, ...]:
         raise refused(values, "a list of numbers", f"a column {name} of a table") from None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Table:
     """Tabulated data as a function of one number without a dimension.
 
@@ -96,6 +97,10 @@ class Table:
         if self.kind not in (*_SPLINES, "monotone", "linear"):
             expected = "smooth, smoother, monotone or linear"
             raise PeriluneError("unknown kind of table", got=repr(self.kind), expected=expected)
+
+    def __repr__(self) -> str:
+        ends = (f"{told_range(values, '1')}" for values in (self.x, self.y))
+        return f"<Table of {len(self.x)} points, {self.kind}: {' onto '.join(ends)}>"
 
     @cached_property
     def pieces(self) -> Any:

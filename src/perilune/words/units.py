@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from numbers import Real
@@ -117,6 +118,13 @@ def told(value: float, unit_text: str, digits: int = 6) -> str:
     if unit_text == "rad":
         value, unit_text = math.degrees(value), "deg"
     return f"{value:.{digits}g} {unit_text}".removesuffix(" 1")
+
+
+def told_range(values: Iterable[float], unit_text: str) -> str:
+    """``-3 kg to 4.5 kg``: the ends of what has a value; one where all are the same, nothing where none is."""
+    finite = [value for value in values if math.isfinite(value)]
+    ends = (told(end, unit_text) for end in (min(finite), max(finite))) if finite else ()
+    return " to ".join(dict.fromkeys(ends))
 
 
 def quotient(numerator: str, denominator: str) -> str:
