@@ -99,14 +99,14 @@ class Nodes:
 
     def __init__(self) -> None:
         self.known: dict[int, int] = {}
-        self.parts: dict[str, list[NDArray]] = {}
+        self.parts: dict[str, list[NDArray[Any]]] = {}
         self._rows: dict[str, NDArray[Any]] = {
             name: np.empty(0) for name in ("terms", "margin", "sequence", "path", "branch", "place")
         }
-        self.count = 0
+        self.count: int = 0
         self.met: Whole = np.empty(0, dtype=np.int64)  # those where a later branch has run into another
 
-    def add(self, keys: Whole, **columns: NDArray) -> None:
+    def add(self, keys: Whole, **columns: NDArray[Any]) -> None:
         """Add nodes, known by their keys from now on."""
         new = len(keys)
         self.known |= dict(zip(keys.tolist(), range(self.count, self.count + new), strict=True))

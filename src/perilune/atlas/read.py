@@ -54,14 +54,17 @@ class Brick:
     """What is looked at of a brick: cells as lists, which Python reads fastest, and nodes as they lie on disk."""
 
     def __init__(self, nodes: NDArray[Any], cells: NDArray[Any], sheets: Sequence[Sheet]) -> None:
-        self.nodes, self.cells = nodes, cells
-        self.axis, self.child, self.status = (cells[name].tolist() for name in ("axis", "child", "status"))
+        self.nodes: NDArray[Any] = nodes
+        self.cells: NDArray[Any] = cells
+        self.axis: list[int] = cells["axis"].tolist()
+        self.child: list[int] = cells["child"].tolist()
+        self.status: list[int] = cells["status"].tolist()
         first = np.nonzero((cells["size"] == WHOLE).all(axis=1))[0]
         roots = [(int(cells["sheet"][i]), int(i)) for i in first]
-        self.minima = [(number, root) for number, root in roots if sheets[number].minimum]
+        self.minima: list[tuple[int, int]] = [(number, root) for number, root in roots if sheets[number].minimum]
         second = np.where(cells["child"] >= 0, cells["child"] + 1, 0)
         at = np.take_along_axis(cells["low"][second], np.maximum(cells["axis"], 0)[:, None], axis=1)[:, 0]
-        self.split = at.tolist()
+        self.split: list[int] = at.tolist()
         self._seen: dict[int, tuple[Vector, Vector, NDArray[np.float64]]] = {}
 
     @cached_property
@@ -125,13 +128,14 @@ class Charted:
     """One chart of an atlas, as queries need it."""
 
     def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
-        self.sheets, self.unknowns = sheets_of(said), said["unknowns"]
-        self.chart = Chart(problem, region.names, widths_of(said, region), course_from(said))
+        self.sheets: tuple[Sheet, ...] = sheets_of(said)
+        self.unknowns: int = said["unknowns"]
+        self.chart: Chart = Chart(problem, region.names, widths_of(said, region), course_from(said))
         if self.unknowns != len(self.chart.places):
             raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
-        self.borders = Borders(self.chart)
+        self.borders: Borders = Borders(self.chart)
         reflights = Reflights(self.chart, tuple(map(int, said["times"])))
-        self.polish = Polisher(self.chart, self.borders, reflights, self.sheets)
+        self.polish: Polisher = Polisher(self.chart, self.borders, reflights, self.sheets)
         self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
         names = [name for name, _ in self.chart.conditions.unknowns]
         self._own_places = np.array([names.index(name) for name, _ in self.chart.own.unknowns])
@@ -221,12 +225,12 @@ class Reader:
     """
 
     def __init__(self, directory: Path, problem_from_scenario: Callable[[str], Problem]) -> None:
-        self.store = Store(directory)
+        self.store: Store = Store(directory)
         header = self.store.header()
-        self.problem = read_problem(header, problem_from_scenario)
+        self.problem: Problem = read_problem(header, problem_from_scenario)
         self._first = header_region(self.problem, header)
         with told_of_damage(HEADER):
-            self.tolerance = float(header["tolerance"])
+            self.tolerance: float = float(header["tolerance"])
         self.damaged: dict[tuple[int, ...], str] = {}
         self._bricks: dict[tuple[int, ...], Brick] = {}
         self.said: dict[tuple[int, ...], dict[str, Any]] = {}
@@ -238,8 +242,8 @@ class Reader:
     def refresh(self) -> None:
         """Look again at what the manifest says."""
         survey, before = self.store.survey(), self.said
-        self.survey = survey or {"charts": []}
-        self.region = survey_region(self._first, self.survey)
+        self.survey: dict[str, Any] = survey or {"charts": []}
+        self.region: Region = survey_region(self._first, self.survey)
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
         for name in ("charted", "_surveyed"):

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from perilune.atlas.chart import Chart
 from perilune.atlas.march import NOTHING_SEEN, begun, ended, step_along, step_settling
 from perilune.atlas.riding import Rides
+from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import Map, compile_map
 from perilune.shooting.newton import Lanes
 from perilune.shooting.propagate import engine, equations
@@ -139,8 +140,9 @@ class Reflights:
     """
 
     def __init__(self, chart: Chart, times: Sequence[int] = ()) -> None:
-        self.chart, self.conditions = chart, chart.conditions
-        self.times = tuple(times) or (1,) * len(self.conditions.phases)
+        self.chart: Chart = chart
+        self.conditions: Conditions = chart.conditions
+        self.times: tuple[int, ...] = tuple(times) or (1,) * len(self.conditions.phases)
         self._marches: dict[tuple[int, int], Map] = {}
         self._jumps: dict[tuple[int, int], Map] = {}
 

@@ -76,7 +76,8 @@ class Borders:
     """
 
     def __init__(self, chart: Chart) -> None:
-        self.chart, problem = chart, chart.problem
+        self.chart: Chart = chart
+        problem = chart.problem
         plan, own = chart.shooting.plan, limits_of(problem, chart.own)
         free, ends = len(problem.free), [c for phase in problem.phases for c in phase.end_conditions]
         lower, upper = np.full(plan.held, -np.inf), np.full(plan.held, np.inf)
@@ -86,7 +87,7 @@ class Borders:
             if name in chart.names:  # what varies is where it is told to be
                 lower[i], upper[i] = -np.inf, np.inf
         self._lower, self._upper = lower, upper
-        self.names = [*chart.free.free_names, *(ends[row].name for row, _ in chart.conditions.ranges)]
+        self.names: list[str] = [*chart.free.free_names, *(ends[row].name for row, _ in chart.conditions.ranges)]
         self._ranged = [ends[row] for row, _ in chart.conditions.ranges]
         self._free_sizes = free_scales(problem.free, problem)
         self._given = {name: given.value for name, given in problem.given.items()}

@@ -69,12 +69,12 @@ class Table:
     """
 
     def __init__(self, atlas: Atlas) -> None:
-        self.atlas = atlas
+        self.atlas: Atlas = atlas
         problem, region = atlas.problem, atlas.region
-        self.unknowns = max(charted.unknowns for charted in atlas.charted)
+        self.unknowns: int = max(charted.unknowns for charted in atlas.charted)
         free = [name for name in problem.free_names if name not in region.names]
         self._free = [problem.free_names.index(name) for name in free]
-        self.columns = (
+        self.columns: tuple[Column, ...] = (
             *(Column(name=_own(a.name), unit=a.unit, about=f"{a.key}, an axis of the atlas") for a in region.axes),
             Column(name="objective", unit=problem.objective_unit, about="J"),
             *(

@@ -58,8 +58,10 @@ class Judge:
     """
 
     def __init__(self, problem: Problem, conditions: Conditions, p: Vector) -> None:
-        self.problem, self.conditions, self.p = problem, conditions, p
-        self.unit = objective_scale(problem)
+        self.problem: Problem = problem
+        self.conditions: Conditions = conditions
+        self.p: Vector = p
+        self.unit: float = objective_scale(problem)
         self._known: dict[bytes, tuple[Breach, ...]] = {}
 
     def breach(self, root: Root) -> Breach | None:

@@ -50,9 +50,7 @@ _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _DURATION = "continuation in the duration"
 SMOOTH = "smoothed controls"
 _AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
-_ROUNDED = (
-    1e-9  # residual: no step of Newton lowers it, as each is rounding, and a flight that ends so near is exported
-)
+_ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
 
 
 @dataclass
@@ -66,18 +64,20 @@ class Search:
     tried: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.began = time.perf_counter()
-        self.trials = Trials(self.problem, self.watch, self.keep)
-        self.keepable = tuple(name for name in keepable_conditions(self.problem) if name not in self.keep)
-        self.judge = Judge(self.problem, self.trials.conditions, self.trials.p)
+        self.began: float = time.perf_counter()
+        self.trials: Trials = Trials(self.problem, self.watch, self.keep)
+        self.keepable: tuple[str, ...] = tuple(n for n in keepable_conditions(self.problem) if n not in self.keep)
+        self.judge: Judge = Judge(self.problem, self.trials.conditions, self.trials.p)
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
-        self.rung, self.agreed = "", False
+        self.rung: str = ""
+        self.agreed: bool = False
         # By extremals met with the scanned parameter held, and these; which search answered; whether it was outdone.
         self.broken: list[Breach] = []
         self.breaking: list[Root] = []
-        self.answering, self.outdone = self, False
-        self.coarse = Coarse(self.settings, self.problem, self.tried)
+        self.answering: Search = self
+        self.outdone: bool = False
+        self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried)
 
     # -- the two ways in ------------------------------------------------------------------------------------------
 

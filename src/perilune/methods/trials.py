@@ -41,12 +41,13 @@ class Trials:
     """
 
     def __init__(self, problem: Problem, watch: Watch, keep: Held = ()) -> None:
-        self.problem, self.watch = problem, watch
+        self.problem: Problem = problem
+        self.watch: Watch = watch
         self.conditions: Conditions = derive(problem, keep)
         self.p: Vector = extremal_parameters(problem)
-        self.shooting = Shooting(self.conditions)
-        self.limits = limits_of(problem, self.conditions)
-        self.scanned = scanned_parameter(problem)
+        self.shooting: Shooting = Shooting(self.conditions)
+        self.limits: Limits = limits_of(problem, self.conditions)
+        self.scanned: int | None = scanned_parameter(problem)
         self.history: list[Iteration] = []
         self.best_failure: Root | None = None
 

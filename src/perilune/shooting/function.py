@@ -140,10 +140,12 @@ class Shooting:
     """
 
     def __init__(self, conditions: Conditions, segments: int = 1) -> None:
-        self.conditions, self.segments = conditions, segments
-        self.arcs, self.iterations = 0, 0
+        self.conditions: Conditions = conditions
+        self.segments: int = segments
+        self.arcs: int = 0
+        self.iterations: int = 0
         self._fleet = fleet(conditions, segments)
-        self.plan = self._fleet.plan
+        self.plan: Plan = self._fleet.plan
 
     def holding(self, parameters: Mapping[int, float], ranges: Mapping[int, float] | None = None) -> Vector:
         """A choice: which free parameters and ranges (by index) are held, and at which values; masks, then values."""
