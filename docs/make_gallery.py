@@ -1,6 +1,7 @@
 """Draw the gallery, ``docs/gallery.md`` and its pictures: ``python docs/make_gallery.py``; one needs a browser.
 
 Each picture stands with the command that makes it; the pictures are those that the command writes.
+``tests/test_docs_made.py`` compares the page with what would be written here, and draws nothing.
 """
 
 from __future__ import annotations
@@ -12,11 +13,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-IMAGES = ROOT / "docs" / "images"
+IMAGES, PAGE = ROOT / "docs" / "images", ROOT / "docs" / "gallery.md"
 SOLVED = (  # scenario, figure of it, caption
     ("precision_landing", "track", "A landing on a site at 85 deg south, thrust tilted by no more than 50 deg"),
-    ("mars_pinpoint", "track", "Down to a place on Mars along a glide slope, which the flight touches"),
-    ("polar_descent", "track", "A powered descent in three dimensions, ignition free"),
+    ("mars_pinpoint", "track", "Down to a place on Mars above a glide slope, which the flight touches once"),
+    (
+        "polar_descent",
+        "track",
+        "A powered descent in three dimensions, from the Moon's pole to a site 14 deg away",
+    ),
     ("minimum_duration_return", "ground_track", "From orbit to the ground in the least time"),
     ("minimum_duration_return", "corridor", "The same entry in height and speed, with lines of equal load"),
 )
@@ -34,29 +39,40 @@ Each picture, and the command that makes it. `python docs/make_gallery.py` wrote
 """
 
 
-def perilune(*arguments: str) -> str:
-    """Run a command; the command as one writes it."""
-    subprocess.run([sys.executable, "-m", "perilune", *arguments], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
-    return "perilune " + " ".join(f'"{part}"' if " " in part else part for part in arguments)
-
-
-def pictures(work: Path) -> Iterator[tuple[str, str, str]]:
-    """Caption, name and command of each picture, which is written on the way."""
-    solved = dict[str, str]()
+def pictures() -> Iterator[tuple[str, str, str]]:
+    """Caption, name and command of each picture."""
     for scenario, figure, caption in SOLVED:
-        if scenario not in solved:
-            perilune("solve", f"examples/{scenario}.toml", "--out", str(work / scenario))
-            solved[scenario] = f"perilune solve examples/{scenario}.toml --out out   # out/figures/{{figure}}.png"
-        name = f"{scenario}_{figure}"
-        small(work / scenario / "figures" / f"{figure}.png", IMAGES / f"{name}.png")
-        yield caption, name, solved[scenario].format(figure=figure)
-    built = perilune("atlas", "build", *ATLAS, "--out", str(work / "map")).replace(str(work / "map"), "map")
+        command = f"perilune solve examples/{scenario}.toml --out out   # out/figures/{figure}.png"
+        yield caption, f"{scenario}_{figure}", command
+    built = " ".join(f'"{part}"' if " " in part else part for part in ATLAS)
+    built = f"perilune atlas build {built} --out map\nperilune atlas plot map --out maps   # maps/objective.png"
+    yield "An atlas: landed mass over thrust and impulsive Isp", "atlas_cost", built
+    yield "The explorer on that atlas", "explorer", "perilune explore map"
+
+
+def page() -> str:
+    """The page, whose pictures are drawn by `draw`."""
+    parts = [HEAD]
+    for caption, name, command in pictures():
+        parts.append(f"## {caption}\n\n```\n{command}\n```\n\n![{caption}](images/{name}.png)\n")
+    return "\n".join(parts)
+
+
+def perilune(*arguments: str) -> None:
+    """Run a command."""
+    subprocess.run([sys.executable, "-m", "perilune", *arguments], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+
+
+def draw(work: Path) -> None:
+    """Run the commands and keep their pictures."""
+    for scenario in dict.fromkeys(scenario for scenario, *_ in SOLVED):
+        perilune("solve", f"examples/{scenario}.toml", "--out", str(work / scenario))
+    for scenario, figure, _ in SOLVED:
+        small(work / scenario / "figures" / f"{figure}.png", IMAGES / f"{scenario}_{figure}.png")
+    perilune("atlas", "build", *ATLAS, "--out", str(work / "map"))
     perilune("atlas", "plot", str(work / "map"), "--out", str(work / "maps"))
     small(work / "maps" / "objective.png", IMAGES / "atlas_cost.png")
-    built += "\nperilune atlas plot map --out maps   # maps/objective.png"
-    yield "An atlas: landed mass over thrust and impulsive Isp", "atlas_cost", built
     screenshot(work / "map", IMAGES / "explorer.png")
-    yield "The explorer on that atlas", "explorer", "perilune explore map"
 
 
 def small(source: Path, target: Path) -> None:
@@ -88,6 +104,5 @@ def screenshot(atlas: Path, target: Path) -> None:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as place:
-        drawn = list(pictures(Path(place)))
-    parts = [f"## {said}\n\n```\n{command}\n```\n\n![{said}](images/{name}.png)\n" for said, name, command in drawn]
-    (ROOT / "docs" / "gallery.md").write_text(HEAD + "\n" + "\n".join(parts), encoding="utf-8")
+        draw(Path(place))
+    PAGE.write_text(page(), encoding="utf-8")

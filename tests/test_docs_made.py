@@ -1,0 +1,56 @@
+"""Pages that scripts wrote are still what the scripts would write, as far as that is told in seconds."""
+
+from __future__ import annotations
+
+import pytest
+
+import perilune as pl
+from test_docs import DOCS, documentation_script, rows
+
+VALIDATION, GALLERY = (documentation_script(f"make_{name}") for name in ("validation", "gallery"))
+QUICK = ("linear tangent steering", "Meditch's lander", "lunar ascent", "least energy, state bound touched once")
+
+
+def shown() -> list[dict[str, str]]:
+    """Rows of the page of answered problems, by column."""
+    head, *body = rows(DOCS / "validation.md", len(VALIDATION.COLUMNS))
+    assert tuple(head) == VALIDATION.COLUMNS
+    return [dict(zip(head, cells, strict=True)) for cells in body]
+
+
+def test_the_page_of_answered_problems_has_a_row_for_each() -> None:
+    """With its method, its reference and its source; the head and the count are those of the script."""
+    stated = [VALIDATION.known(*claim) for claim in VALIDATION.claims()]
+    assert [{name: row[name] for name in stated[0]} for row in shown()] == stated
+    text = (DOCS / "validation.md").read_text(encoding="utf-8")
+    bare = [{name: cell.replace("`", "") for name, cell in row.items()} for row in shown()]
+    assert text.startswith(f"{VALIDATION.HEAD}\n{VALIDATION.summary(bare)}\n")
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_its_rows_are_computed_again(name: str) -> None:
+    """To ten digits, and to the same level."""
+    found = {row["method"]: row for row in shown() if row["problem"] == name}
+    for answered, method in VALIDATION.claims():
+        if answered.name == name:
+            again, row = VALIDATION.solved(answered, method), found.pop(type(method).__name__)
+            assert float(again["ours"]) == pytest.approx(float(row["ours"]), rel=1e-10)
+            assert again["level"] == row["level"]
+    assert not found
+
+
+def test_no_bad_row_is_hidden() -> None:
+    """A row is bold where its error is more than what is asked, and where it is not proved to level 3."""
+    for (answered, method), row in zip(VALIDATION.claims(), shown(), strict=True):
+        missed = abs(float(row["ours"]) - answered.objective) > answered.error_allowed(method)
+        assert missed == ("**" in row["error"]) and (row["level"] == "3") == ("**" not in row["level"])
+
+
+def test_the_gallery_shows_what_its_script_draws() -> None:
+    assert (DOCS / "gallery.md").read_text(encoding="utf-8") == GALLERY.page()
+    assert {name for _, name, _ in GALLERY.pictures()} == set(GALLERY.NAMES)
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    text = (DOCS / "api.md").read_text(encoding="utf-8")
+    assert [name for name in pl.__all__ if f"::: perilune.{name}\n" not in text + "\n"] == []
