@@ -13,6 +13,7 @@ import pytest
 
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
+from perilune.families.sweep import sweep
 from perilune.methods.genetic import Genetic
 from perilune.methods.hybrid import Hybrid
 from perilune.methods.indirect import Indirect
@@ -90,6 +91,18 @@ def test_a_range_at_the_end(
     assert np.sign(round(solution.multipliers["push.speed"], 6)) == sign
     for other in METHODS:  # and from there and back
         assert other.run(problem, guess=solution).objective == pytest.approx(solution.objective, rel=1e-9)
+
+
+def test_a_sweep_over_the_bound_of_a_range_takes_what_is_held_along() -> None:
+    """A member that sits on the bound begins the next one, whose bound is elsewhere, either way."""
+    base = push()
+    place, speed = base.phases[0].end_conditions
+    phase = replace(base.phases[0], end_conditions=(place, replace(speed, upper="fastest")))
+    given = {**base.given, "fastest": Given(value=1.2, unit="m/s")}
+    family = sweep(replace(base, phases=(phase,), given=given), {"fastest": [1.2, 1.0, 1.3, 2.0]}, level=1)
+    for point in family.points:
+        assert point.solution is not None and point.solution.outcome is Outcome.PROVED
+        assert point.solution.objective == pytest.approx(energy(1.0, 0.0, min(point.value, 1.5)), rel=1e-9)
 
 
 @pytest.mark.parametrize("upper", [1.0, 2.0])

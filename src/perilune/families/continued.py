@@ -7,10 +7,13 @@ family follows the best of them through a jump, such as that of Cho et al. 2015,
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.shooting.active import Limits
 from perilune.shooting.continuation import Member, follow
 from perilune.shooting.function import Root
 from perilune.words.types import Vector
@@ -28,6 +31,7 @@ class Continuation:
         """Start anew: the member before has no answer."""
         self.base: Member | None = None
         self.before = 0.0
+        self.limits: Limits | None = None
 
     def solve(self, problem: Problem) -> Solution:
         """The member of a problem, by continuation where there is a base, else by the whole ladder; unverified."""
@@ -35,6 +39,7 @@ class Continuation:
         base = None if self.base is None else self._continued(problem, self.base, search)
         solution = self.settings.answer(search, base=base)
         self.base, self.before = search.base, problem.given[self.name].value
+        self.limits = search.trials.others
         return solution
 
     def _continued(self, problem: Problem, base: Member, search: Search) -> Member | None:
@@ -49,8 +54,12 @@ class Continuation:
             p[at] = value / scale
             return p
 
+        like, limits = base.root, search.trials.others
+        if self.limits is not None:  # what varies may be the limit itself
+            like = replace(like, choice=limits.taken_over(like.choice, self.limits))
+
         def correct(y: Vector, value: float) -> Root:
-            return search.trials.correct(y, base.root, numbers(value))
+            return search.trials.correct(y, like, numbers(value))
 
         def tangent(root: Root, value: float) -> Vector:
             step = 1e-6 * max(abs(value), abs(target - before))  # a central difference of the residual

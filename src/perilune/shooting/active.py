@@ -45,6 +45,14 @@ class Limits:
         lower[index], upper[index] = -np.inf, np.inf
         return Limits(lower=lower, upper=upper)
 
+    def taken_over(self, choice: Vector, before: Limits) -> Vector:
+        """A choice of another problem: what it holds at a limit of that one is held at the limit here."""
+        count = len(self.lower)
+        masks, held = choice[:count], choice[count:]
+        at_lower, at_upper = held == before.lower, held == before.upper
+        held = np.where(masks > 0, np.where(at_lower, self.lower, np.where(at_upper, self.upper, held)), held)
+        return np.concatenate([masks, held])
+
     def revised(self, shooting: Shooting, roots: Roots) -> Matrix:
         """What should be held at each of the roots instead, (lanes, choice); their own choice where all may stay."""
         values, rises = shooting.held_values(roots)
