@@ -108,7 +108,7 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
     parser = _Parser(
         prog="perilune",
         description="Optimal finite-thrust landings, each with its proof.",
-        epilog=f"`perilune COMMAND --help` tells more. {_EXIT_CODES}",
+        epilog=f"`perilune COMMAND --help` tells more; the manual has a glossary. {_EXIT_CODES}",
         add_help=False,
         allow_abbrev=False,
     )
@@ -251,7 +251,7 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
 
 def _atlas(command: Callable[..., _Parser]) -> None:
     """The command ``atlas`` and its actions."""
-    made = command("atlas", "Map extremals over a region of parameters once, and answer from the map at once.")
+    made = command("atlas", "Map optimal flights over a region of parameters once, and answer from the map at once.")
     actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
     directory = option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")
     workers = option("--workers", metavar="N", type=whole(1), default=1, help="Processes side by side. Usually 1.")
@@ -272,7 +272,8 @@ def _atlas(command: Callable[..., _Parser]) -> None:
     )
     command(
         "atlas build",
-        "Map the extremals of a scenario over ranges of one to four of its values.",
+        "Map the extremals of a scenario (flights that meet every necessary condition of an optimum) over ranges of "
+        "one to four of its values.",
         FILE,
         option(
             "--vary",
@@ -346,7 +347,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
     )  # fmt: skip
     command(
         "atlas plot",
-        "Draw a slice of an atlas: cost, free parameters, sheets and refusals, nodes, errors.",
+        "Draw a slice of an atlas: cost, free parameters, sheets (families of extremals) and refusals, nodes, errors.",
         directory,
         option("--axes", metavar="A,B", help="Along which axes, one or two; the first two if left out."),
         at("Of the other axes; in the middle of their ranges if left out."),

@@ -1,8 +1,8 @@
-"""The indirect method without a guess: Pontryagin's conditions, shooting, and a ladder of ways to start it.
+"""The indirect method without a guess: Pontryagin's conditions, shooting, and ways to start it.
 
-Rungs, in order; the last two are tried only where those before failed:
+They are tried in order, the last two only where those before failed:
 
-1. *costates on the unit sphere*: the conditions are linear in the costates up to a factor, and `Problem.scales` make
+1. *random costates*: the conditions are linear in the costates up to a factor, and `Problem.scales` make
    their components comparable, so random directions of length one cover the possibilities;
 2. *continuation in the duration*, where every duration is given and nothing is free: extremals of shorter flights are
    carried to the whole one (`perilune.methods.durations`), and those with smoothed controls where there are several,
@@ -41,16 +41,16 @@ class Indirect(Ladder):
     Parameters
     ----------
     starts
-        Random starts of the first rung.
+        Random starts: directions of the costates at the start of the flight.
     seed
         Of the random starts; the same seed gives the same answer.
     scan_points
         Values visited along a free parameter between finite bounds.
     segments
-        Arcs for each phase in multiple shooting (fourth rung).
+        Arcs for each phase in multiple shooting, which is the last way of starting.
     transcription
-        The direct method of the third rung; its mesh need not be fine. None: 8 segments of 5 nodes, of several phases
-        fewer for each, not refined.
+        The direct method from which the search goes on where random costates lead to nothing; its mesh need not be
+        fine. None: 8 segments of 5 nodes, of several phases fewer for each, not refined.
     """
 
     def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
@@ -61,9 +61,9 @@ class Indirect(Ladder):
         problem
             What to solve.
         guess
-            A solution of any method for this problem or one of the same form; without it the ladder is climbed.
+            A solution of any method for this problem or one of the same form.
         watch
-            Receives each Newton iteration, or a line of text for each round of many starts, and a line at each rung.
+            Receives each Newton iteration, or a line of text for each round of many starts and each way of starting.
 
         Returns
         -------
@@ -73,7 +73,7 @@ class Indirect(Ladder):
         Raises
         ------
         NotConvergedError
-            If every rung failed; its `flight` is the direct method's, where one keeps every condition.
+            If every way of starting failed; its `flight` is the direct method's, where one keeps every condition.
         InfeasibleError
             If bounds and conditions contradict each other, or if every extremal found breaks a condition and the
             direct method finds no flight either.

@@ -199,8 +199,8 @@ class Result:
 class Statistics:
     """How the answer was found; `claimed` where a file says so and nobody here saw it.
 
-    `iterations` and `arcs` count all that was done for it, in all starts together; `history` has the iterations of
-    those starts that went alone.
+    `rung` is the way of starting that led to it, `tried` what was done in all of them. `iterations` and `arcs` count
+    all that was done for it, in all starts together; `history` has the iterations of those starts that went alone.
     """
 
     rung: str = ""
