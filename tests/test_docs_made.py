@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
+
 import pytest
 
 import perilune as pl
-from test_docs import DOCS, documentation_script, rows
+from test_docs import DOCS, ROOT, documentation_script, rows
 
 VALIDATION, GALLERY = (documentation_script(f"make_{name}") for name in ("validation", "gallery"))
 QUICK = ("linear tangent steering", "Meditch's lander", "lunar ascent", "least energy, state bound touched once")
@@ -49,6 +52,16 @@ def test_no_bad_row_is_hidden() -> None:
 def test_the_gallery_shows_what_its_script_draws() -> None:
     assert (DOCS / "gallery.md").read_text(encoding="utf-8") == GALLERY.page()
     assert {name for _, name, _ in GALLERY.pictures()} == set(GALLERY.NAMES)
+
+
+def test_on_the_page_of_a_registry_no_link_leads_nowhere() -> None:
+    """What the build makes of README: words and names of files in place of links and pictures of its own tree."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["metadata"]["hooks"]
+    for rule in build["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(rule["pattern"], rule["replacement"], text)
+    assert re.findall(r"\]\((?!https?:)", text) == [] and "![" not in text
+    assert "the first landing (`docs/first-landing.md`)" in text and "pip install ." in text
 
 
 def test_every_public_name_is_in_the_reference() -> None:
