@@ -30,9 +30,15 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Formulas become MathML; what links to a file of the code says its name."""
-    markdown = _OUTSIDE.sub(lambda found: f"{found.group(1)} ({found.group(2)})", markdown)
+    markdown = _OUTSIDE.sub(_named, markdown.replace("](../README.md", "](index.md"))
     parts = _CODE.split(markdown)
     return "".join(part if i % 2 else _said(part) for i, part in enumerate(parts))
+
+
+def _named(link: re.Match[str]) -> str:
+    """The words of a link to a file of the code, with its name where they are not its name."""
+    words, file = link.group(1), link.group(2)
+    return words if words.strip("`").endswith(file) else f"{words} ({file})"
 
 
 def _said(text: str) -> str:

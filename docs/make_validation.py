@@ -24,13 +24,13 @@ PAGE = ROOT / "docs" / "validation.md"
 HEAD = """# Validation: problems with a known answer
 
 Each problem of the library of answered problems (`tests/problems`), solved from nothing by each method that claims
-it and proved as far as level 3. *Known* is from the source beside it, whose uncertainty is half a unit of its last
-digit; *error* is ours less that, in bold where it is more than this and more than the method's tolerance. A level
-below 3 is in bold, with the first [check](verification.md) that failed. Times are of one processor, the proof with
-them. `python docs/make_validation.py` wrote this page; the same problems are tests. The papers' own numbers stand in
-the [README](../README.md) and in the reports of `perilune reproduce`.
+it and proved as far as level 3. *Known* is from the [source](#sources) below, whose uncertainty is half a unit of
+its last digit; *error* is ours less that, in bold where it is more than this and more than the method's tolerance.
+A level below 3 is in bold. Times are of one processor, the proof with them. `python docs/make_validation.py` wrote
+this page; the same problems are tests. The papers' own numbers stand in the [README](../README.md) and in the
+reports of `perilune reproduce`.
 """
-COLUMNS = ("problem", "method", "known", "uncertainty", "ours", "error", "level", "CPU s", "source")
+COLUMNS = ("problem", "method", "known", "uncertainty", "ours", "error", "level", "CPU s")
 
 
 def answered_problems() -> tuple[Answered, ...]:
@@ -83,7 +83,6 @@ def known(answered: Answered, method: Method) -> dict[str, str]:
         "method": type(method).__name__,
         "known": value,
         "uncertainty": told,
-        "source": answered.source,
     }
 
 
@@ -96,10 +95,11 @@ def solved(answered: Answered, method: Method) -> dict[str, str]:
         found = solve(answered.make(), method, level=3)
         off, proof = found.objective - answered.objective, found.verification
         bold = "**" if abs(off) > answered.error_allowed(method) else ""
-        level = "3" if proof.level == 3 else f"**{proof.level}**: `{proof.failed[0].name}`"
-        row = {"ours": f"{found.objective:.12g}", "error": f"{bold}{off:+.1e}{bold}", "level": level}
+        row = {"ours": f"{found.objective:.12g}", "error": f"{bold}{off:+.1e}{bold}", "level": "3"}
+        if proof.level < 3:
+            row |= {"level": f"**{proof.level}**", "failed": f"`{proof.failed[0].name}`"}
     except PeriluneError as failed:
-        row = {"ours": failed.what, "error": "**none**", "level": "**none**"}
+        row = {"ours": failed.what, "error": "**none**", "level": "**none**", "failed": "no answer"}
     return {**row, "CPU s": f"{time.process_time() - began:.1f}"}
 
 
@@ -113,10 +113,28 @@ def line(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A whole table."""
+    columns = tuple(columns)
+    return "\n".join([line(columns), "|" + "---|" * len(columns), *map(line, rows), ""])
+
+
+def sources() -> str:
+    """Where each answer is known from."""
+    return "## Sources\n\n" + table(("problem", "source"), ((a.name, a.source) for a in answered_problems()))
+
+
 def summary(rows: list[dict[str, str]]) -> str:
     """How many of the rows are good."""
     hit, proved = (sum("**" not in row[name] for row in rows) for name in ("error", "level"))
     return f"{len(rows)} rows: {hit} hit what is known, {proved} are proved to level 3."
+
+
+def short(rows: list[dict[str, str]]) -> str:
+    """What stands in the way of level 3, where it was not reached."""
+    told = [f"{row['problem']} ({row['method']}): {row['failed']}" for row in rows if "failed" in row]
+    what = "The first [check](verification.md#the-checks) that fails where level 3 is not reached"
+    return f"{what}: {'; '.join(told)}.\n" if told else ""
 
 
 if __name__ == "__main__":
@@ -125,5 +143,5 @@ if __name__ == "__main__":
     for claim in claims():
         rows.append(known(*claim) | solved(*claim))
         print(line(rows[-1].values()), flush=True)
-    table = [line(COLUMNS), "|" + "---|" * len(COLUMNS), *(line(row[c] for c in COLUMNS) for row in rows)]
-    PAGE.write_text("\n".join([HEAD, summary(rows), "", *table, ""]), encoding="utf-8")
+    results = table(COLUMNS, ([row[column] for column in COLUMNS] for row in rows))
+    PAGE.write_text("\n".join([HEAD, summary(rows), "", results, short(rows), sources()]), encoding="utf-8")
