@@ -43,4 +43,5 @@ def _named(link: re.Match[str]) -> str:
 
 def _said(text: str) -> str:
     text = _DISPLAYED.sub(lambda found: "\n\n" + convert(found.group(1).strip(), display="block") + "\n\n", text)
-    return _INLINE.sub(lambda found: convert(found.group(1)), text)
+    # Within a span, as a line that begins with a formula would else be a block of its own.
+    return _INLINE.sub(lambda found: f"<span>{convert(found.group(1))}</span>", text)
