@@ -52,6 +52,10 @@ def test_records_of_arrays_are_a_line_too(hybrid: Solution, tmp_path: Path) -> N
     )
     table = pl.Table(tuple(range(30)), tuple(x**2 for x in range(30)))
     assert repr(table) == "<Table of 30 points, smooth: 0 to 29 onto 0 to 841>"
+    members = tuple(pl.FamilyPoint(values=(value,), solution=hybrid) for value in (1000.0, 1200.0))
+    family = pl.Family(problem=hybrid.problem, parameters=("retro_delta_v",), points=members)
+    assert repr(family) == "<Family of hybrid_landing: retro_delta_v 1000 m/s to 1200 m/s; 2 of 2 members solved>"
+    assert repr(replace(family, points=())) == "<Family of hybrid_landing: retro_delta_v; 0 of 0 members solved>"
     assert "unknowns" not in repr(hybrid.extremals[0])
     pl.atlas.build(hybrid.problem, {"retro.specific_impulse": (300.0, 301.0)}, tmp_path / "map", tolerance=1e-6)
     mapped = pl.atlas.open(tmp_path / "map")

@@ -14,6 +14,7 @@ from perilune.problem.solution import Solution
 from perilune.words.asked import refused
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
+from perilune.words.units import told_range
 
 # Values of each parameter (the family is their grid), or the points themselves.
 Over = Mapping[str, Sequence[float]] | Sequence[Mapping[str, float]]
@@ -63,7 +64,7 @@ def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint
     return FamilyPoint(values=values, solution=None, message=str(error), failure=failure)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Family:
     """Solutions along some parameters, in the order that was asked for.
 
@@ -86,6 +87,14 @@ class Family:
     points: tuple[FamilyPoint, ...]
     interrupted: bool = False
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        values = zip(*(point.values for point in self.points), strict=True)
+        along = zip(self.parameters, self.units, values, strict=False)  # of none where nothing was done
+        ranges = "; ".join(f"{name} {told_range(of, unit)}" for name, unit, of in along) or ", ".join(self.parameters)
+        solved = sum(point.solution is not None for point in self.points)
+        left = ", interrupted" if self.interrupted else ""
+        return f"<Family of {self.problem.name}: {ranges}; {solved} of {len(self.points)} members solved{left}>"
 
     @property
     def units(self) -> tuple[str, ...]:
