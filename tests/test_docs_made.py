@@ -65,6 +65,12 @@ def test_on_the_page_of_a_registry_no_link_leads_nowhere() -> None:
     assert "the first landing (`docs/first-landing.md`)" in text and "pip install ." in text
 
 
+def test_one_version_and_one_date_are_told_everywhere() -> None:
+    citation, changes = ((ROOT / name).read_text(encoding="utf-8") for name in ("CITATION.cff", "CHANGELOG.md"))
+    (date,) = re.findall(r"^date-released: (\S+)$", citation, re.MULTILINE)
+    assert f"\nversion: {pl.__version__}\n" in citation and f"\n## [{pl.__version__}] - {date}\n" in changes
+
+
 def test_every_public_name_is_in_the_reference() -> None:
     text = (DOCS / "api.md").read_text(encoding="utf-8")
     assert [name for name in pl.__all__ if f"::: perilune.{name}\n" not in text + "\n"] == []
