@@ -30,7 +30,7 @@ from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
 from perilune.atlas import building
 from perilune.atlas.cells import WHOLE, Status
-from perilune.atlas.chart import Chart
+from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.columns import cell_type, node_type
 from perilune.atlas.flooding import Key, spilled
 from perilune.atlas.hermite import bits, interpolated
@@ -125,10 +125,10 @@ def test_sensitivities_are_exact(chart: Chart) -> None:
     best = solve(problem, level=0)
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
     y = chart.told(np.array(best.extremals[0].unknowns))[None]
-    nothing = np.zeros(2 * chart.shooting.plan.held)
+    nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
     here = chart.solve(values, y, nothing)
     assert here.converged[0] and here.cost[0] * problem.objective_size == pytest.approx(best.objective, rel=1e-12)
-    terms = chart.terms(here, nothing)[0]
+    terms = chart.terms(here, lambda _: nothing)[0]
     for i in range(3):
         step = 1e-4 * chart.widths[i] * np.eye(3)[i]
         ahead, behind = (chart.solve(values + way * step, here.y, nothing) for way in (1, -1))
@@ -149,7 +149,7 @@ def test_a_parameter_far_from_its_canonical_unit_is_told_by_its_share_of_a_size(
         chart = Chart(problem, names, np.array([width, 300.0]))
         values = np.array([[problem.given[name].value for name in names]]) / chart.scale
         y = chart.told(np.array(best.extremals[0].unknowns))[None]
-        here = chart.solve(values, y, np.zeros(2 * chart.shooting.plan.held))
+        here = chart.solve(values, y, Holds(np.zeros(2 * chart.shooting.plan.held)))
         assert here.converged[0]
         slopes.append(here.cost_slopes[0] / chart.scale)
     assert chart.scale[0] != pytest.approx(width)  # a range of about 1 needs none
@@ -160,7 +160,7 @@ def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart:
     problem = cho_landing()
     best = solve(problem, level=0)
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
-    nothing = np.zeros(2 * chart.shooting.plan.held)
+    nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
     here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
     again = Reflights(chart)
     good = again(here.roots.y, chart.p[None], here.roots.choice)
@@ -183,7 +183,7 @@ def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
     names = ("approach_east", "corridor_slope")
     chart = Chart(problem, names, np.array([100.0, 0.1]))
     values = np.array([[problem.given[name].value for name in names]]) / chart.scale
-    nothing = np.zeros(2 * chart.shooting.plan.held)
+    nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
     again = Reflights(chart)
     for slope, kept in ((problem.given["corridor_slope"].value, True), (np.radians(30.0), False)):
         values[0, 1] = slope

@@ -14,7 +14,7 @@ import pytest
 import perilune as pl
 from perilune import Indirect, Problem, Scales
 from perilune.atlas import building
-from perilune.atlas.chart import Chart
+from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.course import PLAIN, course_of
 from perilune.atlas.query import open_atlas
 from perilune.atlas.reflight import SLACK, Reflights
@@ -99,13 +99,13 @@ def test_who_meets_or_leaves_what_is_ridden_at_another_time_is_no_answer(
     chart = Chart(problem, [name], np.array([0.1 * value]), course)
     again, held = Reflights(chart), chart.shooting.plan.held
     y, values = chart.told(np.array(extremals[0].unknowns))[None], np.array([[value]]) / chart.scale
-    here = chart.solve(values, y, _nothing(chart))
+    here = chart.solve(values, y, Holds(_nothing(chart)))
     flown = again(here.roots.y, chart.p[None], here.roots.choice)
     assert flown.good[0] and flown.pays[0] >= 0
     holds = _nothing(chart)
     at = chart.free.free_names.index(f"T-{arc + 1}")
     holds[0, at], holds[0, held + at] = 1.0, here.roots.y[0, chart.conditions.free_at][at] + later
-    moved = chart.solve(values, here.y, holds, limit=40)
+    moved = chart.solve(values, here.y, Holds(holds), limit=40)
     assert moved.converged[0]
     flown = again(moved.roots.y, chart.p[None], moved.roots.choice)
     assert not flown.good[0] or flown.pays[0] < -SLACK
