@@ -12,6 +12,7 @@ from perilune.methods.nearby import Nearby
 from perilune.problem.solution import Solution
 from perilune.words.outcome import PeriluneError
 from problems.constrained import bryson_denham, bryson_denham_truth
+from problems.ridden import string
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +70,18 @@ def test_what_cannot_be_taken_is_said(touching: Solution) -> None:
         Nearby(touching).roots({"cieling": 0.2})
     with pytest.raises(PeriluneError, match="nothing but its curves is known"):
         Nearby(pickle.loads(pickle.dumps(touching)))
+
+
+def test_an_end_off_the_arc_that_said_it_is_not_left_out() -> None:
+    """At x1 = l the ride says the end; at another x1 a flight that ends at l is none of the problem's."""
+    problem = string(1.2, 0.8, 1.0, 0.0).problem
+    riding = pl.solve(problem, level=0)
+    nearby = Nearby(riding)
+    with pytest.raises(PeriluneError, match="there is said by the arc along room no longer"):
+        nearby.roots({"x1": 0.8})
+    with pytest.raises(PeriluneError, match="no longer"):
+        nearby.roots({"l": [1.0, 1.01]})  # neither at the l that is known: it varies
+    assert nearby.roots({"k": [1.19, 1.21]}).converged.all()
+    lower = pl.solve(problem.with_given(x1=0.8), guess=riding)
+    assert lower.trajectories[0].state(np.array([1.5]))[0, 0] == pytest.approx(0.8, abs=1e-9)
+    assert lower.outcome is pl.Outcome.NOT_PROVED or lower.objective == pytest.approx(-0.8017714156, rel=1e-9)

@@ -21,7 +21,7 @@ from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.active import limits_of, settle
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.structures.carry import Joined, joined
-from perilune.structures.restate import renumbered
+from perilune.structures.restate import refuse_unsaid, renumbered
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix
 
@@ -62,7 +62,8 @@ class Nearby:
         Raises
         ------
         PeriluneError
-            If a name is no given parameter, or that of a bound between which an end condition has to lie.
+            If a name is no given parameter, or that of a bound between which an end condition has to lie, or moves an
+            end away from the arc on which the solution ends.
         """
         bounds = {limit for phase in self.problem.phases for c in phase.end_conditions for limit in (c.lower, c.upper)}
         for name in values:
@@ -74,6 +75,8 @@ class Nearby:
                     expected="a parameter of the equations",
                     advice="perilune.solve(problem.with_given(...), guess=solution), one by one",
                 )
+        if self.arcs is not None:
+            refuse_unsaid(self.problem, self.solution.problem, self.arcs.structure, tuple(values))
         arrays = np.broadcast_arrays(np.zeros(1), *(np.asarray(value, dtype=float) for value in values.values()))[1:]
         found = np.tile(extremal_parameters(self.problem), (len(arrays[0]) if arrays else 1, 1))
         for name, array in zip(values, arrays, strict=True):

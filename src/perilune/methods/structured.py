@@ -47,7 +47,7 @@ from perilune.structures.read import (
     still,
 )
 from perilune.structures.regimes import revised_stays, stays_of, wavering
-from perilune.structures.restate import part_name, renumbered, restate
+from perilune.structures.restate import part_name, refuse_unsaid, renumbered, restate
 from perilune.structures.structure import Condition, Structure, conditions_of, margins
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -107,6 +107,7 @@ class Polish:
         structure = known.structure
         self.watch(f"structure: {structure.text}")
         try:
+            refuse_unsaid(known.restated.problem, self.problem, structure)
             problem = renumbered(known.restated.problem, self.problem, structure)
             solved = Search(self.settings, problem, self.watch).solve(known.restated)
             return self._kept_to(structure, solved, joined(self.problem, solved, structure))[0]

@@ -91,6 +91,31 @@ def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Pro
     return restated.changed(given=given, free=free, structure=restated.structure)
 
 
+def refuse_unsaid(restated: Problem, problem: Problem, structure: Structure, varied: Collection[str] = ()) -> None:
+    """Refuse values at which an arc to the end does not say what `restate` left out as said by it.
+
+    Parameters
+    ----------
+    restated, problem, structure
+        As for `renumbered`.
+    varied
+        Given parameters that will have other values.
+    """
+    for k, (phase, arcs) in enumerate(zip(problem.phases, structure.phases, strict=True)):
+        last = next(p for p in restated.phases if p.name == part_name(phase.name, len(arcs) - 1, len(arcs)))
+        stated = {condition.name for condition in last.end_conditions}
+        left_out = {i for i, condition in enumerate(phase.end_conditions) if condition.name not in stated}
+        if not left_out:
+            continue
+        said = repeated_ends(problem, k, arcs[-1], conditions_of(problem, k, arcs[-1].along), varied)
+        for i in left_out - said:
+            raise PeriluneError(
+                f"{phase.end_conditions[i].name} is said by the arc along {' and '.join(arcs[-1].along)} no longer",
+                expected="an end where that is ridden, as of the flight that is known",
+                advice="solve at these values from nothing",
+            )
+
+
 def part_name(name: str, j: int, count: int) -> str:
     """Name of the j-th of so many parts of a phase, or of its duration."""
     return name if count == 1 else f"{name}-{j + 1}"
