@@ -58,6 +58,7 @@ _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess ma
 _EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is not
 _BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
 _ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
+_FINE = 1e-3  # relative mesh error up to which a finer one tells no more
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
@@ -88,9 +89,10 @@ class Polish:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
         if (found := self._known_by_arcs(rough)) is not None:
             return found
-        seen, least = set[str](), _GUESSED if self.guessed else NEAR[0]
+        least = _GUESSED if self.guessed else NEAR[0]
         least = _EXACT if is_neighbour(self.problem) else least
         for known in self._known(rough):
+            seen = set[str]()  # where one flight leads to nothing another one may
             own = known.problem.phases is self.problem.phases  # as of the guess that a neighbour begins with
             structures = own_readings(known, least) if own else readings(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
@@ -119,19 +121,23 @@ class Polish:
         """The rough answer, and of some that of a finer mesh: the better one first.
 
         Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
-        one may touch it twice. A mesh tells the worse the rougher it is.
+        one may touch it twice. A mesh tells the worse the rougher it is, so that a finer one comes last in any case.
         """
+        from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
+
         wavers = not self.guessed and wavering(rough)
         finer = wavers or (not self.guessed and self._rides(rough))
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
         if finer:
-            from perilune.methods.pseudospectral import Pseudospectral
-
             with suppress(PeriluneError):
                 yield Pseudospectral(nodes=6, segments=32 if wavers else 24, refine=0).near(rough, close=not wavers)
         if finer and rough.statistics.residual > _ROUGH:
             yield rough
+        near = self.guessed or self.brief or is_neighbour(self.problem)
+        if not (finer or near) and rough.statistics.residual > _FINE:
+            with suppress(PeriluneError):
+                yield Pseudospectral(nodes=6, segments=24, refine=0).near(rough, close=True)
 
     def _rides(self, rough: Solution) -> bool:
         phases = range(len(self.problem.phases))
