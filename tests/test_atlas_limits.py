@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -110,8 +111,46 @@ def test_ranges_that_an_atlas_cannot_keep_are_refused(tmp_path: Path) -> None:
         build(problem, {"patience": (0.9, 1.1)}, tmp_path / "map")
     assert "0.891 s" in str(refused.value)
     assert not (tmp_path / "map").exists()
+    there_and_back = replace(
+        problem.with_given(high=0.5), ranges=lambda p, m: {"T": (0.0, LONGEST + (p.high - 0.5) * (0.7 - p.high), 1.0)}
+    )
+    with pytest.raises(PeriluneError, match="the range of T follows from what varies"):
+        build(there_and_back, {"high": (0.5, 0.7)}, tmp_path / "map")
     atlas = open_atlas(build(problem, {"high": (0.5, 0.7)}, tmp_path / "map"), lambda _: problem)
     J, by_high, _ = truth(np.array([0.6]), np.array([LONGEST]))
     answer = atlas.query(high=0.6)
     assert answer.query is not None
     np.testing.assert_allclose([answer.objective, answer.query.slopes["high"]], [J[0], by_high[0]], rtol=1e-10)
+
+
+def two_hauls() -> pl.Problem:
+    """As far as `q` tells: nowhere at its lower bound for nothing, or 2 m at its upper for 24/T^3 + 28 - 2 K/T^3."""
+    phase = pl.Phase(
+        name="haul",
+        states=tuple(Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("c", "m^2/s^3"))),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.v, x.x - p.q - p.way),
+        end_conditions=(Variable(name="still", unit="m/s"), Variable(name="there", unit="m")),
+    )
+    values = {"T": (1.0, "s"), "way": (1.0, "m"), "bend": (100.0, "1/s^3"), "toll": (14.0, "m/s^3"), "K": (24.0, "m")}
+    return pl.Problem(
+        name="two_hauls",
+        phases=(phase,),
+        start=lambda p, m: (0.0 * p.way, 0.0, 0.0),
+        given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
+        free=(pl.Free(name="q", unit="m", lower=-1.0, upper=1.0, typical=1.0),),
+        objective=lambda x, p, m: x.c - 0.5 * p.bend * (p.q**2 - p.way**2) + (p.toll - p.K / p.T**3) * (p.q + p.way),
+        objective_unit="m^2/s^3",
+    )
+
+
+def test_where_the_conditions_are_linear_the_better_of_two_bounds_answers_too(tmp_path: Path) -> None:
+    """A step leads to the extremal from anywhere there, and J of what is interpolated may be far from its own."""
+    problem, axes = two_hauls(), {"T": (0.6, 3.0), "K": (20.0, 60.0)}
+    atlas = open_atlas(build(problem, axes, tmp_path / "map"), lambda _: problem)
+    points = np.random.default_rng(0).uniform([0.6, 20.0], [3.0, 60.0], (1000, 2))
+    found, (T, K) = atlas.query_many(points), points.T
+    assert found.good.all()
+    np.testing.assert_allclose(found.objective, np.minimum(24.0 / T**3 + 28.0 - 2.0 * K / T**3, 0.0), atol=1e-9)

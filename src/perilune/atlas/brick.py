@@ -32,6 +32,7 @@ from perilune.words.watch import Watch, silent
 _FINEST = 2**6  # the shortest edge of a cell
 _KINKED = 2**9  # the same where the switches on the way change
 _SOWN = 2 * ENDING  # the largest cells in which a later branch begins
+_AFAR, _COST = 0.1, 1e-4  # how far what a cell gives may be from its extremal, of 1 + |y|, and its J, of 1 + |J|
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
 
@@ -259,7 +260,8 @@ class Brick:
         """At the middle of cells: whether one step is enough, whether nothing there is an answer, where to cut."""
         terms, size = self.nodes.rows("terms", cells.corners), cells.size * self.step
         values = self.lattice.origin + (cells.low + 0.5 * cells.size) * self.step
-        guess = interpolated(terms, np.full(size.shape, 0.5), size)[:, :-1]
+        given = interpolated(terms, np.full(size.shape, 0.5), size)
+        guess, cost = given[:, :-1], given[:, -1]
         holds = self.lattice.borders.holds(self.lattice.sheets, cells.branch, values)
         first = self.lattice.chart.at(values, guess, holds)
         flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
@@ -268,6 +270,9 @@ class Brick:
         passed: NDArray[np.bool_] = flown & sided & (second.length <= self.tolerance)
         margin = self.lattice.borders.margins_of(self.lattice.sheets, cells.branch, second)
         beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
+        # Where the conditions are linear in the unknowns a step is enough from anywhere, and J of the cell still wrong.
+        near = (first.length <= _AFAR) & (np.abs(cost - second.cost) <= _COST * (1.0 + np.abs(second.cost)))
+        passed &= near | beyond | ~self.lattice.minimum[cells.branch]
         unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
         return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
 

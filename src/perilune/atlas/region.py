@@ -23,6 +23,7 @@ from perilune.words.units import told, told_range
 
 MOST_AXES = 4
 _MOST_BRICKS = 10**6
+_LOOKS = 16  # at points within a region, beside its corners, between which a range may go and come back
 _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
 
 
@@ -217,14 +218,15 @@ def refuse_moving_ranges(problem: Problem, region: Region) -> None:
     """
     if problem.ranges is None or problem.declared:
         return
-    for corner in product(*((axis.low, axis.high) for axis in region.axes)):
-        there = problem.with_given(**{n: v for n, v in zip(region.names, corner, strict=True) if n in problem.given})
+    within = np.random.default_rng(0).uniform(region.low, region.high, (_LOOKS, len(region.axes))).tolist()
+    for at in [*product(*((axis.low, axis.high) for axis in region.axes)), *within]:
+        there = problem.with_given(**{n: v for n, v in zip(region.names, at, strict=True) if n in problem.given})
         for here, f in zip(problem.free, there.free, strict=True):
             if f.name not in region.names and (here.lower, here.upper) != (f.lower, f.upper):
                 raise PeriluneError(
                     f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
                     got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where "
-                    + ", ".join(told(v, a.unit) for a, v in zip(region.axes, corner, strict=True)),
+                    + ", ".join(told(v, a.unit) for a, v in zip(region.axes, at, strict=True)),
                     expected=f"{told(here.lower, here.unit)} to {told(here.upper, here.unit)} everywhere",
                     advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "
                     "parameter",
