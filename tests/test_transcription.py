@@ -25,6 +25,7 @@ from problems.ascents import tangent_steering
 from problems.goddard import goddard
 from problems.integrators import least_energy, least_time
 from problems.landings import meditch
+from problems.singular import aly
 from problems.staging import staged_burns
 
 UNEVEN = Mesh(degrees=(4, 3), joints=(0.0, 0.4, 1.0), free=(0.1,))
@@ -32,13 +33,14 @@ UNEVEN = Mesh(degrees=(4, 3), joints=(0.0, 0.4, 1.0), free=(0.1,))
 
 @pytest.mark.parametrize("nearest", [False, True])
 @pytest.mark.parametrize("scheme", ["gauss", "radau"])
-@pytest.mark.parametrize("problem", [staged_burns(), meditch(), least_energy(0.1), tangent_steering()])
+@pytest.mark.parametrize("problem", [staged_burns(), meditch(), least_energy(0.1), tangent_steering(), aly()])
 def test_what_is_put_together_has_the_derivatives_of_the_whole(problem, scheme, nearest):
     program = Program(problem=problem, scheme=scheme, meshes=(UNEVEN,) * len(problem.phases))
     made = nlp._assembled(Unnumbered(problem), program.layouts, nearest)
     w, p, of_J = (ca.MX.sym("a", made.hessian.size_in(i)) for i in range(3))
     of_g = ca.MX.sym("b", made.hessian.size_in(3))
     J, g = made.value(w, p)
+    assert J.is_dense()  # which IPOPT asks for, and of aly() nothing can be missed
     whole = ca.Function(
         "whole",
         [w, p, of_J, of_g],

@@ -194,7 +194,7 @@ def _functions(parts: Sequence[Repeated], linear: Triplets, unknowns: int, rows:
     upper, summed = _second_derivatives(parts, unknowns)
     curvature = _matrix(summed, (upper.shape[1], sum(c.numel() for c in curvatures))) @ ca.vertcat(*curvatures)
     hessian = _sparse(upper, curvature, np.full(upper.shape[1], True), (unknowns, unknowns))
-    J, g = total[rows], total[:rows]
+    J, g = ca.densify(total[rows]), total[:rows]  # of no terms where nothing can be missed
     return Assembled(
         value=ca.Function("nlp", [w, given], [J, g], ["x", "p"], ["f", "g"]),
         gradient=ca.Function("nlp_grad_f", [w, given], [J, gradient], ["x", "p"], ["f", "grad_f_x"]),
