@@ -11,6 +11,7 @@ import re
 import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 import zipfile
@@ -18,6 +19,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
+from threading import Event
 from typing import Any, cast
 from urllib.parse import urlsplit
 
@@ -30,7 +32,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError
-from perilune.app.beside import Beside
+from perilune.app.answering import Answering
+from perilune.app.beside import Beside, Killed
 from perilune.app.client import MESSAGE, Client, asked, hello
 from perilune.app.frozen import frozen_page
 from perilune.app.server import page_files
@@ -38,6 +41,7 @@ from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_text
+from perilune.words.watch import Watch
 
 ISP = "retro_specific_impulse"
 
@@ -275,6 +279,43 @@ def test_nothing_outlives_it(subject: Subject) -> None:
     run = "asyncio.run(asyncio.wait_for(in_thread(time.sleep, 60), 0.1))"
     with pytest.raises(subprocess.CalledProcessError):  # by the timeout inside, not the one outside
         subprocess.run([sys.executable, "-c", f"{work}; {run}"], check=True, timeout=20, capture_output=True)
+
+
+def test_what_is_computed_for_a_page_that_has_gone_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = Event()
+
+    def without_end(self: Answering, values: Any, watch: Watch) -> None:
+        try:
+            while True:
+                time.sleep(0.02)
+                watch("deriving")
+        finally:
+            ended.set()
+
+    async def story(page: _Page) -> None:
+        page.put(number=0, values={})
+        await page.until("progress")
+
+    monkeypatch.setattr(Answering, "at", without_end)
+    _told_to(subject_of(None), story)
+    assert ended.wait(5.0)
+
+
+def test_it_is_said_when_nothing_more_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not that the process was begun anew, which is true of the next flight."""
+
+    async def killed(self: Beside, *work: Any) -> None:
+        self.killed += 1
+        raise Killed("killed whenever it was begun")
+
+    async def story(page: _Page) -> None:
+        page.put(number=0, values={})
+        await page.until("notice")
+        await asyncio.sleep(0.1)
+        assert [said["words"] for said in page.told if said["type"] == "notice"] == ["killed whenever it was begun"]
+
+    monkeypatch.setattr(Beside, "done", killed)
+    _told_to(subject_of(None), story)
 
 
 def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_changed() -> None:

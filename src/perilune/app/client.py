@@ -62,13 +62,16 @@ class Client:
         self._newest: dict[str, Any] | None = None
         self._new = asyncio.Event()
         self._when: list[float] = []
-        self._doing = ""
+        self._doing, self._gone = "", False
 
     async def run(self) -> None:
         """Until it has gone."""
         await self._send({"type": "hello", "client": self.name, **hello(self.subject)})
         reading, answering = asyncio.create_task(self._read()), asyncio.create_task(self._answer())
-        done, left = await asyncio.wait([reading, answering], return_when=asyncio.FIRST_COMPLETED)
+        try:
+            done, left = await asyncio.wait([reading, answering], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._gone = True
         for task in left:
             task.cancel()
         for task in done:
@@ -112,10 +115,13 @@ class Client:
     async def _telling(self, work: Awaitable[_T], request: dict[str, Any]) -> _T:
         """Say what is done as long as it is done."""
         doing, began = asyncio.ensure_future(work), time.monotonic()
-        while not (await asyncio.wait([doing], timeout=_TELL))[0]:
-            said = {"words": self._doing, "took": time.monotonic() - began}
-            await self._send({"type": "progress", "number": request["number"], **said})
-        return doing.result()
+        try:
+            while not (await asyncio.wait([doing], timeout=_TELL))[0]:
+                said = {"words": self._doing, "took": time.monotonic() - began}
+                await self._send({"type": "progress", "number": request["number"], **said})
+            return doing.result()
+        finally:
+            doing.cancel()  # nobody waits for it if the page has gone
 
     def _flown(self, request: dict[str, Any]) -> Flown | PeriluneError | None:
         """In a thread: the flight at the newest values, why there is none, or None where newer values have come."""
@@ -124,7 +130,7 @@ class Client:
         def watch(event: Iteration | str) -> None:
             if isinstance(event, str):
                 self._doing = event
-            if self._new.is_set() and time.monotonic() - began > _SLOW:
+            if self._gone or (self._new.is_set() and time.monotonic() - began > _SLOW):
                 raise Dropped
 
         try:
@@ -156,7 +162,7 @@ class Client:
 
     async def _rested(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
         """What takes longer than a frame, as long as nothing newer comes."""
-        number, killed = request["number"], self.beside.killed
+        number, killed, told = request["number"], self.beside.killed, ""
         if isinstance(found, Flown) and self.subject.atlas is not None:
             await self._beside_it("slice", number, partial(slice_of, self.subject, request["values"], request["slice"]))
         try:
@@ -170,11 +176,12 @@ class Client:
         except WebSocketDisconnect:
             raise
         except Exception as error:
-            told = in_words(error)
-            await self._send({"type": "notice", "words": f"{told.what} {told.got}".strip()})
-        if self.beside.killed > killed:
-            words = "the process that compares and proves was killed, and begun anew"
-            await self._send({"type": "notice", "words": words})
+            why = in_words(error)
+            told = f"{why.what} {why.got}".strip()
+        if not told and self.beside.killed > killed:
+            told = "the process that compares and proves was killed, and begun anew"
+        if told:  # one line: what failed, before what went on all the same
+            await self._send({"type": "notice", "words": told})
 
     async def _beside_it(self, kind: str, number: int, work: Callable[[], dict[str, Any] | None]) -> None:
         """What is shown beside a flight, unless newer values have come."""
