@@ -138,6 +138,13 @@ def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page:
         page.keyboard.press("Enter")
         assert page.evaluate("perilune.values.approach_up") == 1234.5678912345
         assert page.evaluate("+document.getElementById('knob-approach_up').max") == 1234.5678912345
+        until(page, "document.getElementById('title').innerText.includes('but with approach_up 1234.56')", 60.0)
+        typed = "typed = (v) => {const n = document.querySelector('[aria-label=\"vehicle.mass in kg\"]');"
+        typed += " n.value = v; n.dispatchEvent(new Event('change'))}"
+        page.evaluate(f"() => {{const {typed}; typed('2030'); typed('1e9')}}")  # while a flight is on the way
+        until(page, "!!perilune.refused && perilune.refused.what.includes('far from its range')")
+        time.sleep(1.0)  # and when it has come
+        assert page.is_visible("#refusal") and page.evaluate("perilune.shown === perilune.number")
 
 
 def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
@@ -177,3 +184,10 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
         until(page, f"perilune.flight.free.retro_delta_v {burn}")
     assert "stored" in page.inner_text("#source")
     assert page.locator("#path svg polyline").count() >= 2
+    if width > 900:  # beside the views the parameters stay in sight, and below the head of the page
+        page.evaluate("scrollTo(0, 500)")
+        until(
+            page,
+            "scrollY > 0 && document.getElementById('knobs').getBoundingClientRect().top >= "
+            "document.querySelector('header').getBoundingClientRect().bottom",
+        )

@@ -42,6 +42,7 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
         begin += duration
     document = solution_document(solution)
     return {
+        "title": solution.problem.heading,
         "objective": float(solution.objective),
         "unit": solution.problem.objective_unit,
         "results": document["results"],

@@ -28,6 +28,7 @@
     if (said.type === "notice") { state.notice = said.words; dirty = true; }
     if (["flight", "refusal", "fault", "compared", "proof"].includes(said.type)) { state.doing = null; }
     if (said.type === "flight" || said.type === "refusal" || said.type === "fault") { waiting = waiting.filter((number) => number > said.number); }
+    if (said.number < state.shown) { if (again) { ask(); } return; } // of before what was refused as no request at all
     if (said.type === "flight") { state.flight = said; state.shown = said.number; state.frames += 1; state.family = null; state.refused = null; state.notice = ""; dirty = true; }
     if (said.type === "refusal" || said.type === "fault") { state.refused = said; state.shown = said.number ?? state.number; dirty = true; }
     if (said.type === "family") { state.family = said; dirty = true; }
@@ -113,7 +114,7 @@
       return;
     }
     if (!flight) { waits([]); return; }
-    source(flight); numbers(flight);
+    text($("title"), flight.title); source(flight); numbers(flight);
     Draw.path($("path"), [flight, ...state.pins.map((p) => p.flight)]);
     const flat = !flight.views.ground && Draw.series(flight, "east").length && Draw.series(flight, "north").length;
     $("ground-box").hidden = !flight.views.ground && !flat;
@@ -260,6 +261,7 @@
   });
   addEventListener("hashchange", () => { if (location.hash.slice(1) !== hash()) { remember(); restore(linked()); } }); // a link into an open page
   document.querySelector(".skip").onclick = (event) => { event.preventDefault(); $("knobs").focus(); $("knobs").scrollIntoView(); }; // the address holds values
+  new ResizeObserver(([head]) => document.documentElement.style.setProperty("--head", `${head.target.offsetHeight}px`)).observe(document.querySelector("header"));
   addEventListener("resize", () => { Draw.forget(); show(); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { Draw.forget(); show(); });
   connect();
