@@ -357,7 +357,8 @@ def test_a_page_that_needs_no_server_holds_its_flights(subject: Subject) -> None
 
 
 def test_what_cannot_be_explored_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert obey(["explore", str(tmp_path / "nothing")]) == 2
+    assert obey(["explore", str(tmp_path / "nothing.toml")]) == 2
+    assert "nothing to explore" in capsys.readouterr().err
     assert obey(["explore", str(tmp_path)]) == 2
     assert obey(["explore", str(tmp_path), "--set", "vehicle.thrust=1 N"]) == 2
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -95,6 +95,9 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
     PeriluneError
         If it is none of these.
     """
+    if target is not None and not target.exists():
+        expected = "a scenario, or a directory of `perilune solve --out` or `perilune atlas build --out`"
+        raise PeriluneError("there is nothing to explore here", got=str(target), expected=expected)
     if target is None or target.is_file():
         if target is None:
             text = template("hybrid_landing")

@@ -106,7 +106,8 @@
   // -- showing --------------------------------------------------------------------------------------------------
   function show() {
     const refused = state.refused, flight = state.flight;
-    $("refusal").hidden = !refused; $("view").classList.toggle("stale", !!refused);
+    const late = !!state.doing && state.doing.number > state.shown; // what is shown is of other values, and for longer than a frame
+    $("refusal").hidden = !refused; $("view").classList.toggle("stale", !!refused || late);
     if (refused) {
       const lines = [refused.what, refused.reason, refused.got && `got: ${refused.got}`, refused.expected && `expected: ${refused.expected}`, refused.try && `try: ${refused.try}`];
       text($("refusal"), lines.filter(Boolean).join("\n"));
@@ -114,7 +115,7 @@
       return;
     }
     if (!flight) { waits([]); return; }
-    text($("title"), flight.title); source(flight); numbers(flight);
+    text($("title"), flight.title); late ? waits(["below is the flight before"]) : source(flight); numbers(flight);
     Draw.path($("path"), [flight, ...state.pins.map((p) => p.flight)]);
     const flat = !flight.views.ground && Draw.series(flight, "east").length && Draw.series(flight, "north").length;
     $("ground-box").hidden = !flight.views.ground && !flat;
