@@ -41,6 +41,10 @@ def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
     assert code == 2 and "thrust" in text
     code, text = said(environment, "check", hop, "--set", "hopper.mass=-1 kg")
     assert code == 2 and "must be positive" in text
+    given = "from sys import argv; from perilune.scenario import load_file; p = load_file(argv[1]).problem"
+    given += "; print(p.with_given(hopper_mass=1010).heading); p.with_given(hopper_mass=-1)"
+    run = subprocess.run([sys.executable, "-c", given, hop], env=environment, capture_output=True, text=True)
+    assert "hopper_mass 1010 kg" in run.stdout and "hopper.mass must be positive" in run.stderr
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,7 @@ def lunar_hop(problem: Aim, hopper: Hopper, hop: Hop) -> pl.Problem:
         phases=(phase,),
         start=lambda p, m: (0.0, 0.0, 0.0, 0.0, p.hopper_mass),
         given=given_of(hopper, hop),
+        declared=(hopper, hop),  # whose ranges hold for values that are given later, too
         free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=300.0, typical=60.0),),
         objective=lambda x, p, m: -x.m,
         objective_unit="kg",
