@@ -147,7 +147,8 @@ class _Work:
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
         doubt, breaking = np.full((2, len(some)), np.inf)
-        going = np.ones(len(some), dtype=bool)
+        going, held = np.ones(len(some), dtype=bool), dict[tuple[str, str], NDArray[np.bool_]]()
+        outside = list[tuple[int, NDArray[np.int64], NDArray[np.bool_]]]()
         for rank in range(len(offers)):
             chosen = order[rank]
             here = cost[chosen, np.arange(len(some))]
@@ -162,9 +163,20 @@ class _Work:
                     least[which] = np.minimum(least[which], here[which])
                 if len(lanes := lanes[~ends]):
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
+                    for bound in offer.charted.sheets[offer.sheet].holds.items():
+                        held.setdefault(bound, np.zeros(len(some), dtype=bool))[lanes[polished.answers]] = True
+                    if polished.beyond.any():
+                        outside.append((number, lanes, polished.beyond))
                     breaks = polished.breaking & (not offer.charted.breaks_controls_alone)
                     for least, which in ((doubt, polished.doubtful), (breaking, breaks)):
                         least[lanes[which]] = np.minimum(least[lanes[which]], here[lanes[which]])
+        # So may one that is held at a bound beyond which another lies, unless one of those is known.
+        for number, lanes, beyond in outside:
+            known = np.zeros(len(lanes), dtype=bool)
+            for bound, which in zip(offers[number].charted.borders.bounds, beyond.T, strict=True):
+                known |= which & held[bound][lanes] if bound in held else False
+            left = lanes[beyond.any(axis=1) & ~known]
+            doubt[left] = np.minimum(doubt[left], cost[number, left])
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         doubt = np.where(self.of_arcs[some], doubt, np.minimum(doubt, breaking))
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]

@@ -63,6 +63,9 @@ class Polished:
     breaking
         Whether it is an extremal of its sheet but for breaking the path: a flight that keeps that may still be better
         than other sheets.
+    beyond
+        Which bounds of what the user states it lies beyond, being an extremal but for that, as `Borders.beyond` has
+        them: a flight that is held there may still be better.
     flown
         Its second flight.
     """
@@ -75,6 +78,7 @@ class Polished:
     answers: NDArray[np.bool_]
     doubtful: NDArray[np.bool_]
     breaking: NDArray[np.bool_]
+    beyond: NDArray[np.bool_]
     steps: NDArray[np.int64]
     bound: Vector
     away: Vector
@@ -136,6 +140,16 @@ class Polisher:
             slopes = slopes + np.einsum("ldk,lk->ld", holds.moves, rises)
         margin = self.borders.margins(self.sheets, which, y, at, rises, choice, limits)
         inside = np.minimum(margin, flown.pays) >= -SLACK
+        beyond = self.borders.beyond(at, choice, limits)
+        if (outside := np.nonzero(reached & ~inside & beyond.any(axis=1))[0]).size:
+            within = np.clip(at[outside], *(bound[outside] for bound in limits))
+            others = self.borders.margins(
+                self.sheets, which[outside], y[outside], within, rises[outside], choice[outside],
+                (limits[0][outside], limits[1][outside]),
+            )  # fmt: skip
+            sound = (np.minimum(others, flown.pays[outside]) >= -SLACK) & (flown.minimum[outside] >= -SLACK)
+            beyond[outside] &= (sound & (flown.residual[outside] <= _FLOWN))[:, None]
+        beyond &= (reached & ~inside)[:, None]
         answers = reached & inside & good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
         return Polished(
@@ -147,6 +161,7 @@ class Polisher:
             answers=answers,
             doubtful=~answers & ~(reached & ~inside) & ~breaking,
             breaking=breaking,
+            beyond=beyond,
             steps=steps,
             bound=bound,
             away=away,

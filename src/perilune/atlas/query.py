@@ -125,9 +125,24 @@ class _Offer:
         return self.charted.labels[self.number]
 
     @property
+    def held(self) -> set[tuple[str, str]]:
+        """Names of what its sheet holds, each with the side."""
+        return set(self.charted.sheets[self.number].holds.items())
+
+    @property
+    def beyond(self) -> list[tuple[str, str]]:
+        """Bounds beyond which the extremal lies, as `held` has them."""
+        assert self.polished is not None
+        bounds = self.charted.borders.bounds
+        return [bounds[i] for i in np.nonzero(self.polished.beyond[0])[0].tolist()]
+
+    @property
     def why(self) -> str:
         """Why it is no answer, and casts doubt on others."""
         polished, sheet = self.polished, f"the sheet '{self.label}'"
+        if polished is not None and (beyond := self.beyond):
+            name, side = beyond[0]
+            return f"an extremal of {sheet} lies beyond the {side} bound of {name}, and one held there may be better"
         if self.breaks or (polished is not None and polished.breaking[0]):
             return f"an extremal of {sheet} breaks a condition, and a flight that keeps it may be better than is known"
         if polished is None:
@@ -165,7 +180,7 @@ class Atlas(Reader):
         began = time.perf_counter()
         at = self._point(values)
         offers = self._offers(at)
-        tried, doubts, breaking, best = list[_Offer](), list[_Offer](), list[_Offer](), None
+        tried, doubts, breaking, outside, best = list[_Offer](), list[_Offer](), list[_Offer](), list[_Offer](), None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
             if best is not None and clearly_worse(offer.cost, best.cost):
@@ -182,6 +197,8 @@ class Atlas(Reader):
                 breaking.append(offer)
             elif polished.doubtful[0]:
                 doubts.append(offer)
+            elif polished.beyond[0].any():
+                outside.append(offer)
             elif polished.answers[0]:
                 offer.cost = float(polished.cost[0])
                 tried.append(offer)
@@ -191,6 +208,9 @@ class Atlas(Reader):
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         if not any(one.charted.of_arcs for one in alike):
             doubts += [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
+        # So may one that is held at a bound beyond which another lies, unless one of those is known.
+        held = {bound for one in tried for bound in one.held}
+        doubts += [one for one in outside if held.isdisjoint(one.beyond)]
         doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
         if best is None or damaged or (doubt is not None and doubt.cost < best.cost):

@@ -182,6 +182,25 @@ class Borders:
         bounds = self.at((values[:, None, None] + beside).reshape(-1, d))[upper][:, i].reshape(-1, 4, d)
         return np.einsum("k,lkd->ld", np.array([1.0, -8.0, 8.0, -1.0]) / 12.0, bounds) / step
 
+    @cached_property
+    def bounds(self) -> list[tuple[str, str]]:
+        """(name, side) of what the columns of `beyond` are."""
+        return [(name, side) for side in ("lower", "upper") for name in self.names]
+
+    @cached_property
+    def _users(self) -> NDArray[np.bool_]:
+        """Which of what can be held the user states: an arc that would be shorter than nothing is no such bound."""
+        user = self.chart.user
+        stated = {*user.free_names, *(c.name for phase in user.phases for c in phase.end_conditions)}
+        return np.array([name in stated for name in self.names], dtype=bool)
+
+    def beyond(self, at: Matrix, choice: Matrix, limits: Limits) -> NDArray[np.bool_]:
+        """Which `bounds` of what the user states, and is not held, lanes lie beyond, (lanes, bounds)."""
+        lower, upper = limits
+        free = ~(choice[:, : self.chart.shooting.plan.held] > 0) & self._users
+        with np.errstate(invalid="ignore"):
+            return np.hstack([free & (at < lower - _SLACK), free & (at > upper + _SLACK)])
+
     def margins_of(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
         """`margins` of extremals, or of points that need be none."""
         at, rises = self.chart.shooting.held_values(found.roots)
