@@ -167,7 +167,7 @@ def test_ctrl_c_stops_a_build_that_goes_on_later(workers: str, built: Path, tmp_
         time.sleep(0.005)
     os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does: all processes of the job
     printed, said = stopped.communicate(timeout=60)
-    assert stopped.returncode == 130 and printed == "" and said == "perilune: stopped by the user\n"
+    assert (stopped.returncode, printed, said) == (130, "", "perilune: stopped by the user\n")
     kept = {name: content for name, content in snapshot(out).items() if name.endswith(".npy")}
     assert not [name for name in snapshot(out) if "writing" in name]
     build(cho_landing(), AXES, out)
