@@ -174,3 +174,40 @@ def test_an_extremal_beyond_a_bound_casts_doubt_where_none_that_is_held_there_is
     with pytest.raises(PeriluneError, match="lies beyond the upper bound of far, and one held there may be better"):
         atlas.query(high=short)
     assert atlas.query_many(np.array([[short]])).answered[0] == Answered.ENDS
+
+
+def lure(far: float = 0.3) -> pl.Problem:
+    """From rest to rest between -0.5 m and `far`, drawn by -15 x^2 - x: J = -9 X^2 - X has a maximum between them."""
+    base = haul(False)
+    phase = replace(
+        base.phases[0],
+        end_conditions=(base.phases[0].end_conditions[0], Variable(name="far", unit="m", lower="low", upper="high")),
+    )
+    given = {"T": (1.0, "s"), "low": (-0.5, "m"), "high": (far, "m"), "pull": (30.0, "1/s^3"), "push": (1.0, "m/s^3")}
+    return pl.Problem(
+        name="lure",
+        phases=(phase,),
+        start=base.start,
+        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        objective=lambda x, p, m: x.c - 0.5 * p.pull * x.x**2 - p.push * x.x,
+        objective_unit="m^2/s^3",
+    )
+
+
+@pytest.mark.parametrize("far", [0.3, 0.8])
+def test_a_maximum_over_a_range_at_the_end_is_no_answer(far: float) -> None:
+    """What is stationary between the limits has J = 1/36, the worst; both limits are extremals, the best answers."""
+    found = pl.solve(lure(far), level=2)
+    assert found.objective == pytest.approx(min(-9.0 * z * z - z for z in (-0.5, far)), rel=1e-12)
+    assert found.outcome is pl.Outcome.PROVED
+    assert sorted(e.objective for e in found.extremals)[-1] == pytest.approx(1.0 / 36.0, rel=1e-9)
+    assert [e.nature for e in found.extremals].count(Nature.WORST) == 1
+
+
+def test_an_atlas_answers_at_the_better_limit_of_a_range(tmp_path: Path) -> None:
+    problem = lure()
+    atlas = open_atlas(build(problem, {"high": (0.1, 1.2)}, tmp_path / "map"), lambda _: problem)
+    points = np.linspace(0.1, 1.2, 100)[:, None]
+    found = atlas.query_many(points)
+    assert found.good.all()
+    np.testing.assert_allclose(found.objective, np.minimum(-9.0 * points[:, 0] ** 2 - points[:, 0], -1.75), rtol=1e-10)

@@ -203,6 +203,8 @@ class Survey:
                 self.notes.append(f"at {self.region.told((values * chart.scale).tolist())}: {said}")
                 continue
             sheet = replace(sheet, orientation=float(start.orientation[0]))
+            if curved := chart.shooting.curving_down(start.roots[0], chart.p):
+                sheet = replace(sheet, nature=Nature.WORST)
             number = self._known(known, sheet, corners / chart.scale, values, start.y[0])
             if number is not None:
                 known = _offered(known, number, sheet)
@@ -212,6 +214,7 @@ class Survey:
                     said = said_of(replace(known, sheets=(sheet,)))
                     nature = nature_behind_folds(self.problem, self.region, said, values, start.y[0])
                     sheet = replace(sheet, nature=nature)
+                left += _at_ends(borders, sheet, values, start.y[0], curved)
                 y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
                 count = np.isfinite(y[:, 0]).sum()
                 self.watch(f"{sheet.label}: at {count} corners of bricks")
@@ -272,6 +275,19 @@ def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]
         alike = [one for one in solved if one.course.text == text]
         keep = tuple(dict.fromkeys(name for one in alike for name in one.course.keep))
         yield replace(alike[0].course, keep=keep), alike
+
+
+def _at_ends(
+    borders: Borders, sheet: Sheet, values: Vector, y: Vector, ranges: list[int]
+) -> list[tuple[Vector, Vector, Sheet]]:
+    """Where those begin that are held at the ends of ranges over which J has a maximum between them."""
+    first, limits = borders.chart.shooting.plan.free, borders.at(values[None])
+    return [
+        (values, y, Sheet(holds={**sheet.holds, borders.names[k]: side}, orientation=0.0, nature=Nature.UNPROVED))
+        for k in (first + number for number in ranges)
+        for side, bound in zip(("lower", "upper"), limits, strict=True)
+        if np.isfinite(bound[0, k])
+    ]
 
 
 def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:

@@ -186,15 +186,33 @@ class Search:
     def _all_extremals(self, first: Member) -> tuple[list[Found], list[Member]]:
         trials = self.trials
         if trials.scanned is None:
-            return [Found(root=first.root, minimum=True)], [first]
+            return self._over_ranges(first.root), [first]
         free = self.problem.free[trials.scanned]
         self.watch(f"following the family of extremals along {free.name}")
         found, members = scan(self._family(), first, trials.bounds(trials.scanned), self.settings.scan_points)
+        curved = (bool(trials.shooting.curving_down(f.root, trials.p)) for f in found)
+        found = [replace(f, minimum=f.minimum and not down) for f, down in zip(found, curved, strict=True)]
         scale = free_scales(self.problem.free, self.problem)[trials.scanned]
         low, high = (members[end].value * scale for end in (0, -1))
         count = _extremals(len(found))
         self.tried.append(f"a family along {free.name} from {low:.6g} to {high:.6g} {free.unit}: {count}")
         return found, members
+
+    def _over_ranges(self, root: Root) -> list[Found]:
+        """An extremal; where J is at a maximum over a range at an end, those at the limits of that beside it."""
+        trials, shooting = self.trials, self.trials.shooting
+        if not (curved := shooting.curving_down(root, trials.p)):
+            return [Found(root=root, minimum=True)]
+        found, first = [Found(root=root, minimum=False)], shooting.plan.free
+        for i in (first + k for k in curved):
+            for limit in (trials.limits.lower[i], trials.limits.upper[i]):
+                choice = root.choice.copy()
+                choice[[i, shooting.plan.held + i]] = 1.0, limit
+                held = trials.settled(root.y[None], choice, limits=trials.limits)[0] if np.isfinite(limit) else root
+                if held.converged and held.choice[i]:
+                    minimum = not shooting.curving_down(held, trials.p)
+                    found += new_among([Found(root=held, minimum=minimum)], found)
+        return found
 
     def _family(self) -> HeldFamily:
         trials = self.trials

@@ -250,6 +250,21 @@ class Shooting:
         at = int(self.plan.active.searchsorted(self.conditions.free_at.start + index))
         return 1.0 / float(root.inverse[at, row])
 
+    def curving_down(self, root: Root, p: Vector) -> list[int]:
+        """Numbers of the ranges at ends that a root does not hold, and along which J has a maximum there.
+
+        With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian.
+        """
+        found, first = list[int](), self.plan.free
+        for k, (row, nu) in enumerate(self.conditions.ranges):
+            if root.choice[first + k] == 0.0:
+                held = root.choice.copy()
+                held[[first + k, self.plan.held + first + k]] = 1.0, root.ranges[k]
+                inverse = self.at(root.y[None], p, held)[0].inverse
+                if inverse[self.plan.active.searchsorted(nu), self.plan.rows.searchsorted(row)] > 0.0:
+                    found.append(k)
+        return found
+
     def rounding(self, root: Root) -> bool:
         """Whether the residual is what errors in the last digits become: of y, or of states anywhere on the way."""
         if not np.isfinite(root.inverse).all():
