@@ -30,8 +30,9 @@ pytest.importorskip("starlette", reason="the explorer needs starlette: pip insta
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+import perilune.app.answering
 from explored import ROOT, atlas_of_the_jump, served
-from perilune import PeriluneError
+from perilune import PeriluneError, Problem, Solution
 from perilune.app.answering import Answering
 from perilune.app.beside import Beside, Killed
 from perilune.app.client import MESSAGE, Client, asked, hello
@@ -394,3 +395,22 @@ def test_every_colour_of_a_word_stands_out_from_its_ground() -> None:
             for ground in ("paper", "box"):
                 low, high = sorted((colours[word], colours[ground]))
                 assert (high + 0.05) / (low + 0.05) >= 4.5, (word, ground)
+
+
+def test_a_neighbour_that_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method may go on for minutes from a flight that leads nowhere; from nothing there is one at once."""
+    answering = Answering(load_text((ROOT / "examples" / "hybrid_lander.toml").read_text()))
+    answering.at({})
+    solve = perilune.app.answering.solve
+
+    def lost(problem: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+        while guess is not None:
+            watch("structure: of many arcs")
+            time.sleep(0.01)
+        return solve(problem, level=level, watch=watch)
+
+    monkeypatch.setattr("perilune.app.answering.solve", lost)
+    monkeypatch.setattr("perilune.app.answering._FOLLOW", 0.1)
+    began = time.monotonic()
+    found = answering.at({"vehicle_thrust": 445.0})
+    assert found.source == "nothing" and time.monotonic() - began < 5.0

@@ -20,6 +20,7 @@ from perilune.words.watch import Iteration, Watch, silent
 
 _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side
+_FOLLOW = 20.0  # s from the flight before, which takes no more where it leads anywhere
 _LOOK = 0.5  # s from nothing, where a neighbour leads nowhere
 
 
@@ -124,14 +125,14 @@ class Answering:
         problem = self.problem_at(values)
         if self.last is not None:
             try:
-                found = solve(problem, guess=self.last, level=0, watch=watch)
+                found = solve(problem, guess=self.last, level=0, watch=_shortly(watch, _FOLLOW))
                 return found, "neighbour", "an extremal near the flight before"
             except InfeasibleError as error:
                 if error.reason == CANNOT_BE_FLOWN:
                     raise
-            except PeriluneError:
+            except (PeriluneError, _TooLong):
                 pass  # a family that ends here: from nothing there may be another
-            watch = _shortly(watch)
+            watch = _shortly(watch, _LOOK)
         try:
             found = solve(problem, level=0, watch=watch)
         except _TooLong:
@@ -144,9 +145,9 @@ class _TooLong(BaseException):
     """A look that takes too long; no error, which a method would try to mend."""
 
 
-def _shortly(watch: Watch) -> Watch:
-    """The same for a moment, then `_TooLong`."""
-    end = time.monotonic() + _LOOK
+def _shortly(watch: Watch, seconds: float) -> Watch:
+    """The same for so long, then `_TooLong`."""
+    end = time.monotonic() + seconds
 
     def seen(event: Iteration | str) -> None:
         watch(event)
