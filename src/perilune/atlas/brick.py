@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, torn_edges
-from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Status, Whole, joined, same, some
+from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, same, some
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
 from perilune.atlas.lattice import Lattice
 from perilune.atlas.reflight import SLACK
@@ -50,9 +50,13 @@ class Brick:
     """
 
     def __init__(self, lattice: Lattice, tolerance: float, watch: Watch = silent) -> None:
-        self.lattice, self.tolerance, self.watch = lattice, tolerance, watch
-        self.nodes, self.step = lattice.nodes, lattice.step
-        self.count, self._left = len(lattice.all_sheets), list[Extremal]()
+        self.lattice: Lattice = lattice
+        self.tolerance: float = tolerance
+        self.watch: Watch = watch
+        self.nodes: Nodes = lattice.nodes
+        self.step: Vector = lattice.step
+        self.count: int = len(lattice.all_sheets)
+        self._left = list[Extremal]()
         self._looked_at = self._cells_looked_at = 0
         self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 

@@ -118,15 +118,17 @@ class Chart:
     """
 
     def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, course: Course = PLAIN) -> None:
-        self.user, self.names, self.course = problem, tuple(names), course
-        self.problem = course.restated(problem, names)
+        self.user: Problem = problem
+        self.names: tuple[str, ...] = tuple(names)
+        self.course: Course = course
+        self.problem: Problem = course.restated(problem, names)
         self._sizes = sizes = sizes_of(self.problem, names, np.asarray(widths, dtype=float).tolist())
-        self.free = varied(self.problem, names, sizes)
+        self.free: Problem = varied(self.problem, names, sizes)
         self.conditions: Conditions = derive(self.free, course.keep)
-        self.p = extremal_parameters(self.free)
-        self.shooting = Shooting(self.conditions)
-        self.scale = np.array([sizes.get(name, problem.scales.of(problem.unit_of(name))) for name in names])
-        self.widths = np.asarray(widths, dtype=float) / self.scale
+        self.p: Vector = extremal_parameters(self.free)
+        self.shooting: Shooting = Shooting(self.conditions)
+        self.scale: Vector = np.array([sizes.get(name, problem.scales.of(problem.unit_of(name))) for name in names])
+        self.widths: Vector = np.asarray(widths, dtype=float) / self.scale
 
     @cached_property
     def user_free(self) -> Problem:

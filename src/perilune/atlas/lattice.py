@@ -50,9 +50,15 @@ class Lattice:
         high: Vector,
         before: Cut | None,
     ) -> None:
-        self.chart, self.borders, self._reflights, self.all_sheets = chart, borders, reflights, sheets
-        self.origin, self.step, self.d = low, (high - low) / WHOLE, len(low)
-        self.nodes, self.own = Nodes(), list(range(len(sheets)))
+        self.chart: Chart = chart
+        self.borders: Borders = borders
+        self._reflights = reflights
+        self.all_sheets: Sequence[Sheet] = sheets
+        self.origin: Vector = low
+        self.step: Vector = (high - low) / WHOLE
+        self.d: int = len(low)
+        self.nodes: Nodes = Nodes()
+        self.own: list[int] = list(range(len(sheets)))
         if before is not None:
             self.nodes.add(self.keys(before.nodes["branch"], before.nodes["place"]), **before.nodes)
             self.own = list(before.own)
@@ -62,9 +68,9 @@ class Lattice:
 
     def _told(self) -> None:
         """What is known of the sheet of each branch."""
-        self.sheets = [self.all_sheets[number] for number in self.own]
-        self.orientations = np.array([sheet.orientation for sheet in self.sheets])
-        self.minimum = np.array([sheet.minimum for sheet in self.sheets])
+        self.sheets: list[Sheet] = [self.all_sheets[number] for number in self.own]
+        self.orientations: Vector = np.array([sheet.orientation for sheet in self.sheets])
+        self.minimum: NDArray[np.bool_] = np.array([sheet.minimum for sheet in self.sheets])
 
     def another_branch(self, sheet: int) -> int:
         """The number of a new branch of a sheet."""

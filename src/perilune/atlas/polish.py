@@ -89,8 +89,11 @@ class Polisher:
     """Newton's method from guesses, for one chart."""
 
     def __init__(self, chart: Chart, borders: Borders, reflights: Reflights, sheets: Sequence[Sheet]) -> None:
-        self.chart, self.borders, self.reflights, self.sheets = chart, borders, reflights, sheets
-        self.orientations = np.array([sheet.orientation for sheet in sheets])
+        self.chart: Chart = chart
+        self.borders: Borders = borders
+        self.reflights: Reflights = reflights
+        self.sheets: Sequence[Sheet] = sheets
+        self.orientations: Vector = np.array([sheet.orientation for sheet in sheets])
         self._p, self._multipliers = chart.p[None], [nu for _, nu in chart.conditions.ranges]
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:

@@ -24,6 +24,7 @@ import numpy as np
 
 from perilune.atlas.chart import Chart
 from perilune.conditions.canonical import PhaseExtremal, control_at, of_mode
+from perilune.conditions.pontryagin import Conditions
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
@@ -79,12 +80,15 @@ class Rides:
     """
 
     def __init__(self, chart: Chart) -> None:
-        self.chart, self.conditions = chart, chart.conditions
+        self.chart: Chart = chart
+        self.conditions: Conditions = chart.conditions
         structure = chart.course.structure
         self._arcs = (
             () if structure is None else tuple((k, arc) for k, arcs in enumerate(structure.phases) for arc in arcs)
         )
-        self.along = tuple(tuple(self._of(part)) for part in range(len(self.conditions.phases)))
+        self.along: tuple[tuple[Ride, ...], ...] = tuple(
+            tuple(self._of(part)) for part in range(len(self.conditions.phases))
+        )
 
     @cached_property
     def user(self) -> Problem:
