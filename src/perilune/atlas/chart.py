@@ -169,15 +169,7 @@ class Chart:
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
         """Of their stationarity among the residuals that are left."""
-        plan = self.shooting.plan
-        return plan.rows.searchsorted(self.conditions.stationarity_at.start + np.array(self.varied_at))
-
-    @cached_property
-    def _held_rows(self) -> NDArray[np.int64]:
-        """Rows of what can be held, free parameters and then ranges, among the residuals that are left."""
-        c = self.conditions
-        free = range(c.stationarity_at.start, c.stationarity_at.stop)
-        return self.shooting.plan.rows.searchsorted([*free, *(row for row, _ in c.ranges)])
+        return self.shooting.plan.held_rows[self.varied_at]
 
     def choice(self, values: Matrix, holds: Holds) -> Matrix:
         """What is held in each lane: the parameters at their values, and `holds` of all others."""
@@ -224,7 +216,7 @@ class Chart:
         slopes = inverse[:, self.places[:, None], self._rows[None]].transpose(0, 2, 1)
         cost_slopes = rows[:, columns.extras][:, self.varied_at]
         if moves is not None:
-            slopes += np.einsum("ldk,lnk->ldn", moves, inverse[:, self.places[:, None], self._held_rows[None]])
+            slopes += np.einsum("ldk,lnk->ldn", moves, inverse[:, self.places[:, None], plan.held_rows[None]])
             cost_slopes += np.einsum("ldk,lk->ld", moves, self.shooting.held_values(roots)[1])
         return Extremals(
             values=values,

@@ -227,9 +227,8 @@ class Shooting:
 
     def tangent(self, root: Root, index: int) -> Vector:
         """dY/dvalue at a root in which free parameter `index` is held."""
-        row = int(self.plan.rows.searchsorted(self.conditions.stationarity_at.start + index))
         tangent = np.zeros(self.plan.size)
-        tangent[self.plan.active] = root.inverse[:, row]
+        tangent[self.plan.active] = root.inverse[:, self.plan.held_rows[index]]
         return tangent
 
     def shift(self, root: Root, ahead: Vector, behind: Vector) -> Vector:
@@ -246,9 +245,8 @@ class Shooting:
         With J' the Jacobian in which q is held, e its row and g the row of dJ/dq, the tangent is t = J'^-1 e and the
         curvature g.t; J t = (g.t) e, so that the entry of J^-1 in q's column and row is 1/(g.t).
         """
-        row = int(self.plan.rows.searchsorted(self.conditions.stationarity_at.start + index))
         at = int(self.plan.active.searchsorted(self.conditions.free_at.start + index))
-        return 1.0 / float(root.inverse[at, row])
+        return 1.0 / float(root.inverse[at, self.plan.held_rows[index]])
 
     def curving_down(self, root: Root, p: Vector) -> list[int]:
         """Numbers of the ranges at ends that a root does not hold, and along which J has a maximum there.
@@ -256,12 +254,12 @@ class Shooting:
         With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian.
         """
         found, first = list[int](), self.plan.free
-        for k, (row, nu) in enumerate(self.conditions.ranges):
+        for k, (_, nu) in enumerate(self.conditions.ranges):
             if root.choice[first + k] == 0.0:
                 held = root.choice.copy()
                 held[[first + k, self.plan.held + first + k]] = 1.0, root.ranges[k]
                 inverse = self.at(root.y[None], p, held)[0].inverse
-                if inverse[self.plan.active.searchsorted(nu), self.plan.rows.searchsorted(row)] > 0.0:
+                if inverse[self.plan.active.searchsorted(nu), self.plan.held_rows[first + k]] > 0.0:
                     found.append(k)
         return found
 

@@ -107,6 +107,13 @@ class Plan:
         """Of the whole vector of unknowns those that Newton moves, (1, size)."""
         return np.isin(np.arange(self.size), self.active)[None]
 
+    @cached_property
+    def held_rows(self) -> NDArray[np.int64]:
+        """Rows of what can be held, free parameters and then ranges, among those that are left."""
+        c = self.conditions
+        free = range(c.stationarity_at.start, c.stationarity_at.stop)
+        return self.rows.searchsorted([*free, *(row for row, _ in c.ranges)])
+
     @property
     def settles(self) -> bool:
         """Whether any phase does."""
