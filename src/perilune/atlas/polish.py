@@ -143,16 +143,13 @@ class Polisher:
             slopes = slopes + np.einsum("ldk,lk->ld", holds.moves, rises)
         margin = self.borders.margins(self.sheets, which, y, at, rises, choice, limits)
         inside = np.minimum(margin, flown.pays) >= -SLACK
-        beyond = self.borders.beyond(at, choice, limits)
-        if (outside := np.nonzero(reached & ~inside & beyond.any(axis=1))[0]).size:
-            within = np.clip(at[outside], *(bound[outside] for bound in limits))
-            others = self.borders.margins(
-                self.sheets, which[outside], y[outside], within, rises[outside], choice[outside],
-                (limits[0][outside], limits[1][outside]),
-            )  # fmt: skip
-            sound = (np.minimum(others, flown.pays[outside]) >= -SLACK) & (flown.minimum[outside] >= -SLACK)
-            beyond[outside] &= (sound & (flown.residual[outside] <= _FLOWN))[:, None]
-        beyond &= (reached & ~inside)[:, None]
+        beyond = np.zeros((count, len(self.borders.bounds)), dtype=bool)
+        sound = reached & ~inside & (np.minimum(flown.pays, flown.minimum) >= -SLACK) & (flown.residual <= _FLOWN)
+        if (some := np.nonzero(sound)[0]).size:
+            here = limits[0][some], limits[1][some]
+            within = np.clip(at[some], *here)
+            others = self.borders.margins(self.sheets, which[some], y[some], within, rises[some], choice[some], here)
+            beyond[some] = self.borders.beyond(at[some], choice[some], here) & (others >= -SLACK)[:, None]
         answers = reached & inside & good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
         return Polished(

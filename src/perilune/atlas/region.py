@@ -225,8 +225,7 @@ def refuse_moving_ranges(problem: Problem, region: Region) -> None:
             if f.name not in region.names and (here.lower, here.upper) != (f.lower, f.upper):
                 raise PeriluneError(
                     f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
-                    got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where "
-                    + ", ".join(told(v, a.unit) for a, v in zip(region.axes, at, strict=True)),
+                    got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where {region.told(at)}",
                     expected=f"{told(here.lower, here.unit)} to {told(here.upper, here.unit)} everywhere",
                     advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "
                     "parameter",

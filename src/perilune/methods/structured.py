@@ -123,21 +123,17 @@ class Polish:
         Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
         one may touch it twice. A mesh tells the worse the rougher it is, so that a finer one comes last in any case.
         """
-        from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
-
         wavers = not self.guessed and wavering(rough)
         finer = wavers or (not self.guessed and self._rides(rough))
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
         if finer:
-            with suppress(PeriluneError):
-                yield Pseudospectral(nodes=6, segments=32 if wavers else 24, refine=0).near(rough, close=not wavers)
+            yield from _finer(rough, 32 if wavers else 24, close=not wavers)
         if finer and rough.statistics.residual > _ROUGH:
             yield rough
         near = self.guessed or self.brief or is_neighbour(self.problem)
         if not (finer or near) and rough.statistics.residual > _FINE:
-            with suppress(PeriluneError):
-                yield Pseudospectral(nodes=6, segments=24, refine=0).near(rough, close=True)
+            yield from _finer(rough, 24, close=True)
 
     def _rides(self, rough: Solution) -> bool:
         phases = range(len(self.problem.phases))
@@ -271,6 +267,14 @@ class Polish:
                     found.remove(contact)
                 found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
         return found
+
+
+def _finer(rough: Solution, segments: int, *, close: bool) -> Iterator[Solution]:
+    """The same flight of a mesh of so many segments, where that finds one."""
+    from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
+
+    with suppress(PeriluneError):
+        yield Pseudospectral(nodes=6, segments=segments, refine=0).near(rough, close=close)
 
 
 @dataclass
