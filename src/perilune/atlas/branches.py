@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import Cells, Nodes, Status, Whole
+from perilune.atlas.cells import Cells, Nodes, Status, Whole, some
 from perilune.atlas.hermite import bits, interpolated
 from perilune.words.types import Matrix, Vector
 
@@ -25,9 +25,9 @@ Extremal = tuple[int, Whole, Vector]  # its sheet, its place, and its unknowns
 _ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
 
 
-def arrays_of(some: Sequence[Extremal]) -> tuple[Whole, Whole, Matrix]:
+def arrays_of(extremals: Sequence[Extremal]) -> tuple[Whole, Whole, Matrix]:
     """Sheets, places and unknowns of extremals, in lanes."""
-    sheet, place, y = zip(*some, strict=True) if some else ((), (), ())
+    sheet, place, y = zip(*extremals, strict=True) if extremals else ((), (), ())
     return np.array(sheet, dtype=np.int64), np.array(place, dtype=np.int64), np.array(y)
 
 
@@ -101,11 +101,15 @@ def covered(
         if not len(cell):
             continue
         cell, here = numbers[cell], start + here
-        share = (places[here] - cells.low[cell]) / cells.size[cell]
-        given = interpolated(nodes.rows("terms", cells.corners[cell]), share, cells.size[cell] * step)[:, :-1]
-        away = np.linalg.norm(given - y[here], axis=1)
-        found[here[away <= _ALIKE * (1.0 + np.linalg.norm(y[here], axis=1))]] = True
+        found[here[given(some(cells, cell), nodes, step, places[here], y[here])]] = True
     return found
+
+
+def given(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: Matrix) -> NDArray[np.bool_]:
+    """Whether cells with all their corners give extremals at places, one each."""
+    share = (places - cells.low) / cells.size
+    there = interpolated(nodes.rows("terms", cells.corners), share, cells.size * step)[:, :-1]
+    return np.linalg.norm(there - y, axis=1) <= _ALIKE * (1.0 + np.linalg.norm(y, axis=1))
 
 
 def had(
@@ -114,7 +118,7 @@ def had(
     step: Vector,
     keys: Callable[[Whole, Whole], Whole],
     alike: Callable[[int], Sequence[int]],
-    some: Sequence[Extremal],
+    extremals: Sequence[Extremal],
 ) -> NDArray[np.bool_]:
     """Which extremals branches have, as nodes or in their cells.
 
@@ -124,11 +128,11 @@ def had(
         As of `covered`.
     keys, alike
         Keys of nodes, by branches and places; the branches of which extremals of a sheet may be layers.
-    some
-        The extremals.
+    extremals
+        Which.
     """
-    which, places, y = arrays_of(some)
-    found = np.zeros(len(some), dtype=bool)
+    which, places, y = arrays_of(extremals)
+    found = np.zeros(len(extremals), dtype=bool)
     for sheet in np.unique(which).tolist():
         branches, mine = alike(sheet), which == sheet
         for branch in branches:

@@ -21,8 +21,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, torn_edges
-from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, same, some
+from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, given, torn_edges
+from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, leaves_of, same, some
+from perilune.atlas.crossing import Crossings
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
 from perilune.atlas.lattice import Lattice
 from perilune.atlas.reflight import SLACK
@@ -58,6 +59,8 @@ class Brick:
         self.count: int = len(lattice.all_sheets)
         self._left = list[Extremal]()
         self._looked_at = self._cells_looked_at = 0
+        self._crossings = Crossings(lattice)
+        self._inside = dict[int, Whole]()  # places other than corners at which sheets began
         self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 
     def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cells | None = None) -> Cut:
@@ -73,6 +76,7 @@ class Brick:
         waves = [] if before is None else [before]
         new = self._sown(sheet, place, y, before)
         self.lattice.solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
+        self._begun(sheet[new], place[new])
         if not self.nodes.count:  # where the side of a fold is rounding, none may be of its sheet
             return Cut(nodes={}, cells=self.lattice.wholes(np.empty(0, dtype=np.int64)), own=tuple(self.lattice.own))
         here = np.setdiff1d(sheet[new], before.branch if before is not None else ())
@@ -89,13 +93,21 @@ class Brick:
             done, cells = self._reached(joined(waves))
             waves = [done]
             if not len(cells):
-                if (branch := self._branched(done)) is None:
+                if (branch := self._branched(done)) is not None:
+                    waves.append(branch)
+                elif (on := self._gone_on(done)) is not None:
+                    waves, cells = [on[0]], on[1]
+                else:
                     return self._finished(done)
-                waves.append(branch)
 
     def _finished(self, done: Cells) -> Cut:
-        """Of what is torn other branches have the layers that do not end there, if there may be so many."""
+        """Of what is torn other branches have the layers that do not end there, if there may be so many.
+
+        Where it is not known what goes on across a bound that is crossed a cell gives what lies beyond all the same: it
+        casts doubt on answers that are worse.
+        """
         status, corners = done.status.copy(), done.corners.copy()
+        status[self._crossings.untold(done)] = Status.ONE_STEP
         for i in np.nonzero(status == Status.TORN)[0].tolist():
             ending = self._ending[done.box(i)] | bool(self._left)
             status[i] = Status.ENDS if ending.any() else Status.ABSENT
@@ -161,6 +173,53 @@ class Brick:
         self.lattice.solved(branch, place[None], y[None], np.full(1, np.inf))
         root = self.lattice.wholes(branch)
         return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
+
+    # -- across bounds --------------------------------------------------------------------------------------------
+
+    def _begun(self, sheet: Whole, place: Whole) -> None:
+        """Note where sheets begin other than at corners."""
+        inside = ((place != 0) & (place != WHOLE)).any(axis=1)
+        for number in np.unique(sheet[inside]).tolist():
+            known = self._inside.get(number, np.empty((0, self.lattice.d), dtype=np.int64))
+            self._inside[number] = np.vstack([known, place[inside & (sheet == number)]])
+
+    def _gone_on(self, done: Cells) -> tuple[Cells, Cells] | None:
+        """What was done, and cells to look at, with the sheets that go on where others cross bounds; None if none do.
+
+        A cell that says that there is no answer of a sheet where there is one is halved.
+        """
+        first, wrong, count = list[Cells](), [np.empty(0, dtype=np.int64)], len(self._left)
+        for sheet, place, y in self._crossings.met(done):
+            self._begun(np.full(len(place), sheet), place)
+            if sheet not in done.branch:
+                self.lattice.solved(np.full(len(place), sheet), place, y, np.full(len(place), np.inf))
+                root = self.lattice.wholes(np.array([sheet]))
+                first.append(replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT])))
+                continue
+            self._left += zip([sheet] * len(place), place, y, strict=True)
+            for branch in self.lattice.alike(sheet):
+                cell = leaves_of(done, branch, place)
+                none = np.nonzero((cell >= 0) & (done.status[cell] == Status.NO_ANSWER))[0]
+                if len(none):
+                    here = given(some(done, cell[none]), self.nodes, self.step, place[none], y[none])
+                    wrong.append(cell[none[here]])
+        cut = np.unique(np.concatenate(wrong))
+        if not first and not len(cut) and len(self._left) == count:
+            return None
+        done = joined([done, *first])
+        status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
+        axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
+        child[cut] = len(done) + 2 * np.arange(len(cut))
+        done = replace(done, status=status, axis=axis, child=child)
+        return done, self._halved(some(done, cut), axis[cut])
+
+    def _with_beginnings(self, cells: Cells) -> NDArray[np.bool_]:
+        """In which cells a sheet began."""
+        out = np.zeros(len(cells), dtype=bool)
+        for sheet, place in self._inside.items():
+            for i in np.nonzero(np.isin(cells.branch, self.lattice.alike(sheet)))[0].tolist():
+                out[i] = ((place >= cells.low[i]) & (place <= cells.low[i] + cells.size[i])).all(axis=1).any()
+        return out
 
     def _torn(self, cells: Cells) -> Whole:
         """Of cells that do not answer `TORN` where their corners lie on different layers."""
@@ -274,6 +333,7 @@ class Brick:
         passed: NDArray[np.bool_] = flown & sided & (second.length <= self.tolerance)
         margin = self.lattice.borders.margins_of(self.lattice.sheets, cells.branch, second)
         beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
+        beyond[beyond] = ~self._with_beginnings(some(cells, beyond))
         # Where the conditions are linear in the unknowns a step is enough from anywhere, and J of the cell still wrong.
         near = (first.length <= _AFAR) & (np.abs(cost - second.cost) <= _COST * (1.0 + np.abs(second.cost)))
         passed &= near | beyond | ~self.lattice.minimum[cells.branch]

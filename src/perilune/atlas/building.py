@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.columns import (
@@ -156,6 +157,7 @@ def _complete(
             shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
             group, *brick = key = named[name]
             line = {"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"]}
+            line["sheets"] = np.unique(arrays["nodes"]["sheet"]).tolist()
             line |= {"round": number} if number else {}
             kept.add({**line, "thin": len(thin_ones(arrays["nodes"], tasks[key].sheets)), **shards})
             there[name] = len(arrays["nodes"])

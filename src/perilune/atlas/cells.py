@@ -199,6 +199,30 @@ class Nodes:
         return found[~np.isin(found, self.met)] if len(self.met) else found
 
 
+def halved_at(low: Whole, axis: Whole, child: Whole) -> Whole:
+    """Where cells are split, in lattice steps along their axis; anything of those that are not."""
+    second = np.where(child >= 0, child + 1, 0)
+    return np.take_along_axis(low[second], np.maximum(axis, 0)[:, None], axis=1)[:, 0]
+
+
+def leaves(axis: Whole, child: Whole, split: Whole, root: int, places: Matrix) -> Whole:
+    """The cells below one in which places lie, (points,)."""
+    cell = np.full(len(places), root)
+    while (going := np.nonzero(child[cell] >= 0)[0]).size:
+        here = cell[going]
+        cell[going] = child[here] + (places[going, axis[here]] >= split[here])
+    return cell
+
+
+def leaves_of(cells: Cells, branch: int, places: Whole) -> Whole:
+    """The cells of a branch in which places lie, -1 where it has none."""
+    root = np.nonzero((cells.size == WHOLE).all(axis=1) & (cells.branch == branch))[0]
+    if not len(root):
+        return np.full(len(places), -1)
+    split = halved_at(cells.low, cells.axis, cells.child)
+    return leaves(cells.axis, cells.child, split, int(root[0]), places.astype(float))
+
+
 def joined(waves: Sequence[Cells]) -> Cells:
     """Cells one behind the other."""
     return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})

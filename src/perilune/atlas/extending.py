@@ -116,7 +116,9 @@ def _extended(
     with suppress(PeriluneError):  # nothing at the points that were tried: what is known is carried on all the same
         found = surveyed.run()
     places, values = wide.corners()
-    charts, unmet = list[tuple[dict[str, Any], NDArray[Any]]](), [list(range(len(one.sheets))) for one in found]
+    charts = list[tuple[dict[str, Any], NDArray[Any]]]()
+    reach = [np.isfinite(one.y[:, :, 0]).any(axis=1) for one in found]
+    unmet = [np.nonzero(reaches)[0].tolist() for reaches in reach]
     for said in survey["charts"]:
         said = {**said, "widths": widths_of(said, region).tolist()}
         rows = kept.shard(said["seeds"], seed_type(len(wide.axes), said["unknowns"]))
@@ -134,9 +136,9 @@ def _extended(
             if not same:
                 known[number] = carried_on(chart, borders, sheet, places, values, known[number])
         charts.append(({k: v for k, v in said.items() if k != "seeds"}, _rows(known, rows.dtype)))
-    for one, left in zip(found, unmet, strict=True):
+    for one, left, reaches in zip(found, unmet, reach, strict=True):
         if left:
-            said = said_of(one)
+            said, left = said_of(one), [*left, *np.nonzero(~reaches)[0].tolist()]  # with those behind their bounds
             charts.append(({**said, "sheets": [said["sheets"][n] for n in left]}, seeds(places, one.y[left])))
     before = [*survey.get("before", []), survey["digest"]]
     lines = [

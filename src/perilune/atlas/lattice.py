@@ -144,7 +144,7 @@ class Lattice:
 
     def led(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> tuple[Extremals, NDArray[np.bool_]]:
         """Where Newton's method leads to at places, and what of it belongs to its branch."""
-        values = self.origin + places * self.step
+        values = self.values(places)
         holds = self.borders.holds(self.sheets, branch, values)
         within = _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
         found = self.chart.solve(values, guess, holds, limit=_MOST, reach=_ASTRAY * within)
@@ -176,6 +176,10 @@ class Lattice:
     def corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:
         """Nodes at the corners of cells, -1 where there is none."""
         return self.nodes.numbers(self.keys(branch[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
+
+    def values(self, places: Whole) -> Matrix:
+        """Of the parameters at places, canonical."""
+        return self.origin + places * self.step
 
     def keys(self, branch: Whole, places: Whole) -> Whole:
         """Of nodes, by branches and places."""

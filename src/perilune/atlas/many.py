@@ -146,7 +146,7 @@ class _Work:
         atlas, offers = self.atlas, self._offers(some)
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
-        doubt, breaking = np.full((2, len(some)), np.inf)
+        doubt, breaking, gains = np.full((3, len(some)), np.inf)
         going, held = np.ones(len(some), dtype=bool), dict[tuple[str, str], NDArray[np.bool_]]()
         outside = list[tuple[int, NDArray[np.int64], NDArray[np.bool_]]]()
         for rank in range(len(offers)):
@@ -165,9 +165,11 @@ class _Work:
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
                     for bound in offer.charted.sheets[offer.sheet].holds.items():
                         held.setdefault(bound, np.zeros(len(some), dtype=bool))[lanes[polished.answers]] = True
+                    gaining = polished.gains & ~polished.beyond.any(axis=1)
                     if polished.beyond.any():
                         outside.append((number, lanes, polished.beyond))
                     breaks = polished.breaking & (not offer.charted.breaks_controls_alone)
+                    gains[lanes[gaining]] = np.minimum(gains[lanes[gaining]], polished.cost[gaining])
                     for least, which in ((doubt, polished.doubtful), (breaking, breaks)):
                         least[lanes[which]] = np.minimum(least[lanes[which]], here[lanes[which]])
         # So may one that is held at a bound beyond which another lies, unless one of those is known.
@@ -177,6 +179,9 @@ class _Work:
                 known |= which & held[bound][lanes] if bound in held else False
             left = lanes[beyond.any(axis=1) & ~known]
             doubt[left] = np.minimum(doubt[left], cost[number, left])
+        # What would gain by leaving a bound is no answer, and what is worse than it is not the best.
+        with np.errstate(invalid="ignore"):
+            doubt = np.where(equal(gains, self.cost[some]), doubt, np.minimum(doubt, gains))
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         doubt = np.where(self.of_arcs[some], doubt, np.minimum(doubt, breaking))
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]

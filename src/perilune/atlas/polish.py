@@ -66,6 +66,8 @@ class Polished:
     beyond
         Which bounds of what the user states it lies beyond, being an extremal but for that, as `Borders.beyond` has
         them: a flight that is held there may still be better.
+    gains
+        Whether it can be flown, but would gain by leaving what it holds: there is a flight that is better still.
     flown
         Its second flight.
     """
@@ -79,6 +81,7 @@ class Polished:
     doubtful: NDArray[np.bool_]
     breaking: NDArray[np.bool_]
     beyond: NDArray[np.bool_]
+    gains: NDArray[np.bool_]
     steps: NDArray[np.int64]
     bound: Vector
     away: Vector
@@ -150,6 +153,8 @@ class Polisher:
             within = np.clip(at[some], *here)
             others = self.borders.margins(self.sheets, which[some], y[some], within, rises[some], choice[some], here)
             beyond[some] = self.borders.beyond(at[some], choice[some], here) & (others >= -SLACK)[:, None]
+        free = ~(choice[:, : plan.held] > 0)
+        allowed = ~(free & ((at < limits[0] - SLACK) | (at > limits[1] + SLACK))).any(axis=1)
         answers = reached & inside & good & (bound <= SLACK)
         breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
         return Polished(
@@ -162,6 +167,7 @@ class Polisher:
             doubtful=~answers & ~(reached & ~inside) & ~breaking,
             breaking=breaking,
             beyond=beyond,
+            gains=reached & ~inside & allowed & (flown.path >= -SLACK) & (flown.residual <= _FLOWN),
             steps=steps,
             bound=bound,
             away=away,

@@ -143,6 +143,8 @@ class _Offer:
         if polished is not None and (beyond := self.beyond):
             name, side = beyond[0]
             return f"an extremal of {sheet} lies beyond the {side} bound of {name}, and one held there may be better"
+        if polished is not None and polished.gains[0]:
+            return f"an extremal of {sheet} would gain by leaving what it holds, and what it would become is not known"
         if self.breaks or (polished is not None and polished.breaking[0]):
             return f"an extremal of {sheet} breaks a condition, and a flight that keeps it may be better than is known"
         if polished is None:
@@ -180,7 +182,8 @@ class Atlas(Reader):
         began = time.perf_counter()
         at = self._point(values)
         offers = self._offers(at)
-        tried, doubts, breaking, outside, best = list[_Offer](), list[_Offer](), list[_Offer](), list[_Offer](), None
+        tried, doubts, breaking, outside, gaining = (list[_Offer]() for _ in range(5))
+        best = None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
             if best is not None and clearly_worse(offer.cost, best.cost):
@@ -199,6 +202,9 @@ class Atlas(Reader):
                 doubts.append(offer)
             elif polished.beyond[0].any():
                 outside.append(offer)
+            elif polished.gains[0]:
+                offer.cost = float(polished.cost[0])
+                gaining.append(offer)
             elif polished.answers[0]:
                 offer.cost = float(polished.cost[0])
                 tried.append(offer)
@@ -211,6 +217,8 @@ class Atlas(Reader):
         # So may one that is held at a bound beyond which another lies, unless one of those is known.
         held = {bound for one in tried for bound in one.held}
         doubts += [one for one in outside if held.isdisjoint(one.beyond)]
+        # What would gain by leaving a bound is no answer, and what is worse than it is not the best.
+        doubts += [one for one in gaining if best is None or not equal(one.cost, best.cost)]
         doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
         if best is None or damaged or (doubt is not None and doubt.cost < best.cost):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import WHOLE, Status
+from perilune.atlas.cells import WHOLE, Status, halved_at, leaves
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import (
     cell_type,
@@ -62,9 +62,7 @@ class Brick:
         first = np.nonzero((cells["size"] == WHOLE).all(axis=1))[0]
         roots = [(int(cells["sheet"][i]), int(i)) for i in first]
         self.minima: list[tuple[int, int]] = [(number, root) for number, root in roots if sheets[number].minimum]
-        second = np.where(cells["child"] >= 0, cells["child"] + 1, 0)
-        at = np.take_along_axis(cells["low"][second], np.maximum(cells["axis"], 0)[:, None], axis=1)[:, 0]
-        self.split: list[int] = at.tolist()
+        self.split: list[int] = halved_at(cells["low"], cells["axis"], cells["child"]).tolist()
         self._seen: dict[int, tuple[Vector, Vector, NDArray[np.float64]]] = {}
 
     @cached_property
@@ -74,12 +72,7 @@ class Brick:
 
     def leaves(self, root: int, places: Matrix) -> Whole:
         """The cells of a branch, whose first cell is `root`, in which places lie, (points,)."""
-        axis, child, split, _ = self.arrays
-        cell = np.full(len(places), root)
-        while (going := np.nonzero(child[cell] >= 0)[0]).size:
-            here = cell[going]
-            cell[going] = child[here] + (places[going, axis[here]] >= split[here])
-        return cell
+        return leaves(*self.arrays[:3], root, places)
 
     def leaf(self, root: int, place: Sequence[float]) -> int:
         """The cell of a branch, whose first cell is `root`, in which a place lies."""

@@ -148,8 +148,8 @@ class Borders:
         if not any(sheet.holds for sheet in sheets):
             return Holds(out)
         both = limits or self.at(values)
-        for number, sheet in enumerate(sheets):
-            for name, side in sheet.holds.items():
+        for number in set(which.tolist()):
+            for name, side in sheets[number].holds.items():
                 here, i, upper = np.nonzero(which == number)[0], self.names.index(name), int(side == "upper")
                 out[here, i] = 1.0
                 out[here, held + i] = both[upper][here, i]
@@ -188,7 +188,7 @@ class Borders:
         return [(name, side) for side in ("lower", "upper") for name in self.names]
 
     @cached_property
-    def _users(self) -> NDArray[np.bool_]:
+    def users(self) -> NDArray[np.bool_]:
         """Which of what can be held the user states: an arc that would be shorter than nothing is no such bound."""
         user = self.chart.user
         stated = {*user.free_names, *(c.name for phase in user.phases for c in phase.end_conditions)}
@@ -197,9 +197,23 @@ class Borders:
     def beyond(self, at: Matrix, choice: Matrix, limits: Limits) -> NDArray[np.bool_]:
         """Which `bounds` of what the user states, and is not held, lanes lie beyond, (lanes, bounds)."""
         lower, upper = limits
-        free = ~(choice[:, : self.chart.shooting.plan.held] > 0) & self._users
+        free = ~(choice[:, : self.chart.shooting.plan.held] > 0) & self.users
         with np.errstate(invalid="ignore"):
             return np.hstack([free & (at < lower - _SLACK), free & (at > upper + _SLACK)])
+
+    def crossed(
+        self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
+    ) -> NDArray[np.bool_]:
+        """Which `bounds` of the user's lanes have crossed, (lanes, bounds): they lie beyond, or gain by leaving it."""
+        at, rises = self.chart.shooting.held_values(found.roots)
+        out = self.beyond(at, found.roots.choice, limits or self.at(found.values))
+        for number in set(which.tolist()):
+            for name, side in sheets[number].holds.items():
+                i, upper = self.names.index(name), side == "upper"
+                if self.users[i]:
+                    gains = (rises[:, i] if upper else -rises[:, i]) > _SLACK
+                    out[:, i + upper * len(self.names)] |= (which == number) & gains
+        return out
 
     def margins_of(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
         """`margins` of extremals, or of points that need be none."""
@@ -239,8 +253,8 @@ class Borders:
         margin = np.fmin.reduce(inside, axis=1, initial=np.inf, where=~masks)  # NaN where nothing limits it
         if self._touched:
             margin = np.minimum(margin, -y[:, self._touched].max(axis=1, initial=-np.inf))
-        for number, sheet in enumerate(sheets):
-            for name, side in sheet.holds.items():
+        for number in set(which.tolist()):
+            for name, side in sheets[number].holds.items():
                 here, i = which == number, self.names.index(name)
                 rise = rises[here, i] * (1.0 if side == "lower" else -1.0)
                 margin[here] = np.minimum(margin[here], rise)

@@ -21,6 +21,7 @@ from perilune.atlas.cells import same
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.columns import seed_type
 from perilune.atlas.course import Course, course_of
+from perilune.atlas.crossing import beside
 from perilune.atlas.folding import around_folds
 from perilune.atlas.natures import nature_behind_folds
 from perilune.atlas.reflight import Reflights
@@ -163,6 +164,7 @@ class Survey:
         reached = np.isfinite(found.y[:, :, 0])
         if not reached.any():
             return found
+        found = _with_promised(found, corners / chart.scale)
         at = np.nonzero(reached)
         y = chart.whole(corners[at[1]] / chart.scale, found.y[at])
         return replace(found, times=Reflights(chart).fine_enough(y, chart.p[None]))
@@ -326,6 +328,18 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
     if not np.isfinite(y[:, 0]).any():
         return known
     return replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
+
+
+def _with_promised(known: Found, corners: Matrix) -> Found:
+    """The same with the sheets that go on where those that there are cross bounds; bricks say whether there are any."""
+    sheets = list(known.sheets)
+    for sheet, y in zip(known.sheets, known.y, strict=True):
+        first = int(np.isfinite(y[:, 0]).argmax())
+        for other in beside(known.borders, sheet, corners[first], y[first]) if sheet.minimum else ():
+            if not any(one.minimum and one.alike(other) for one in sheets):
+                sheets.append(other)
+    none = np.full((len(sheets) - len(known.sheets), *known.y.shape[1:]), np.nan)
+    return replace(known, sheets=tuple(sheets), y=np.concatenate([known.y, none]))
 
 
 def said_of(found: Found) -> dict[str, Any]:

@@ -197,7 +197,12 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     ]  # fmt: skip
     nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
     size = sum(int(line[kind]["bytes"]) for line in atlas.said.values() for kind in ("nodes", "cells"))
-    sheets = [label for charted in atlas.charted for label in charted.labels]
+    sheets = [
+        label
+        for number, charted in enumerate(atlas.charted)
+        for sheet, label in enumerate(charted.labels)
+        if any(key[0] == number and sheet in line.get("sheets", (sheet,)) for key, line in atlas.said.items())
+    ]
     total = len(atlas.region.bricks) * max(1, len(atlas.charted))
     lines = [
         f"atlas of {atlas.problem.heading}",

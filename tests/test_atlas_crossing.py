@@ -1,0 +1,86 @@
+"""Where a sheet crosses a bound between points that the survey solved at, another goes on: held there, or let go."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune import PeriluneError
+from perilune.atlas import building
+from perilune.atlas.many import Answered
+from perilune.atlas.query import open_atlas
+from perilune.problem.variables import Given, Variable
+from perilune.words.types import Vector
+
+build = partial(building.build, sample=0)  # proofs have tests of their own
+
+WHERE, WIDE = 0.31, 0.02  # of the window
+OUT, IN = (0.97, 0.05), (1.05, -0.12)  # the better well beside it, and how far it moves there
+
+
+def wells(well: tuple[float, float], b: bool = False) -> pl.Problem:
+    """x(1) = q with the least int u^2/2 and a price of q: two wells, the better one at a bound or beside it."""
+    phase = pl.Phase(
+        name="way",
+        states=(Variable(name="x", unit="1"), Variable(name="c", unit="1/s")),
+        controls=(pl.Bounded(name="u", unit="1/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.q,),
+        end_conditions=(Variable(name="there", unit="1"),),
+    )
+
+    def price(x, p, m):  # type: ignore[no-untyped-def]
+        s = well[0] + well[1] * m.exp(-(((p.a - WHERE) / WIDE) ** 2) - (((p.b - 0.64) / 0.05) ** 2 if b else 0.0))
+        return p.one * x.c - 0.5 * p.q * p.q + 8.0 * (p.q - 0.2) ** 2 * (p.q - s) ** 2 - 0.3 * p.q
+
+    values = {"T": (1.0, "s"), "a": (0.5, "1"), "b": (0.5, "1"), "one": (1.0, "s")}
+    return pl.Problem(
+        name="wells",
+        phases=(phase,),
+        start=lambda p, m: (0.0 * p.a, 0.0 * p.a / p.one),
+        given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
+        free=(pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5),),
+        objective=price,
+        objective_unit="1",
+    )
+
+
+def truth(well: tuple[float, float], a: float, b: float | None = None) -> float:
+    """J, over q on a grid: exact at a bound, and in a well to the square of a step."""
+    away = ((a - WHERE) / WIDE) ** 2 + (0.0 if b is None else ((b - 0.64) / 0.05) ** 2)
+    s, q = well[0] + well[1] * np.exp(-away), np.linspace(0.0, 1.0, 20_001)
+    return float((8.0 * (q - 0.2) ** 2 * (q - s) ** 2 - 0.3 * q).min())
+
+
+def windows(count: int, d: int) -> Vector:
+    """Points of which a third lie in the window."""
+    rng = np.random.default_rng(5)
+    near = np.array([WHERE, 0.64])[:d] + 2.0 * WIDE * rng.uniform(-1.0, 1.0, (count // 3, d))
+    return np.vstack([near, rng.uniform(0.0, 1.0, (count - len(near), d))])
+
+
+@pytest.mark.parametrize("well", [OUT, IN], ids=["out over its bound", "in from its bound"])
+def test_what_goes_on_behind_a_bound_is_found_inside_bricks(tmp_path: Path, well: tuple[float, float]) -> None:
+    """The worse well was the answer there, or the one that the bound cuts off was."""
+    problem, points = wells(well), windows(150, 1)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem)
+    found = atlas.query_many(points)
+    assert found.good.all() and len(set(found.sheet.tolist())) == 2
+    assert found.objective == pytest.approx([truth(well, a) for a in points[:, 0].tolist()], abs=1e-7)
+
+
+def test_where_what_a_bound_cuts_off_would_gain_by_leaving_it_nothing_worse_is_the_answer(tmp_path: Path) -> None:
+    """The cells of the sheet that is held are larger than the window: what is free in it is not met."""
+    problem, points = wells(IN, b=True), windows(300, 2)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem)
+    found, least = atlas.query_many(points), [truth(IN, *point) for point in points.tolist()]
+    assert found.objective[found.good] == pytest.approx(np.array(least)[found.good], abs=1e-7)
+    assert (found.good | (found.answered == Answered.ENDS)).all() and 0.8 < found.good.mean() < 1.0
+    a, b = points[np.argmin(found.good)].tolist()
+    with pytest.raises(PeriluneError, match="would gain by leaving what it holds"):
+        atlas.query(a=a, b=b)
