@@ -69,9 +69,14 @@ def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tm
     atlas = open_atlas(merge(beside, other, tmp_path / "merged"))
     sample, before = sample_of(atlas), [*sample_of(open_atlas(built)).drawn, *sample_of(open_atlas(other)).drawn]
     assert not sample.drawn and not sample.thin and sample.share == 0.0
-    assert sorted(one.values for one in sample.kept) == sorted(one.values for one in before)
-    assert "4 of 4 drawn of the atlases that were merged proved to level 3" in sample.told(atlas)
-    assert any(note.startswith("1 of the proofs of the merged atlases are dropped") for note in atlas.survey["notes"])
+    kept = [one.values for one in before if one.values != (450.0,)]
+    assert sorted(one.values for one in sample.kept) == sorted(kept) and len(kept) >= 3
+    told = f"{len(kept)} of {len(kept)} drawn of the atlases that were merged proved to level 3"
+    assert told in sample.told(atlas)
+    lost = 1 + len(before) - len(kept)
+    assert any(
+        note.startswith(f"{lost} of the proofs of the merged atlases are dropped") for note in atlas.survey["notes"]
+    )
     for one in sample.kept:
         assert prove(atlas.query(vehicle_thrust=one.values[0]), 3).verification.level == one.level == 3
     extend(atlas.store.directory, {}, sample=2)

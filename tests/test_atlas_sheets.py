@@ -85,7 +85,14 @@ def test_a_round_in_which_nothing_is_new_is_the_last(tmp_path: Path) -> None:
     """Neighbours may offer extremals that lead nowhere in a brick, again and again."""
     store = build(cusp(-1.0, 0.1), {"a": (-1.5, 0.6), "b": (0.0, 0.7)}, tmp_path / "cusp", bricks=2)
     lines = [json.loads(line) for line in (store / "manifest.jsonl").read_text().splitlines()]
-    assert max(line.get("round", 0) for line in lines) <= 1
+    rounds = [[line for line in lines if line["kind"] == "brick" and line.get("round", 0) == n] for n in range(5)]
+    known, news = dict[tuple[int, ...], list[str]](), list[bool]()
+    for number in rounds:
+        now = {tuple(line["brick"]): [line[kind]["sha256"] for kind in ("nodes", "cells")] for line in number}
+        news.append(any(known.get(brick) != shards for brick, shards in now.items()))
+        known |= now
+    assert news[0] and not news[-1]
+    assert len([number for number in rounds if number]) == sum(news) + 1
 
 
 def test_a_sheet_is_followed_around_its_fold() -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, given, torn_edges
-from perilune.atlas.cells import ENDING, WHOLE, Cells, Cut, Nodes, Status, Whole, joined, leaves_of, same, some
+from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, Status, Whole, ending, joined, leaves_of, same, some
 from perilune.atlas.crossing import Crossings
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
 from perilune.atlas.lattice import Lattice
@@ -32,7 +32,7 @@ from perilune.words.watch import Watch, silent
 
 _FINEST = 2**6  # the shortest edge of a cell
 _KINKED = 2**9  # the same where the switches on the way change
-_SOWN = 2 * ENDING  # the largest cells in which a later branch begins
+_WORST = 2**8  # the same of sheets that are no minima
 _AFAR, _COST = 0.1, 1e-4  # how far what a cell gives may be from its extremal, of 1 + |y|, and its J, of 1 + |J|
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
@@ -56,6 +56,7 @@ class Brick:
         self.watch: Watch = watch
         self.nodes: Nodes = lattice.nodes
         self.step: Vector = lattice.step
+        self.ending: int = ending(lattice.d)
         self.count: int = len(lattice.all_sheets)
         self._left = list[Extremal]()
         self._looked_at = self._cells_looked_at = 0
@@ -109,9 +110,9 @@ class Brick:
         status, corners = done.status.copy(), done.corners.copy()
         status[self._crossings.untold(done)] = Status.ONE_STEP
         for i in np.nonzero(status == Status.TORN)[0].tolist():
-            ending = self._ending[done.box(i)] | bool(self._left)
-            status[i] = Status.ENDS if ending.any() else Status.ABSENT
-            corners[i] = np.where(ending, corners[i], -1) if ending.any() else corners[i]
+            layers = self._ending[done.box(i)] | bool(self._left)
+            status[i] = Status.ENDS if layers.any() else Status.ABSENT
+            corners[i] = np.where(layers, corners[i], -1) if layers.any() else corners[i]
         done = replace(done, status=status, corners=corners)
         nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
         return Cut(nodes=nodes, cells=done, own=tuple(self.lattice.own))
@@ -145,7 +146,7 @@ class Brick:
             mine = waiting & np.array([sheet.alike(own) for sheet in self.lattice.all_sheets])[which]
             keys = self.lattice.keys(np.array(branch), places)
             lanes = np.nonzero(mine & (self.nodes.numbers(keys) < 0))[0]
-            begin = self.nodes.beside(branch, places[lanes], ENDING)
+            begin = self.nodes.beside(branch, places[lanes], self.ending)
             lanes, begin = lanes[begin >= 0], begin[begin >= 0]
             if len(lanes):
                 guess, spread = self.nodes.along_slopes(begin, places[lanes], self.step)
@@ -261,14 +262,14 @@ class Brick:
         status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
         known = np.array([len(nodes) > 0 for nodes in within], dtype=bool)
         status[bare] = np.where(known, Status.ENDS, Status.ABSENT)
-        again = known & (done.size[bare].max(axis=1, initial=0) > ENDING)
+        again = known & (done.size[bare].max(axis=1, initial=0) > self.ending)
         cut = bare[again]
         axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
         child[cut] = len(done) + 2 * np.arange(len(cut))
         done = replace(done, status=status, axis=axis, child=child)
         halves = self.lattice.halves(some(done, cut), axis[cut])
         # Layers that lie near one another are told apart in small cells alone.
-        fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= _SOWN))[0]
+        fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= 2 * self.ending))[0]
         near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
         corners = np.where(np.isin(np.arange(len(halves)), fine)[:, None], halves.corners, -1)
         filled = self.lattice.filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()])
@@ -310,13 +311,13 @@ class Brick:
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
         kinked = (sequence != sequence[:, :1]).any(axis=1)
-        finest = np.where(self.lattice.minimum[cells.branch], np.where(kinked, _KINKED, _FINEST), ENDING)
+        finest = np.where(self.lattice.minimum[cells.branch], np.where(kinked, _KINKED, _FINEST), _WORST)
         none = (cells.corners < 0).all(axis=1)
         torn = np.full(len(cells), -1)
-        small = np.nonzero((along <= ENDING) & ((status == Status.CUT) | (status == Status.ENDS) & ~none))[0]
+        small = np.nonzero((along <= self.ending) & ((status == Status.CUT) | (status == Status.ENDS) & ~none))[0]
         torn[small] = self._torn(some(cells, small))
         status[(status == Status.CUT) & (along <= finest)] = Status.MORE_STEPS
-        status[(status == Status.ENDS) & ~none & (along > ENDING)] = Status.CUT
+        status[(status == Status.ENDS) & ~none & (along > self.ending)] = Status.CUT
         return np.where(torn >= 0, torn, status), axis
 
     def _tried(self, cells: Cells) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
@@ -349,5 +350,5 @@ class Brick:
 
         What is guessed from corners on several layers leads to none of them, and none of them ends there.
         """
-        self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= ENDING))
+        self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= self.ending))
         return replace(cells, corners=self.lattice.corners(cells.branch, cells.low, cells.size))

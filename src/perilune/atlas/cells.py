@@ -16,9 +16,14 @@ from perilune.words.types import Matrix, Vector
 WHOLE = 2**12  # lattice steps along an edge of a brick
 _CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
 _SAME = 1e-6  # relative: one extremal
-ENDING = 2**8  # the shortest edge of a cell in which a sheet ends, and of those of sheets that are no minima
+_ENDING = {1: 2**6, 2: 2**7}  # the shortest edge of a cell in which a sheet ends, by axes; of more 2**8
 
 Whole = NDArray[np.int64]
+
+
+def ending(d: int) -> int:
+    """The shortest edge of a cell in which a sheet ends, of so many axes: along each more its border has more cells."""
+    return _ENDING.get(d, 2**8)
 
 
 class Status(IntEnum):

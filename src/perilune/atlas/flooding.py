@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import ENDING, WHOLE, Status, same
+from perilune.atlas.cells import WHOLE, Status, ending, same
 from perilune.atlas.sheets import Sheet
 
 Rows = Any  # an array with columns
@@ -70,7 +70,8 @@ def spilled(
 
 def _coarse(nodes: Rows) -> Rows:
     """Those of the nodes of a side that lie on the lattice of the least cells in which a sheet may end; else all."""
-    step = ENDING * (_COARSER if nodes["place"].shape[1] > 3 else 1)
+    d = nodes["place"].shape[1]
+    step = ending(d) * (_COARSER if d > 3 else 1)
     chosen = nodes[(nodes["place"] % step == 0).all(axis=1)]
     return chosen if len(chosen) else nodes
 
