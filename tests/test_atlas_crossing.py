@@ -1,9 +1,11 @@
-"""Where a sheet crosses a bound between points that the survey solved at, another goes on: held there, or let go."""
+"""Sheets that come and go inside a brick: at a bound that another crosses there, held or let go, or between folds."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +24,8 @@ WHERE, WIDE = 0.31, 0.02  # of the window
 OUT, IN = (0.97, 0.05), (1.05, -0.12)  # the better well beside it, and how far it moves there
 
 
-def wells(well: tuple[float, float], b: bool = False) -> pl.Problem:
-    """x(1) = q with the least int u^2/2 and a price of q: two wells, the better one at a bound or beside it."""
+def priced(price: Callable[[Any, Any], Any]) -> pl.Problem:
+    """x(1) = q with the least int u^2/2, which is taken off again, and a price of q."""
     phase = pl.Phase(
         name="way",
         states=(Variable(name="x", unit="1"), Variable(name="c", unit="1/s")),
@@ -34,10 +36,6 @@ def wells(well: tuple[float, float], b: bool = False) -> pl.Problem:
         end_conditions=(Variable(name="there", unit="1"),),
     )
 
-    def price(x, p, m):  # type: ignore[no-untyped-def]
-        s = well[0] + well[1] * m.exp(-(((p.a - WHERE) / WIDE) ** 2) - (((p.b - 0.64) / 0.05) ** 2 if b else 0.0))
-        return p.one * x.c - 0.5 * p.q * p.q + 8.0 * (p.q - 0.2) ** 2 * (p.q - s) ** 2 - 0.3 * p.q
-
     values = {"T": (1.0, "s"), "a": (0.5, "1"), "b": (0.5, "1"), "one": (1.0, "s")}
     return pl.Problem(
         name="wells",
@@ -45,9 +43,19 @@ def wells(well: tuple[float, float], b: bool = False) -> pl.Problem:
         start=lambda p, m: (0.0 * p.a, 0.0 * p.a / p.one),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
         free=(pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5),),
-        objective=price,
+        objective=lambda x, p, m: p.one * x.c - 0.5 * p.q * p.q + price(p, m),
         objective_unit="1",
     )
+
+
+def wells(well: tuple[float, float], b: bool = False) -> pl.Problem:
+    """Two wells, the better one at a bound or beside it."""
+
+    def price(p: Any, m: Any) -> Any:
+        s = well[0] + well[1] * m.exp(-(((p.a - WHERE) / WIDE) ** 2) - (((p.b - 0.64) / 0.05) ** 2 if b else 0.0))
+        return 8.0 * (p.q - 0.2) ** 2 * (p.q - s) ** 2 - 0.3 * p.q
+
+    return priced(price)
 
 
 def truth(well: tuple[float, float], a: float, b: float | None = None) -> float:
@@ -84,3 +92,20 @@ def test_where_what_a_bound_cuts_off_would_gain_by_leaving_it_nothing_worse_is_t
     a, b = points[np.argmin(found.good)].tolist()
     with pytest.raises(PeriluneError, match="would gain by leaving what it holds"):
         atlas.query(a=a, b=b)
+
+
+def test_a_sheet_that_reaches_no_corner_of_a_brick_is_mapped_from_where_it_was_met(tmp_path: Path) -> None:
+    """A well that is there around the middle alone, between folds, and is the better one in a part of that."""
+
+    def dent(q: Any, a: Any, b: Any, exp: Callable[[Any], Any]) -> Any:
+        away = ((a - 0.5) / 0.1) ** 2 + ((b - 0.5) / 0.15) ** 2 + ((q - 0.8) / 0.1) ** 2
+        return 2.0 * (q - 0.2) ** 2 - 1.2 * exp(-away)
+
+    problem = priced(lambda p, m: dent(p.q, p.a, p.b, m.exp))
+    store = build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas", bricks=1)
+    atlas, rng = open_atlas(store, lambda _: problem), np.random.default_rng(3)
+    points = np.vstack([0.5 + 0.15 * rng.uniform(-1.0, 1.0, (200, 2)), rng.uniform(0.0, 1.0, (100, 2))])
+    found, q = atlas.query_many(points), np.linspace(0.0, 1.0, 20_001)
+    least = np.array([dent(q, a, b, np.exp).min() for a, b in points.tolist()])
+    assert found.objective[found.good] == pytest.approx(least[found.good], abs=1e-7)
+    assert found.good.mean() > 0.9 and (found.free["q"][found.good] > 0.7).sum() > 50

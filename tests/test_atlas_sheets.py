@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -130,22 +129,6 @@ def test_what_no_solve_has_found_is_met_behind_folds(monkeypatch: pytest.MonkeyP
         (Nature.WORST, -1.0),
         (Nature.LOCAL_OPTIMUM, 1.0),
     ]
-
-
-def test_a_sheet_that_reaches_no_corner_of_a_brick_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With one brick the other minimum of the middle is made to reach none of its corners."""
-    carried = Survey._carried
-
-    def small(survey: Survey, *arguments: Any) -> Any:
-        y, behind = carried(survey, *arguments)
-        return (y if arguments[2].nature is Nature.BEST else np.full_like(y, np.nan)), behind
-
-    monkeypatch.setattr(Survey, "_carried", small)
-    problem = cusp(-1.0, 0.1)
-    region = region_of(problem, {"a": (-2.0, -0.5), "b": (-1.5, 1.7)}, 1)
-    survey = Survey(problem=problem, region=region, method=Indirect(), watch=silent)
-    survey.run()
-    assert len(survey.notes) == 1 and "reaches no corner of a brick" in survey.notes[0]
 
 
 def test_a_sheet_that_enters_through_a_side_alone_begins_at_its_nodes_there(monkeypatch: pytest.MonkeyPatch) -> None:

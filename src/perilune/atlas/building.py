@@ -244,7 +244,7 @@ def _survey(kept: Store, region: Region, found: Sequence[Found], notes: Sequence
     places, _ = region.corners()
     charts, edges = [], [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     for number, one in enumerate(found):
-        rows = seeds(places, one.y)
+        rows = seeds(places, one)
         charts.append({**said_of(one), "seeds": kept.put(f"survey-{number}.npy", rows)})
     said = {"edges": edges, "charts": charts, "notes": list(notes)[:MOST_NOTES]}
     return {"kind": "survey", "digest": digest_of([edges, charts]), **said}

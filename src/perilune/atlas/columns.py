@@ -42,8 +42,11 @@ def cell_type(d: int) -> np.dtype[Any]:
 
 
 def seed_type(d: int, n: int) -> np.dtype[Any]:
-    """Columns of a shard of the survey: unknowns of a sheet at corners of bricks."""
-    return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("y", "<f8", (n,))])
+    """Columns of a shard of the survey: unknowns of a sheet at corners of bricks.
+
+    Of one that reaches none at the `place` of the brick that has this low corner, in steps of its lattice.
+    """
+    return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("place", "<i4", (d,)), ("y", "<f8", (n,))])
 
 
 def brick_name(key: tuple[int, ...]) -> str:

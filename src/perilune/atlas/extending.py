@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
-from perilune.atlas.survey import Found, Survey, said_of, seeds
+from perilune.atlas.survey import Found, Inside, Survey, said_of, seeds
 from perilune.atlas.walking import Corners, carried_on, reached_at
 from perilune.families.elsewhere import Submits
 from perilune.io.reload import read_problem
@@ -117,7 +118,11 @@ def _extended(
         found = surveyed.run()
     places, values = wide.corners()
     charts = list[tuple[dict[str, Any], NDArray[Any]]]()
-    reach = [np.isfinite(one.y[:, :, 0]).any(axis=1) for one in found]
+    reach = [
+        np.isfinite(one.y[:, :, 0]).any(axis=1)
+        | np.isin(np.arange(len(one.sheets)), [inside.sheet for inside in one.small])
+        for one in found
+    ]
     unmet = [np.nonzero(reaches)[0].tolist() for reaches in reach]
     for said in survey["charts"]:
         said = {**said, "widths": widths_of(said, region).tolist()}
@@ -135,11 +140,13 @@ def _extended(
                 left.remove(n)
             if not same:
                 known[number] = carried_on(chart, borders, sheet, places, values, known[number])
-        charts.append(({k: v for k, v in said.items() if k != "seeds"}, _rows(known, rows.dtype)))
+        rows = np.concatenate([_rows(known, rows.dtype), rows[rows["place"].any(axis=1)]])
+        charts.append(({k: v for k, v in said.items() if k != "seeds"}, rows))
     for one, left, reaches in zip(found, unmet, reach, strict=True):
         if left:
             said, left = said_of(one), [*left, *np.nonzero(~reaches)[0].tolist()]  # with those behind their bounds
-            charts.append(({**said, "sheets": [said["sheets"][n] for n in left]}, seeds(places, one.y[left])))
+            some = replace(one, y=one.y[left], small=_renumbered(one.small, left))
+            charts.append(({**said, "sheets": [said["sheets"][n] for n in left]}, seeds(places, some)))
     before = [*survey.get("before", []), survey["digest"]]
     lines = [
         {**said, "seeds": kept.put(f"survey-{len(before)}-{number}.npy", rows)}
@@ -159,8 +166,13 @@ def _equations(said: Mapping[str, Any]) -> tuple[Any, ...]:
     return course.keep, course.text, said["unknowns"], said["widths"]
 
 
+def _renumbered(small: Sequence[Inside], left: Sequence[int]) -> tuple[Inside, ...]:
+    """Those of the sheets that are left, by the numbers that these have then."""
+    return tuple(replace(one, sheet=left.index(one.sheet)) for one in small if one.sheet in left)
+
+
 def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:
-    mine = rows[rows["sheet"] == sheet]
+    mine = rows[(rows["sheet"] == sheet) & ~rows["place"].any(axis=1)]
     return {tuple(corner): np.array(y) for corner, y in zip(mine["corner"].tolist(), mine["y"], strict=True)}
 
 

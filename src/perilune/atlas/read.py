@@ -263,9 +263,10 @@ class Reader:
         """Bricks at whose corners the survey has a sheet, by chart and numbers."""
         d, found = len(self.region.axes), set[tuple[int, ...]]()
         for number, chart in enumerate(self.survey["charts"]):
-            corners = np.unique(self.store.shard(chart["seeds"], seed_type(d, chart["unknowns"]))["corner"], axis=0)
-            beside = (corners[:, None] - bits(d)[None]).reshape(-1, d)
-            found |= {(number, *place) for place in beside.tolist()}
+            rows = self.store.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+            within = rows["place"].any(axis=1)
+            beside = (rows["corner"][~within][:, None] - bits(d)[None]).reshape(-1, d)
+            found |= {(number, *place) for place in np.vstack([beside, rows["corner"][within]]).tolist()}
         return found
 
     def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import same
+from perilune.atlas.cells import WHOLE, same
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.columns import seed_type
 from perilune.atlas.course import Course, course_of
@@ -58,6 +58,8 @@ class Found:
         How finely they are flown again (`perilune.atlas.reflight.Reflights`).
     widths
         Of `Chart` [SI].
+    small
+        Extremals of those that reach no corner.
     """
 
     chart: Chart
@@ -66,6 +68,18 @@ class Found:
     y: NDArray[np.float64]
     widths: Vector
     times: tuple[int, ...] = ()
+    small: tuple[Inside, ...] = ()
+
+
+@dataclass(frozen=True)
+class Inside:
+    """An extremal inside a brick: its sheet, the brick and the place in its lattice, the values there and unknowns."""
+
+    sheet: int
+    brick: tuple[int, ...]
+    place: NDArray[np.int64]
+    values: Vector
+    y: Vector
 
 
 @dataclass(frozen=True)
@@ -161,12 +175,12 @@ class Survey:
         found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=widths)
         for point in solved:
             found = self._with(found, corners, point.values, point.extremals)
-        reached = np.isfinite(found.y[:, :, 0])
-        if not reached.any():
+        if not found.sheets:
             return found
         found = _with_promised(found, corners / chart.scale)
-        at = np.nonzero(reached)
-        y = chart.whole(corners[at[1]] / chart.scale, found.y[at])
+        at = np.nonzero(np.isfinite(found.y[:, :, 0]))
+        values = np.vstack([corners[at[1]] / chart.scale, *(one.values for one in found.small)])
+        y = chart.whole(values, np.vstack([found.y[at], *(one.y for one in found.small)]))
         return replace(found, times=Reflights(chart).fine_enough(y, chart.p[None]))
 
     def _solved(self, values: Vector) -> _Solved | None:
@@ -220,18 +234,29 @@ class Survey:
                 y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
                 count = np.isfinite(y[:, 0]).sum()
                 self.watch(f"{sheet.label}: at {count} corners of bricks")
-                if not count and sheet.minimum:
-                    self._note_small(sheet, values * chart.scale)
+                known = _together(known, sheet, y) if count else self._with_small(known, sheet, values, start.y[0])
                 # Two that reach no corner, on both sides of a fold, would lead to one another for ever.
-                known, left = _together(known, sheet, y), left + (behind if count or told_by_solve else [])
+                left += behind if count or told_by_solve else []
         return known
 
-    def _note_small(self, sheet: Sheet, values: Vector) -> None:
-        """Say once that a sheet is not mapped; it may be met in several places."""
-        said = f"the sheet '{sheet.label}' reaches no corner of a brick, and is not mapped"
-        if not any(said in text for text in self.notes):
-            at = self.region.told(values.tolist())
-            self.notes.append(f"at {at}: {said}; smaller bricks (--bricks) may have one")
+    def _with_small(self, known: Found, sheet: Sheet, values: Vector, y: Vector) -> Found:
+        """The same with a sheet that reaches no corner, from the nearest place in the lattice of its brick."""
+        if not sheet.minimum:
+            return known
+        chart, at = known.chart, values * known.chart.scale
+        brick = self.region.brick_of(at)
+        low, high = self.region.box(brick)
+        place = np.rint((at - low) / (high - low) * WHOLE).astype(np.int64)
+        there = (low + place * ((high - low) / WHOLE)) / chart.scale
+        beside = carried(chart, known.borders, sheet, values, y, there[None])[0]
+        if not np.isfinite(beside[0]):
+            told = self.region.told(at.tolist())
+            self.notes.append(f"at {told}: the sheet '{sheet.label}' goes nowhere from there, and is not mapped")
+            return known
+        one = Inside(len(known.sheets), brick, place, there, beside)
+        none = np.full((1, *known.y.shape[1:]), np.nan)
+        sheets = (*known.sheets, sheet)
+        return replace(known, sheets=sheets, y=np.concatenate([known.y, none]), small=(*known.small, one))
 
     def _carried(
         self, chart: Chart, borders: Borders, sheet: Sheet, corners: Matrix, values: Vector, y: Vector
@@ -260,9 +285,10 @@ class Survey:
             if not other.alike(sheet):
                 continue
             reached = np.nonzero(np.isfinite(there[:, 0]))[0]
-            for nearest in reached[np.argsort(away[reached])][:_BESIDE].tolist():
-                here = carried(known.chart, known.borders, other, corners[nearest], there[nearest], values[None])[0]
-                if same(y, here):
+            starts = [(corners[i], there[i]) for i in reached[np.argsort(away[reached])][:_BESIDE]]
+            starts += [(one.values, one.y) for one in known.small if one.sheet == number]
+            for start, unknowns in starts:
+                if same(y, carried(known.chart, known.borders, other, start, unknowns, values[None])[0]):
                     return number
         return None
 
@@ -332,10 +358,11 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
 
 def _with_promised(known: Found, corners: Matrix) -> Found:
     """The same with the sheets that go on where those that there are cross bounds; bricks say whether there are any."""
-    sheets = list(known.sheets)
-    for sheet, y in zip(known.sheets, known.y, strict=True):
+    sheets, small = list(known.sheets), {one.sheet: (one.values, one.y) for one in known.small}
+    for number, (sheet, y) in enumerate(zip(known.sheets, known.y, strict=True)):
         first = int(np.isfinite(y[:, 0]).argmax())
-        for other in beside(known.borders, sheet, corners[first], y[first]) if sheet.minimum else ():
+        at = small.get(number, (corners[first], y[first]))
+        for other in beside(known.borders, sheet, *at) if sheet.minimum else ():
             if not any(one.minimum and one.alike(other) for one in sheets):
                 sheets.append(other)
     none = np.full((len(sheets) - len(known.sheets), *known.y.shape[1:]), np.nan)
@@ -349,9 +376,12 @@ def said_of(found: Found) -> dict[str, Any]:
     return {**found.chart.course.document(), **said, "sheets": sheets}
 
 
-def seeds(places: NDArray[np.int64], y: NDArray[np.float64]) -> NDArray[Any]:
-    """The shard of sheets at corners, (sheets, corners, n) with NaN where one does not reach."""
-    sheet, corner = np.nonzero(np.isfinite(y[:, :, 0]))
-    rows = np.zeros(len(sheet), dtype=seed_type(places.shape[1], y.shape[2]))
-    rows["sheet"], rows["corner"], rows["y"] = sheet, places[corner], y[sheet, corner]
+def seeds(places: NDArray[np.int64], found: Found) -> NDArray[Any]:
+    """The shard of sheets at corners of bricks, and of what reaches none."""
+    sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
+    rows = np.zeros(len(sheet) + len(found.small), dtype=seed_type(places.shape[1], found.y.shape[2]))
+    first = rows[: len(sheet)]
+    first["sheet"], first["corner"], first["y"] = sheet, places[corner], found.y[sheet, corner]
+    for row, one in zip(rows[len(sheet) :], found.small, strict=True):
+        row["sheet"], row["corner"], row["place"], row["y"] = one.sheet, one.brick, one.place, one.y
     return rows

@@ -112,14 +112,16 @@ def first_tasks(
     d = len(region.axes)
     for number, chart in enumerate(survey["charts"]):
         known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
-        at = dict[tuple[int, ...], list[int]]()
+        at, inside = dict[tuple[int, ...], list[int]](), dict[tuple[int, ...], list[int]]()
+        within = np.any(known["place"], axis=1).tolist()
         for row, corner in enumerate(known["corner"].tolist()):
-            at.setdefault(tuple(corner), []).append(row)
+            (inside if within[row] else at).setdefault(tuple(corner), []).append(row)
         for brick in _places(region, chart):
             beside = [tuple((np.array(brick) + side).tolist()) for side in bits(d)]
-            here = np.sort([row for corner in beside for row in at.get(corner, ())]).astype(np.int64)
+            rows = [row for corner in beside for row in at.get(corner, ())] + inside.get(brick, [])
+            here = np.sort(rows).astype(np.int64)
             if len(here):
-                place = (known["corner"][here] - np.array(brick)) * WHOLE
+                place = (known["corner"][here] - np.array(brick)) * WHOLE + known["place"][here]
                 seeds = known["sheet"][here].astype(np.int64), place, np.array(known["y"][here])
                 yield (number, *brick), _task(problem, region, chart, brick, tolerance, seeds)
 
