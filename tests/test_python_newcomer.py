@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import perilune as pl
@@ -28,6 +29,7 @@ VEHICLE = Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0)
 ORBIT = Orbit(parking_altitude=100e3, perilune_altitude=15e3)
 # As who types it without a type checker.
 Loose: Any = pl
+LOOSE: Any = LANDING
 Lander: Any = Vehicle
 hybrid_of: Any = hybrid_landing
 precision_of: Any = precision_landing
@@ -70,7 +72,10 @@ load_any: Any = load_file
         (lambda: Loose.sweep(LANDING, {"vehicle.thrst": [1.0]}), ("no parameter", "did you mean 'vehicle_thrust'")),
         (lambda: Loose.sweep(LANDING, {"vehicle.thrust": [440.0]}, "direct"), ("not a method",)),
         (lambda: hybrid_of(VEHICLE, None, ORBIT).with_given(vehicle_thrust="440 N"),
-         ("not a given value", "'440 N'", "parse_quantity")),
+         ("not a value of vehicle_thrust", "'440 N'", "parse_quantity")),
+        (lambda: LOOSE.with_given(vehicle_thrust="440"), ("not a value of vehicle_thrust", "'440'", "in SI")),
+        (lambda: LOOSE.with_given(vehicle_thrust=True), ("not a value of vehicle_thrust", "True", "in SI")),
+        (lambda: LOOSE.with_given(vehicle_thrust=np.True_), ("not a value of vehicle_thrust",)),
         (lambda: Loose.Given(value="3 km", unit="m"), ("not a given value", "'3 km'")),
         (lambda: Lander(mass="300 kg", thrust=440.0, specific_impulse=310.0),
          ("vehicle.mass must be a number in SI", "'300 kg'", "scenario")),

@@ -36,7 +36,7 @@ from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_exp
 from perilune.problem.phase import Phase
 from perilune.problem.shown import ShownProblem
 from perilune.problem.tape import Expression
-from perilune.problem.variables import Free, Given, Variable, positive_scale
+from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
 from perilune.words.bounded import one_line
@@ -372,7 +372,7 @@ class Problem(ShownProblem):
         for name, value in values.items():
             if name not in known:
                 raise unknown_name("parameter", name, sorted(known))
-            given[name] = Given(value=value, unit=self.unit_of(name))
+            given[name] = given_as(name, value, self.unit_of(name))
         free = tuple(f for f in self.free if f.name not in values)
         # Values do not enter it.
         same = {"structure": self.structure} if len(free) == len(self.free) and "form" in self.__dict__ else {}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Limit, limit_value
-from perilune.words.asked import demand_identifier, refused
+from perilune.words.asked import demand_identifier, demand_si
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -108,12 +108,14 @@ class Given:
         _in_si("a given value", self.unit)
         if not self.stated:
             object.__setattr__(self, "stated", stated_text(self.value))
-        try:
-            object.__setattr__(self, "value", float(self.value))
-        except (TypeError, ValueError):
-            raise refused(
-                self.value, "a number in SI", "a given value", "units.parse_quantity('440 N', 'N') reads a text"
-            ) from None
+        demand_si(self.value, "a given value")
+        object.__setattr__(self, "value", float(self.value))
+
+
+def given_as(name: str, value: Any, unit: str) -> Given:
+    """A value in SI of the parameter of this name, which a refusal names."""
+    demand_si(value, f"a value of {name}")
+    return Given(value=value, unit=unit)
 
 
 @dataclass(frozen=True, kw_only=True)

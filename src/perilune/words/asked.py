@@ -103,6 +103,19 @@ def demand_number(value: Any, name: str) -> None:
         raise PeriluneError(f"{name} must be a number", got=_shown(value))
 
 
+def demand_si(value: Any, what: str) -> None:
+    """Refuse what is no single real number: truth values and texts are none, though Python makes floats of them.
+
+    Raises
+    ------
+    PeriluneError
+        Named.
+    """
+    plain = value.item() if getattr(value, "ndim", None) == 0 else value  # of NumPy and xarray
+    if isinstance(plain, bool) or not isinstance(plain, Real):
+        raise refused(value, "a number in SI", what, "units.parse_quantity('440 N', 'N') reads a text")
+
+
 def demand_numbers(values: Any, what: str) -> Any:
     """A number, or an array of numbers, as NumPy has it.
 
