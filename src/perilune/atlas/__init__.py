@@ -56,3 +56,8 @@ def __getattr__(name: str) -> Any:
 
     module, attribute = _HOME[name]
     return getattr(import_module(f"{__name__}.{module}"), attribute)
+
+
+def __dir__() -> list[str]:
+    """The public names, also those that are loaded on first use; no room inside."""
+    return sorted(__all__)

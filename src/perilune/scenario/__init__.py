@@ -92,3 +92,8 @@ def _document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, 
 def load_text(text: str) -> Problem:
     """The problem of a scenario's text; errors as `load_file`."""
     return problem_of(parse(text))
+
+
+def __dir__() -> list[str]:
+    """The public names; nothing that happens to be imported here."""
+    return sorted(__all__)
