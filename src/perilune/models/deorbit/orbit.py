@@ -46,7 +46,8 @@ def _at_place(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
         cosine = northwards * m.sqrt(1 - sine * sine)
         return m.atan2(sine, cosine), sine, cosine
 
-    angle, sine, cosine = angles(p.manoeuvre_latitude)
+    # Nowhere is it further from the geodetic one than at the ground: no orbit that comes to the place starts beyond it.
+    angle, sine, cosine = angles(ellipsoid.geocentric(p.manoeuvre_latitude, p.body_radius, p, m))
     for _ in range(_ROUNDS if hasattr(p, "body_flattening") else 0):
         distance = shape(angle, p, m)[0]
         angle, sine, cosine = angles(ellipsoid.geocentric(p.manoeuvre_latitude, distance, p, m))

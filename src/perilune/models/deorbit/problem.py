@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from perilune.models import atmosphere, ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.bodies import EARTH, Planet, told_as
@@ -203,7 +205,11 @@ def _ranges(
             expected="orbit.node_longitude and orbit.argument_of_latitude in place of [manoeuvre]",
             advice="or another orbit.inclination",
         )  # fmt: skip
-    if hasattr(p, "manoeuvre_latitude") and not abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, m)) < highest:
+    reaches = not hasattr(p, "manoeuvre_latitude")
+    if not reaches and abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, m)) < highest:
+        with np.errstate(invalid="ignore"):  # higher up on an ellipse it may be beyond after all
+            reaches = bool(np.isfinite(angles(p, m)[0]))
+    if not reaches:
         raise PeriluneError(
             "the orbit never comes to the latitude of the manoeuvre",
             got=f"{math.degrees(p.manoeuvre_latitude):g} deg",
