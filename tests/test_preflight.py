@@ -191,6 +191,7 @@ def test_an_orbit_that_hits_the_ground_is_refused(altitudes: tuple[float, float,
     ("problem", "name"),
     [
         (lander(thrust=65.0), "braking distance without gravity"),
+        (lander().with_given(vehicle_mass=1000.0), "mass when braking has taken the speed"),
         (lander(body=replace(MOON, rotation_rate=1.5e-4)), "speed of the ground"),
         (
             lander().with_given(orbit_parking_altitude=500e3, orbit_perilune_altitude=400e3),

@@ -6,6 +6,7 @@ every flight, or a direct method that found no flight from any of its starts.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
             words.append(f"{condition.name} broken by {broken:.2g} {condition.unit} between the points of the mesh")
     best = "direct method: " + ", ".join(words)
     ridden = ridden_condition(problem, flight)
-    parts = [breaches[0].text] if breaches else []
+    parts = [_mildest(problem, flight, breaches)] if breaches else []
     if ridden is not None:
         parts.append(f"the best path that keeps {ridden} rides along it ({best})")
     else:
@@ -77,10 +78,22 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
     )
 
 
+def _mildest(problem: Problem, flight: Solution, breaches: list[Breach]) -> str:
+    """How extremals break a condition, by the one that breaks it least.
+
+    What goes further beyond it than any flight that keeps it stays within is no flight, and its depth says nothing.
+    """
+    least = min(breaches, key=lambda breach: breach.canonical)
+    room = {condition.name: float(values.max()) for condition, values in along_path(problem, flight)}
+    if least.path and least.miss > room.get(least.name, math.inf):
+        return f"what is optimal where {least.name} is left out does not come near to keeping it"
+    return least.text
+
+
 def _easier(problem: Problem) -> str:
     """What makes a problem easier, in its own terms."""
     if "vehicle_thrust" in problem.given:
-        return "more thrust or a higher start"
+        return "more thrust, less mass or a higher start"
     return "given values that leave more room"
 
 

@@ -144,6 +144,13 @@ def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
     return (
         thrust_against_weight(r, p),
         at_most(
+            "mass when braking has taken the speed", "kg",
+            _mass_by_rocket_equation(p, m, perilune_speed(p, m)), mass_held(r, p, m),
+            "braking alone leaves the lander heavier than its thrust can hold: the rest has to be burnt before it can"
+            " come down, and the best flight may run along the ground, which is hard to solve",
+            "lower vehicle.mass, raise vehicle.thrust",
+        ),
+        at_most(
             "braking distance without gravity", "km",
             braking(perilune_speed(p, m), p, m)[0] / 1e3, math.pi * p.body_radius / 1e3,
             "braking takes more than half a revolution: expect a long spiral that is hard to solve",
