@@ -37,6 +37,7 @@ def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
     assert said(environment, "verify", str(tmp_path / "out"))[0] == 0
     code, text = said(environment, "new", "lunar_hop")
     assert code == 0 and 'kind = "lunar_hop"' in text and 'distance = "2 km"' in text
+    assert '--set "hopper.' in text
     code, text = said(environment, "check", hop, "--set", "hopper.thrus=1 N")
     assert code == 2 and "thrust" in text
     code, text = said(environment, "check", hop, "--set", "hopper.mass=-1 kg")

@@ -83,10 +83,15 @@ def test_the_template_names_every_key() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_template_states_its_problem(kind: str) -> None:
+def test_a_template_states_its_problem(kind: str, tmp_path: Path) -> None:
     problem = load_text(template(kind))
     assert problem.name == kind
     assert possible(preflight(problem))
+    advised = re.findall(r'--set "(.+)"', template(kind))  # of its own keys
+    assert len(advised) == 1
+    path = tmp_path / "new.toml"
+    path.write_text(template(kind), encoding="utf-8")
+    assert load_file(path, advised).problem.name == kind
     if kind == "deorbit_entry":  # where keys stand in place of others
         return
     # With every key in use it is read as well: the examples of what may be left out are values of their kind.

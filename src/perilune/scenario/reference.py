@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 
 from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names
@@ -14,7 +15,7 @@ _HEAD = """\
 # {about}
 # Every quantity is a text with its unit.
 # Solve it:        perilune solve THIS_FILE --out my_landing
-# Change a value:  perilune solve THIS_FILE --set "vehicle.thrust=500 N"
+# Change a value:  perilune solve THIS_FILE --set "{change}"
 """
 
 
@@ -30,7 +31,19 @@ def template(kind: str = "hybrid_landing") -> str:
         raise unknown_name("kind of problem", kind[:60], kind_names())
     found = kind_named(kind)
     sections = ("\n".join(_section(found, name, section)) for name, section in found.in_file.items())
-    return "\n\n".join([_HEAD.format(about=found.about).rstrip("\n"), *sections]) + "\n"
+    body = "\n\n".join(sections)
+    return _HEAD.format(about=found.about, change=_first_quantity(found, body)) + "\n" + body + "\n"
+
+
+def _first_quantity(kind: Kind, body: str) -> str:
+    """The first quantity that a template states, as a change of it is typed; of a kind without any, how it would be."""
+    stated = (
+        f"{name}.{key}={value}"
+        for name, values in tomllib.loads(body).items()
+        for key, value in values.items()
+        if isinstance(names_of(name, kind.in_file[name])[key].declared, Quantity)
+    )
+    return next(stated, "section.key=1 m")
 
 
 def _section(kind: Kind, name: str, section: Section) -> Iterator[str]:
