@@ -88,6 +88,8 @@ load_any: Any = load_file
         (lambda: hybrid_of(VEHICLE, None, ORBIT, "moon"), ("not a Body", "'moon'")),
         (lambda: hybrid_of(VEHICLE, 1200.0, ORBIT), ("not a Retro", "1200")),
         (lambda: precision_of(VEHICLE, ORBIT, None, None, (0.3, 0.9)), ("not an Approach", "Orbit")),
+        (lambda: Loose.solve(LANDING, levl=1), ("no keyword of solve", "'levl'", "did you mean 'level'")),
+        (lambda: Loose.Indirect(strats=4), ("no keyword of Indirect", "did you mean 'starts'")),
         (lambda: pl.Indirect(starts=0), ("starts is too small", "0", ">= 1")),
         (lambda: pl.Indirect(scan_points=1), ("scan_points is too small",)),
         (lambda: Loose.Indirect(starts="many"), ("starts must be a whole number", "'many'")),
@@ -116,6 +118,11 @@ def test_records_keep_their_signature() -> None:
     assert list(inspect.signature(Vehicle).parameters) == [
         "mass", "thrust", "specific_impulse", "standard_gravity", "dry_mass",
     ]  # fmt: skip
+    assert [*inspect.signature(pl.solve).parameters][:2] == ["problem", "method"]
+    assert (
+        pickle.loads(pickle.dumps(pl.solve)) is pl.solve
+        and pickle.loads(pickle.dumps(pl.Indirect(starts=3))).starts == 3
+    )
 
 
 def test_a_misspelt_verb_is_offered_the_right_one() -> None:

@@ -3,13 +3,39 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import wraps
+from inspect import signature
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import PeriluneError, unknown_name
+
+Asked = TypeVar("Asked", bound=Callable[..., Any])
+
+
+def keywords_by_name(asked: Asked) -> Asked:
+    """A verb, or a class of settings, that refuses a keyword it has not by naming the nearest one that it has.
+
+    What is left out, and what is too much, Python names itself.
+    """
+    given: Any = asked
+    function = given.__init__ if isinstance(given, type) else given
+    known = list(signature(asked).parameters)
+
+    @wraps(function)
+    def call(*args: Any, **keywords: Any) -> Any:
+        for name in keywords:
+            if name not in known:
+                raise unknown_name(f"keyword of {given.__name__}", name, known)
+        return function(*args, **keywords)
+
+    if not isinstance(given, type):
+        return cast("Asked", call)
+    given.__init__ = call
+    return asked
 
 
 def demand(value: Any, kind: type, what: str, advice: str = "") -> None:
