@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from perilune.conditions.pontryagin import derive, keepable_conditions
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.search import Search
+from perilune.methods.rungs import Rungs
 from perilune.models.descent_frames import variables
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
@@ -98,8 +98,8 @@ def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As random costates without the limit may find nothing."""
-    found = Search._sphere_members
-    monkeypatch.setattr(Search, "_sphere_members", lambda self: found(self) if self.keep else iter(()))
+    found = Rungs.from_random_costates
+    monkeypatch.setattr(Rungs, "from_random_costates", lambda self: found(self) if self.keep else iter(()))
     problem = _steered(path=lambda x, u, p, m: (p.steepest - u.up,), names=("below_steepest",))
     solution = solve(problem, level=0)
     assert solution.objective == pytest.approx(_clipped()[0], abs=1e-11)

@@ -20,7 +20,8 @@ from perilune.methods.indirect import Indirect
 from perilune.methods.judge import Breach
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.search import SMOOTH, Search
+from perilune.methods.search import Search
+from perilune.methods.smoothing import SMOOTH
 from perilune.methods.structured import Polish
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem

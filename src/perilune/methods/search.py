@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,21 +17,15 @@ from perilune.conditions.pontryagin import keepable_conditions
 from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, unknowns_from
 from perilune.methods.coarse import Coarse, touched
-from perilune.methods.durations import Lengthened, given_durations
 from perilune.methods.flown import may_be_cut, mended
 from perilune.methods.judge import Breach, Judge
-from perilune.methods.ladder import TRANSCRIBED, Ladder
+from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
-from perilune.methods.smoothing import Smoothing
+from perilune.methods.rungs import Met, Rungs
+from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import (
-    PATIENCE,
-    STRIDE,
     held_in,
-    hold_ranges,
     known,
-    leave_out,
-    on_the_sphere,
-    vanishing,
 )
 from perilune.methods.trials import Trials, found_at
 from perilune.problem.neighbours import is_neighbour
@@ -40,16 +34,12 @@ from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import free_scales
 from perilune.shooting.continuation import Member
 from perilune.shooting.continuum import open_directions
-from perilune.shooting.extremals import Found, HeldFamily, distinct, new_among, same, scan
-from perilune.shooting.function import Root, Roots
+from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
+from perilune.shooting.function import Root
 from perilune.words.outcome import NotConvergedError, PeriluneError
-from perilune.words.types import Matrix, Vector
+from perilune.words.types import Vector
 from perilune.words.watch import Watch
 
-_RANDOM = "random costates"  # on the unit sphere, as H has no scale
-_DURATION = "continuation in the duration"
-SMOOTH = "smoothed controls"
-_AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
 
 
@@ -71,7 +61,6 @@ class Search:
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.base: Member | None = None
         self.rung: str = ""
-        self.agreed: bool = False
         # By extremals met with the scanned parameter held, and these; which search answered; whether it was outdone.
         self.broken: list[Breach] = []
         self.breaking: list[Root] = []
@@ -102,7 +91,7 @@ class Search:
             return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
         root, place = found[0].root, trials.conditions.free_at.start + trials.scanned
         value, choice = float(root.y[place]), root.choice.copy()
-        choice[[trials.scanned, trials.shooting.plan.held + trials.scanned]] = 1.0, value
+        trials.shooting.plan.hold(choice, trials.scanned, value)
         held = trials.settled(root.y[None], choice, limits=trials.others)[0]
         if held.converged:
             others = search._all_extremals(Member(value=value, root=held))[0]
@@ -129,11 +118,17 @@ class Search:
         """
         found: list[Found] = []
         given = [(base, "continuation")] if base is not None else []
-        rungs = [given, self._sphere_members(), self._carried_members(), self._transcription()]
+        ways = Rungs(self.settings, self.trials, self.keep, self.coarse, self.tried)
+        rungs = [
+            given,
+            self._judged(ways.from_random_costates()),
+            self._judged(ways.from_shorter_flights()),
+            ways.from_transcription(),
+        ]
         for i, rung in enumerate(rungs):
             if last and i < 3:
                 continue
-            if self._answers(found) and (i == 3 or (i == 2 and (base is not None or self.agreed))):
+            if self._answers(found) and (i == 3 or (i == 2 and (base is not None or ways.agreed))):
                 continue  # the last rung is for those that the others left without an answer
             if i == 3 and (held := self._met_by(self.coarse.solve())):
                 return self._keeping(held).all_extremals(last=True)
@@ -207,7 +202,7 @@ class Search:
         for i in (first + k for k in curved):
             for limit in (trials.limits.lower[i], trials.limits.upper[i]):
                 choice = root.choice.copy()
-                choice[[i, shooting.plan.held + i]] = 1.0, limit
+                shooting.plan.hold(choice, i, limit)
                 held = trials.settled(root.y[None], choice, limits=trials.limits)[0] if np.isfinite(limit) else root
                 if held.converged and held.choice[i]:
                     minimum = not shooting.curving_down(held, trials.p)
@@ -286,65 +281,15 @@ class Search:
             return root
         return trials.by_pieces(guess, y, choice, segments, trials.limits)
 
-    # -- the ladder -----------------------------------------------------------------------------------------------
+    def _judged(self, ways: Iterable[Met]) -> Iterator[tuple[Member, str]]:
+        """Members within the bounds, way by way.
 
-    def _sphere_members(self) -> Iterator[tuple[Member, str]]:
-        """Extremals from random costates with the bounded parameter held at several values.
-
-        One family need not reach from bound to bound, so each value gives a chance to meet another. Those that break
-        a path condition come last, and only where nothing else was found.
+        Those that break a condition come last, and only where nothing else was found.
         """
-        trials, settings = self.trials, self.settings
-        holds = [0.0] if trials.scanned is None else np.linspace(*trials.bounds(trials.scanned), 5).tolist()
-        starts = [settings.starts if i == 0 else settings.starts // 2 for i in range(len(holds))]
-        where = f" keeping {', '.join(self.keep)}" if self.keep else ""
-        if trials.scanned is not None:
-            where += f" with {self.problem.free[trials.scanned].name} held at {len(holds)} values"
-        self.watch(f"start: {_RANDOM}{where}")
-        Y = np.vstack([on_the_sphere(trials, count, settings.seed) for count in starts])
-        held = np.repeat(holds, starts)
-        choices = np.tile(trials.shooting.holding({}), (len(Y), 1))
-        if trials.scanned is not None:
-            choices[:, trials.scanned], choices[:, trials.shooting.plan.held + trials.scanned] = 1.0, held
-        roots = self._settled_starts(Y, choices)
-        if not roots.converged.any() and vanishing(trials):
-            self.watch(f"start: {_RANDOM}{where}, without what may be left out")
-            leave_out(trials, Y, choices)
-            roots = self._settled_starts(Y, choices)
-        members: list[Member] = []
-        for value in holds:
-            lanes = np.nonzero((held == value) & roots.converged)[0].tolist()
-            members += [Member(value=value, root=root) for root in distinct(roots[lane] for lane in lanes)]
-        self.agreed = len(members) == 1 and bool(np.mean(roots.converged) >= _AGREED)
-        yield from self._judged(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
+        for members, name, tried in ways:
+            yield from self._keeping_bounds(members, name, tried)
 
-    def _settled_starts(self, Y: Matrix, choices: Matrix) -> Roots:
-        """Roots from starts with what they hold; where there is none, from where they came, with ranges held."""
-        trials = self.trials
-        roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
-        if roots.converged.any():
-            return roots
-        holding = choices.copy()
-        hold_ranges(trials, holding)
-        return trials.settled(roots.y, holding, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
-
-    def _carried_members(self) -> Iterator[tuple[Member, str]]:
-        """Extremals of shorter flights, carried to the whole one."""
-        if not given_durations(self.trials):
-            return
-        self.watch(f"start: {_DURATION}")
-        walk = Lengthened(trials=self.trials, starts=self.settings.starts, seed=self.settings.seed)
-        members = [Member(value=0.0, root=root) for root in walk.extremals()]
-        yield from self._judged(members, _DURATION, walk.told)
-        if walk.met > 1 and not self.keep:  # where there are several, the best may not have arrived
-            self.watch(f"start: {_DURATION}, {SMOOTH}")
-            smoothing = Smoothing(trials=self.trials, segments=1)
-            members = [Member(value=0.0, root=root) for root in distinct(smoothing.carried(walk.starts, walk.seed))]
-            if smoothing.told:
-                yield from self._judged(members, f"{_DURATION}, {SMOOTH}", smoothing.told)
-
-    def _judged(self, members: list[Member], name: str, tried: str) -> Iterator[tuple[Member, str]]:
-        """Those within the bounds; those that break a condition come last, and only where nothing else was found."""
+    def _keeping_bounds(self, members: list[Member], name: str, tried: str) -> Iterator[tuple[Member, str]]:
         breaking, met = list[Member](), 0
         for member in members:
             if self.trials.outside(member.root) is not None:
@@ -365,37 +310,6 @@ class Search:
             self.tried.append(NOT_ISOLATED)
         if self.base is None:
             yield from ((member, name) for member in breaking)
-
-    def _transcription(self) -> Iterator[tuple[Member, str]]:
-        """An extremal from a direct solution, in one piece or by multiple shooting.
-
-        Where the mesh has not followed it from finer ones in more pieces; of many switches by way of smooth controls.
-        """
-        trials, some, smoothing = self.trials, self.settings.segments, None
-        pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
-        for rough, counts in zip(self.coarse.resolved(), pieces, strict=False):
-            y = unknowns_from(self.problem, trials.conditions, rough)
-            choice, value = held_in(trials, rough, y), 0.0
-            if trials.scanned is not None:
-                value = float(y[trials.conditions.free_at.start + trials.scanned])
-                choice[[trials.scanned, trials.shooting.plan.held + trials.scanned]] = 1.0, value
-            for segments in counts:
-                if not may_be_cut(trials.conditions, segments):
-                    continue
-                rung = TRANSCRIBED if segments == 1 else "multiple shooting"
-                root = trials.by_pieces(rough, y, choice, segments, trials.others)
-                if root.converged:
-                    yield Member(value=value, root=root), rung
-                    return
-                self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
-            if smoothing is None and self.coarse.lost and not self.keep:
-                self.watch(f"start: {SMOOTH}")
-                smoothing = Smoothing(trials=trials, segments=some)
-                root = smoothing.root(choice)
-                self.tried += [smoothing.told] if smoothing.told else []
-                if root is not None:
-                    yield Member(value=value, root=root), SMOOTH
-                    return
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 

@@ -30,6 +30,7 @@ from perilune.structures.smoothed import RATE, smoothed
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
+SMOOTH = "smoothed controls"  # what this way of starting is called
 _SHARES = (0.3, 0.03)  # of J: so much smoothed, a burn's thrust differs little from the middle of its range
 _LEVELS = (1e-3, 1e-4, 1e-5)  # of the first smoothing, at which the switched extremal may be in reach
 _NODES, _FINER = 4, 2  # of a segment, and segments for each of those that a flown guess asks for

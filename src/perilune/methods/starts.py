@@ -45,7 +45,7 @@ def leave_out(trials: Trials, Y: Matrix, choices: Matrix) -> None:
         if k and problem.duration_names[k - 1] in problem.free_names:
             Y[:, first + problem.free_names.index(problem.duration_names[k - 1])] += Y[:, first + i]
         Y[:, first + i] = least
-        choices[:, i], choices[:, trials.shooting.plan.held + i] = 1.0, least
+        trials.shooting.plan.hold(choices, i, least)
 
 
 def hold_ranges(trials: Trials, choices: Matrix) -> None:
@@ -58,8 +58,7 @@ def hold_ranges(trials: Trials, choices: Matrix) -> None:
         if np.isfinite(side[i])
     ]
     for number, (i, bound) in enumerate(bounds, 1):
-        choices[number :: len(bounds) + 1, i] = 1.0
-        choices[number :: len(bounds) + 1, held + i] = bound
+        trials.shooting.plan.hold(choices[number :: len(bounds) + 1], i, bound)
 
 
 def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:

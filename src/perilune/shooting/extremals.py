@@ -61,7 +61,7 @@ class HeldFamily:
     def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
         """Newton in lanes with q held at `values`, and what else is held to begin with as in `like`."""
         choices = np.tile(like.choice, (len(values), 1))
-        choices[:, self.index], choices[:, self.shooting.plan.held + self.index] = 1.0, values
+        self.shooting.plan.hold(choices, self.index, values)
         return settle(self.shooting, Y, self.p, choices, self.limits, self.watch)
 
     def released(self, Y: Matrix, like: Root) -> Roots:

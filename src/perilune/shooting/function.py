@@ -151,7 +151,7 @@ class Shooting:
         """A choice: which free parameters and ranges (by index) are held, and at which values; masks, then values."""
         choice = np.zeros(2 * self.plan.held)
         for index, value in (*parameters.items(), *((self.plan.free + i, v) for i, v in (ranges or {}).items())):
-            choice[[index, self.plan.held + index]] = 1.0, value
+            self.plan.hold(choice, index, value)
         return choice
 
     def held_values(self, roots: Roots) -> tuple[Matrix, Matrix]:
@@ -257,7 +257,7 @@ class Shooting:
         for k, (_, nu) in enumerate(self.conditions.ranges):
             if root.choice[first + k] == 0.0:
                 held = root.choice.copy()
-                held[[first + k, self.plan.held + first + k]] = 1.0, root.ranges[k]
+                self.plan.hold(held, first + k, root.ranges[k])
                 inverse = self.at(root.y[None], p, held)[0].inverse
                 if inverse[self.plan.active.searchsorted(nu), self.plan.held_rows[first + k]] > 0.0:
                     found.append(k)

@@ -33,7 +33,7 @@ from perilune.kernels import LANES, Engine, Request
 from perilune.shooting.newton import Columns
 from perilune.shooting.propagate import Equations, engine, equations
 from perilune.shooting.settling import MOST_STEPS, settling
-from perilune.words.types import Matrix
+from perilune.words.types import Matrix, Vector
 
 #: Up to so many coupled unknowns Newton's step is compiled with the residual; beyond, LAPACK takes over.
 COMPILED = 12
@@ -118,6 +118,10 @@ class Plan:
     def settles(self) -> bool:
         """Whether any phase does."""
         return any(phase.settles for phase in self.conditions.phases)
+
+    def hold(self, choice: Vector | Matrix, index: int, value: float | Vector) -> None:
+        """Hold one thing more in a choice, or in each of many, at a value: its mask, and it behind all masks."""
+        choice[..., index], choice[..., self.held + index] = 1.0, value
 
 
 def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan:

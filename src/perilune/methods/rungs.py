@@ -1,0 +1,144 @@
+"""The rungs of the ladder of starts: where extremals come from without a guess, each way by itself.
+
+What they are worth is for the search to judge (`perilune.methods.search`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from perilune.conditions.held import Held
+from perilune.methods.assemble import unknowns_from
+from perilune.methods.coarse import Coarse
+from perilune.methods.durations import Lengthened, given_durations
+from perilune.methods.flown import may_be_cut
+from perilune.methods.ladder import TRANSCRIBED, Ladder
+from perilune.methods.smoothing import SMOOTH, Smoothing
+from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, leave_out, on_the_sphere, vanishing
+from perilune.methods.trials import Trials
+from perilune.shooting.continuation import Member
+from perilune.shooting.extremals import distinct
+from perilune.shooting.function import Roots
+from perilune.words.types import Matrix
+
+_RANDOM = "random costates"  # on the unit sphere, as H has no scale
+_DURATION = "continuation in the duration"
+_AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
+
+
+class Met(NamedTuple):
+    """Members of families that one way of starting led to, what it is called, and what was tried."""
+
+    members: list[Member]
+    name: str
+    tried: str
+
+
+@dataclass
+class Rungs:
+    """The ways of starting, of one search.
+
+    Parameters
+    ----------
+    settings, trials, keep, coarse
+        Of the search.
+    tried
+        Receives what was tried in vain.
+    agreed
+        Whether most random costates led to one and the same extremal, once they were flown.
+    """
+
+    settings: Ladder
+    trials: Trials
+    keep: Held
+    coarse: Coarse
+    tried: list[str]
+    agreed: bool = field(default=False, init=False)
+
+    def from_random_costates(self) -> Iterator[Met]:
+        """With the bounded parameter held at several values.
+
+        One family need not reach from bound to bound, so each value gives a chance to meet another.
+        """
+        trials, settings = self.trials, self.settings
+        holds = [0.0] if trials.scanned is None else np.linspace(*trials.bounds(trials.scanned), 5).tolist()
+        starts = [settings.starts if i == 0 else settings.starts // 2 for i in range(len(holds))]
+        where = f" keeping {', '.join(self.keep)}" if self.keep else ""
+        if trials.scanned is not None:
+            where += f" with {trials.problem.free[trials.scanned].name} held at {len(holds)} values"
+        trials.watch(f"start: {_RANDOM}{where}")
+        Y = np.vstack([on_the_sphere(trials, count, settings.seed) for count in starts])
+        held = np.repeat(holds, starts)
+        choices = np.tile(trials.shooting.holding({}), (len(Y), 1))
+        if trials.scanned is not None:
+            trials.shooting.plan.hold(choices, trials.scanned, held)
+        roots = self._settled(Y, choices)
+        if not roots.converged.any() and vanishing(trials):
+            trials.watch(f"start: {_RANDOM}{where}, without what may be left out")
+            leave_out(trials, Y, choices)
+            roots = self._settled(Y, choices)
+        members: list[Member] = []
+        for value in holds:
+            lanes = np.nonzero((held == value) & roots.converged)[0].tolist()
+            members += [Member(value=value, root=root) for root in distinct(roots[lane] for lane in lanes)]
+        self.agreed = len(members) == 1 and bool(np.mean(roots.converged) >= _AGREED)
+        yield Met(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
+
+    def _settled(self, Y: Matrix, choices: Matrix) -> Roots:
+        """Roots from starts with what they hold; where there is none, from where they came, with ranges held."""
+        trials = self.trials
+        roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
+        if roots.converged.any():
+            return roots
+        holding = choices.copy()
+        hold_ranges(trials, holding)
+        return trials.settled(roots.y, holding, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
+
+    def from_shorter_flights(self) -> Iterator[Met]:
+        """Carried to the whole flight, and by way of smooth controls where there are several."""
+        if not given_durations(self.trials):
+            return
+        self.trials.watch(f"start: {_DURATION}")
+        walk = Lengthened(trials=self.trials, starts=self.settings.starts, seed=self.settings.seed)
+        yield Met([Member(value=0.0, root=root) for root in walk.extremals()], _DURATION, walk.told)
+        if walk.met > 1 and not self.keep:  # where there are several, the best may not have arrived
+            self.trials.watch(f"start: {_DURATION}, {SMOOTH}")
+            smoothing = Smoothing(trials=self.trials, segments=1)
+            members = [Member(value=0.0, root=root) for root in distinct(smoothing.carried(walk.starts, walk.seed))]
+            if smoothing.told:
+                yield Met(members, f"{_DURATION}, {SMOOTH}", smoothing.told)
+
+    def from_transcription(self) -> Iterator[tuple[Member, str]]:
+        """An extremal from a direct solution, in one piece or by multiple shooting.
+
+        Where the mesh has not followed it from finer ones in more pieces; of many switches by way of smooth controls.
+        """
+        trials, some, smoothing = self.trials, self.settings.segments, None
+        pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
+        for rough, counts in zip(self.coarse.resolved(), pieces, strict=False):
+            y = unknowns_from(trials.problem, trials.conditions, rough)
+            choice, value = held_in(trials, rough, y), 0.0
+            if trials.scanned is not None:
+                value = float(y[trials.conditions.free_at.start + trials.scanned])
+                trials.shooting.plan.hold(choice, trials.scanned, value)
+            for segments in counts:
+                if not may_be_cut(trials.conditions, segments):
+                    continue
+                rung = TRANSCRIBED if segments == 1 else "multiple shooting"
+                root = trials.by_pieces(rough, y, choice, segments, trials.others)
+                if root.converged:
+                    yield Member(value=value, root=root), rung
+                    return
+                self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
+            if smoothing is None and self.coarse.lost and not self.keep:
+                trials.watch(f"start: {SMOOTH}")
+                smoothing = Smoothing(trials=trials, segments=some)
+                root = smoothing.root(choice)
+                self.tried += [smoothing.told] if smoothing.told else []
+                if root is not None:
+                    yield Member(value=value, root=root), SMOOTH
+                    return
