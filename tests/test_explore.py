@@ -36,12 +36,14 @@ from perilune import PeriluneError, Problem, Solution
 from perilune.app.answering import Answering
 from perilune.app.beside import Beside, Killed
 from perilune.app.client import MESSAGE, Client, asked, hello
+from perilune.app.frames import flight
 from perilune.app.frozen import frozen_page
 from perilune.app.server import page_files
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
 from perilune.problem.preflight import preflight, refuse_impossible
-from perilune.scenario import load_text
+from perilune.scenario import load_file, load_text
+from perilune.solve import solve
 from perilune.words.watch import Watch
 
 ISP = "retro_specific_impulse"
@@ -335,6 +337,17 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
     }  # a file with it states another problem
     with pytest.raises(PeriluneError, match="far from its range"):
         asked('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
+
+
+def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:
+    flown = solve(load_file(ROOT / "examples" / "precision_landing.toml").problem, level=0)
+    (phase,) = flight(flown)["phases"]
+    throttle, times = phase["columns"]["throttle"]["values"], phase["time"]
+    assert set(throttle) == {0.3, 0.9}
+    steps = [(a, b) for a, b, x, y in zip(times, times[1:], throttle, throttle[1:], strict=False) if x != y]
+    assert len(steps) == 2 and all(a == b for a, b in steps)
+    flat = phase["columns"]["lambda_east"]["values"]  # constant to 1e-3, of which six digits show a thousand steps
+    assert len(set(flat)) == len(set(times))
 
 
 def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from perilune.io.columns import columns
 from perilune.io.export import extremals_document, solution_document
 from perilune.io.files import finite
-from perilune.problem.solution import Solution, full
+from perilune.problem.solution import Solution, Trajectory, full
 from perilune.problem.verification import Verification
 from perilune.report.limb import plane_of_flight
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -20,6 +20,7 @@ from perilune.words.types import Matrix, Vector
 POINTS = 96  # of a flight, shared among its phases by their durations
 _LEAST = 25  # of a phase, however short it is
 _DIGITS = 6  # significant, more than a screen has
+_FLAT = 1e-9  # of its size: what spans less is rounding
 
 
 def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
@@ -30,9 +31,9 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
     plane = plane_of_flight(solution) if over_limb else None
     for k, (phase, duration) in enumerate(zip(solution.problem.phases, lasting, strict=True)):
         count = max(_LEAST, round(points * duration / max(sum(lasting), 1e-300)))
-        t = np.linspace(0.0, duration, count)
+        t = _times(solution.trajectories[k], count)
         shown = {
-            name: {"unit": column.unit, "values": rounded(column.values)}
+            name: {"unit": column.unit, "values": drawn(column.values)}
             for name, column in columns(solution, k, t).items()
             if name != "time"
         }
@@ -53,6 +54,14 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
         "proof": proof(solution.verification),
         "views": _views(solution),
     }
+
+
+def _times(trajectory: Trajectory, count: int) -> Vector:
+    """Even times of a phase, and both sides of every switch, so that no line is drawn across it."""
+    curves = (trajectory.state, trajectory.control, *filter(None, (trajectory.costate,)))
+    switches = np.concatenate([curve.time[1:][np.diff(curve.time) == 0] for curve in curves])
+    even = np.linspace(0.0, trajectory.duration, count)
+    return np.union1d(even, (np.nextafter(switches, 0.0), switches))
 
 
 def extremals(solution: Solution) -> dict[str, Any]:
@@ -111,8 +120,16 @@ def rounded(values: Vector | Sequence[float]) -> list[float | None]:
     return [_short(value) for value in np.asarray(values, dtype=float).tolist()]
 
 
-def _short(value: float) -> float | None:
-    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+def drawn(values: Vector) -> list[float | None]:
+    """The same of a curve: what is far from nothing beside what it spans needs more digits to show how it goes."""
+    seen = values[np.isfinite(values)]
+    span, most = (np.ptp(seen), np.abs(seen).max()) if len(seen) else (0.0, 0.0)
+    digits = _DIGITS + (math.ceil(math.log10(most / span)) if span > most * _FLAT else 0)
+    return [_short(value, digits) for value in np.asarray(values, dtype=float).tolist()]
+
+
+def _short(value: float, digits: int = _DIGITS) -> float | None:
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
 def _way(solution: Solution, k: int, t: Vector, plane: Matrix | None) -> dict[str, Any] | None:
