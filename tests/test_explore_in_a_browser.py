@@ -106,6 +106,12 @@ def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(
         until(page, "perilune.shown === perilune.number && perilune.flight.source === 'neighbour'")
         until(page, "document.getElementById('slice').hidden")
         assert "another vehicle.mass" in page.inner_text("#slice-words")
+        for typed, said in (("1e400", "no number that can be used"), ("", "No number was typed")):
+            page.fill("input[aria-label='vehicle.mass in kg']", "")
+            page.type("input[aria-label='vehicle.mass in kg']", typed)
+            page.keyboard.press("Enter")
+            assert said in page.inner_text("#more .wrong[role=alert]:not(:empty)")
+            assert page.evaluate("perilune.values.vehicle_mass") == 303.0
 
 
 def test_without_an_atlas_the_flight_follows_as_fast_and_jumps_at_rest(page: Any) -> None:
@@ -183,6 +189,10 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
         _drag(page, share, share, 0.1)
         until(page, f"perilune.flight.free.retro_delta_v {burn}")
     assert "stored" in page.inner_text("#source")
+    said = page.evaluate(
+        "[[0.1, 0.2], [3.45123, 3.45124, 3.45125], [0.0345, 0.0345 + 1e-9, 0.0345 + 2e-9]].map(Draw.labels)"
+    )
+    assert said == [["0.1", "0.2"], ["3.45123", "3.45124", "3.45125"], ["0.0345", "+1e-9", "+2e-9"]]
     assert page.locator("#path svg polyline").count() >= 2
     if width > 900:  # beside the views the parameters stay in sight, and below the head of the page
         page.evaluate("scrollTo(0, 500)")

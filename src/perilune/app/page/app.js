@@ -91,7 +91,14 @@
       const way = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
       if (way) { event.preventDefault(); held = false; move(clamp(knob, state.values[knob.name] + way * (event.shiftKey ? 10 : 1) * (knob.high - knob.low) / 200) / knob.size); held = false; save(); }
     };
-    number.onchange = () => { const v = parseFloat(number.value); if (Number.isFinite(v)) { held = false; move(v); held = false; save(); } number.value = +exact(knob, state.values[knob.name]).toPrecision(7); };
+    const wrong = document.createElement("p"); wrong.className = "wrong"; wrong.setAttribute("role", "alert"); box.append(wrong);
+    number.oninput = () => text(wrong, "");
+    number.onchange = () => {
+      const v = parseFloat(number.value), taken = Number.isFinite(v), what = number.validity.badInput ? "That is no number that can be used" : "No number was typed";
+      if (taken) { held = false; move(v); held = false; save(); }
+      number.value = +exact(knob, state.values[knob.name]).toPrecision(7);
+      text(wrong, taken ? "" : `${what}: it stays at ${told(+number.value, knob.unit)}.`);
+    };
     return box;
   }
   function remember() { state.past.push({ ...state.values }); if (state.past.length > HOT) { state.past.shift(); } state.ahead = []; buttons(); }
@@ -197,9 +204,9 @@
     if (off.length) { text($("slice-words"), `The map is of another ${off.map((k) => k.key).join(", ")}.`); return; }
     if (!shown) { return; }
     const by = Object.fromEntries(state.knobs.map((k) => [k.name, k])), at = shown.axes.map((n) => state.values[n]);
-    Draw.whenSeen($("slice"), () => { unproject = Draw.slice($("slice"), shown, at, shown.axes.map((n) => by[n].size), state.maximised ? -1 : 1); });
+    Draw.whenSeen($("slice"), () => { unproject = Draw.slice($("slice"), shown, at, shown.axes.map((n) => by[n].size), state.maximised ? -1 : 1, state.flight.unit); });
     const reasons = [...new Set(shown.why.filter((w) => w >= 0))].map((w) => shown.reasons[w]);
-    text($("slice-words"), `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} over ${shown.axes.map((n) => `${by[n].key} [${by[n].unit}]`).join(" and ")}, one of ${shown.sheets.length} sheets at each point${reasons.length ? "; blank: " + reasons.join("; ") : ""}. Click to go there.`);
+    text($("slice-words"), `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"}${state.flight.unit === "1" ? "" : ` [${state.flight.unit}]`} over ${shown.axes.map((n) => `${by[n].key} [${by[n].unit}]`).join(" and ")}, one of ${shown.sheets.length} sheets at each point${reasons.length ? "; blank: " + reasons.join("; ") : ""}. Click to go there.`);
   }
   $("slice").onclick = (event) => {
     if (!unproject || !state.slice) { return; }

@@ -15,6 +15,23 @@ const Draw = (() => {
   addEventListener("scroll", look, { passive: true });
   addEventListener("beforeprint", () => { for (const [node, work] of [...later]) { later.delete(node); work(); } });
 
+  // The range of a plot: a little more than what is drawn, and no less than says something.
+  function room(low, high, least) {
+    const most = Math.max(Math.abs(low), Math.abs(high)), span = Math.max(high - low, 1e-9 * most);
+    if (high - low < 1e-9 * most && !least) { return [low - 0.1 * Math.abs(low) - 1e-9, high + 0.1 * Math.abs(high) + 1e-9]; }
+    const more = Math.max(0.08 * span, 0.5 * (least - span), 1e-300);
+    return [low - more, high + more];
+  }
+  // Ticks with as many digits as tell them apart; where that takes too many, how far each lies from the first.
+  const short = (v, digits) => Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(digits - 1).replace(/\.?0*e/, "e").replace("e+", "e") : String(+v.toPrecision(digits));
+  function labels(ticks) {
+    for (const digits of [4, 5, 6]) {
+      const said = ticks.map((v) => short(v, digits));
+      if (new Set(said).size === said.length && said.every((word) => word.length < 10)) { return said; }
+    }
+    return ticks.map((v, i) => i ? `+${short(v - ticks[0], 2)}` : short(v, 4));
+  }
+
   function lines(box, key, title, unit, x, curves, height = 150, mark = null, least = 0) {
     box.style.minHeight = `${height}px`;
     whenSeen(box, () => drawn(box, key, title, unit, x, curves, height, mark, least));
@@ -29,12 +46,12 @@ const Draw = (() => {
     }
     if (known) { known.plot.destroy(); }
     const ink = css("--soft"), grid = { stroke: css("--line"), width: 1 };
-    const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui", size: 66 };
+    const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui" }, wide = (_, said) => Math.max(66, 20 + 6.6 * Math.max(...(said || []).map((word) => word.length)));
     const entry = { names, box, width, mark, least };
     entry.plot = new uPlot({
-      width, height, pxAlign: 0, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => { const room = Math.max(0.08 * (high - low), 0.5 * (entry.least - (high - low)), 1e-300), flat = high - low < 1e-12 * Math.max(Math.abs(low), Math.abs(high)); return flat && !entry.least ? [low - 0.1 * Math.abs(low) - 1e-9, high + 0.1 * Math.abs(high) + 1e-9] : [low - room, high + room]; } } }, cursor: { points: { size: 5 } },
+      width, height, pxAlign: 0, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => room(low, high, entry.least) } }, cursor: { points: { size: 5 } },
       legend: { show: curves.length > 1 },
-      axes: [{ ...axis, size: 26 }, { ...axis, values: (_, ticks) => ticks.map((v) => Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(1).replace(".0e", "e").replace("e+", "e") : String(+v.toPrecision(4))) }],
+      axes: [{ ...axis, size: 26 }, { ...axis, size: wide, space: 22, values: (_, ticks) => labels(ticks) }],
       series: [{ label: "t", value: (_, v) => fine(v) }, ...curves.map((c, i) => ({ label: c.name, stroke: c.colour || colours()[i % 5], width: c.dash ? 1 : 1.6, dash: c.dash, points: { show: false }, value: (_, v) => fine(v) }))],
       hooks: { draw: [(u) => {
         for (const point of entry.mark || []) {
@@ -148,34 +165,41 @@ const Draw = (() => {
 
   const ramp = (s) => { const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], x = Math.max(0, Math.min(3.9999, 4 * s)), i = Math.floor(x), f = x - i; return `rgb(${stops[i].map((v, j) => Math.round(v + f * (stops[i + 1][j] - v))).join(",")})`; };
 
-  // A slice of the map by colour, or as a curve, with the present point on it.
-  function slice(node, shown, at, sizes, sign) {
-    const [c, w, h] = canvas(node), left = 62, bottom = 34, W = w - left - 12, H = h - bottom - 10;
-    const good = shown.objective.filter((v) => v !== null), least = Math.min(...good), most = Math.max(...good);
-    const x = shown.along[0], nx = x.length, px = (v) => left + W * (v - x[0]) / (x[nx - 1] - x[0]);
-    c.font = "11px system-ui"; c.fillStyle = css("--soft"); c.strokeStyle = css("--line");
+  // A slice of the map by colour, or as a curve, with the present point on it; what the colours mean stands beside it.
+  function slice(node, shown, at, sizes, sign, unit) {
+    const along = shown.axes.length, [c, w, h] = canvas(node), left = 62, bottom = 34, W = w - left - (along > 1 ? 92 : 12), H = h - bottom - 10;
+    const good = shown.objective.filter((v) => v !== null).map((v) => sign * v), least = Math.min(...good), most = Math.max(...good);
+    const x = shown.along[0], nx = x.length, px = (v) => left + W * (v - x[0]) / (x[nx - 1] - x[0]), share = (v) => (sign * v - least) / (most - least || 1);
+    c.font = "11px system-ui"; c.strokeStyle = css("--line");
     const text = (s, a, b, align = "center") => { c.textAlign = align; c.fillStyle = css("--soft"); c.fillText(s, a, b); };
-    if (shown.axes.length === 1) {
-      const py = (v) => 10 + H * (1 - (sign * v - Math.min(sign * least, sign * most)) / (Math.abs(most - least) || 1));
+    const [low, middle, high] = most > least ? labels([least, (least + most) / 2, most]) : [fine(least), "", ""];
+    if (along === 1) {
+      const py = (v) => 10 + H * (1 - share(v));
       c.strokeStyle = css("--go"); c.lineWidth = 1.8; c.beginPath(); let down = false;
       shown.objective.forEach((v, i) => { if (v !== null) { down ? c.lineTo(px(x[i]), py(v)) : c.moveTo(px(x[i]), py(v)); } down = v !== null; });
       c.stroke();
+      if (good.length) { text(low, left - 6, 10 + H, "right"); text(high, left - 6, 18, "right"); }
       const v = shown.objective[Math.round((at[0] - x[0]) / (x[nx - 1] - x[0]) * (nx - 1))];
       if (v !== null && v !== undefined) { c.fillStyle = css("--hot"); c.beginPath(); c.arc(px(at[0]), py(v), 5, 0, 7); c.fill(); }
     } else {
       const y = shown.along[1], ny = y.length, py = (v) => 10 + H * (1 - (v - y[0]) / (y[ny - 1] - y[0]));
       for (let i = 0; i < nx; i++) { for (let j = 0; j < ny; j++) {
         const v = shown.objective[i * ny + j]; if (v === null) { continue; }
-        c.fillStyle = ramp((sign * v - Math.min(sign * least, sign * most)) / (Math.abs(most - least) || 1));
+        c.fillStyle = ramp(share(v));
         c.fillRect(left + W * (i - 0.5) / (nx - 1), 10 + H * (1 - (j + 0.5) / (ny - 1)), W / (nx - 1) + 1, H / (ny - 1) + 1);
       } }
       c.clearRect(0, 0, left, h); c.clearRect(left + W, 0, w, h); c.clearRect(0, 10 + H, w, h); c.clearRect(0, 0, w, 10);
       text(fine(y[0] / sizes[1]), left - 6, 10 + H, "right"); text(fine(y[ny - 1] / sizes[1]), left - 6, 18, "right");
+      if (good.length) {
+        const bar = left + W + 12, top = 28, tall = 10 + H - top, rows = most > least ? Math.round(tall) : 0;
+        for (let k = 0; k < rows; k++) { c.fillStyle = ramp(1 - k / (rows - 1)); c.fillRect(bar, top + k, 12, 1.5); }
+        text(unit === "1" ? "" : `[${unit}]`, bar, 18, "left"); text(high, bar + 17, top + 8, "left"); text(middle, bar + 17, top + tall / 2 + 4, "left"); text(low, bar + 17, 10 + H, "left");
+      }
       c.strokeStyle = "#fff"; c.fillStyle = css("--hot"); c.lineWidth = 2; c.beginPath(); c.arc(px(at[0]), py(at[1]), 6, 0, 7); c.fill(); c.stroke();
     }
     text(fine(x[0] / sizes[0]), left, h - 18, "left"); text(fine(x[nx - 1] / sizes[0]), left + W, h - 18, "right");
     return { px: (v) => x[0] + (v - left) / W * (x[nx - 1] - x[0]), py: (v) => shown.axes.length > 1 ? shown.along[1][0] + (1 - (v - 10) / H) * (shown.along[1][shown.along[1].length - 1] - shown.along[1][0]) : null };
   }
 
-  return { lines, path, ground, plan, series, slice, forget, whenSeen, look, fine, css };
+  return { lines, labels, path, ground, plan, series, slice, forget, whenSeen, look, fine, css };
 })();
