@@ -41,6 +41,7 @@ from perilune.app.frozen import frozen_page
 from perilune.app.server import page_files
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
+from perilune.io.export import save
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
@@ -337,6 +338,21 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
     }  # a file with it states another problem
     with pytest.raises(PeriluneError, match="far from its range"):
         asked('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
+
+
+def test_a_saved_solution_hands_out_the_scenario_that_it_keeps(tmp_path: Path) -> None:
+    scenario = load_file(ROOT / "examples" / "ordinary_lander.toml", ["vehicle.thrust=450 N"])
+    solution = solve(scenario.problem, level=0)
+    save(solution, tmp_path / "with", scenario.text)
+    save(solution, tmp_path / "without")
+    kept, bare = subject_of(tmp_path / "with"), subject_of(tmp_path / "without")
+    assert kept.known is not None and kept.scenario({}) == scenario.text
+    moved = load_text(kept.scenario({"vehicle_mass": 310.0})).given
+    assert (moved["vehicle_mass"].value, moved["vehicle_thrust"].value) == (310.0, 450.0)
+    assert not any(knob.key.startswith("retro.") for knob in kept.knobs)  # a file with it states another problem
+    assert not hello(bare)["scenario"] and "saved without" in hello(bare)["unwritten"]
+    with pytest.raises(PeriluneError, match="saved without a scenario"):
+        bare.scenario({})
 
 
 def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:

@@ -264,6 +264,7 @@ def hello(subject: Subject) -> dict[str, Any]:
         "kind": problem.name,
         "mapped": subject.atlas is not None,
         "scenario": bool(subject.text),
+        "unwritten": subject.unwritten,
         "maximised": problem.maximised or "",
         "knobs": [vars(knob) for knob in subject.knobs],
         "coasts": _coasts() if problem.views.ground is not None and problem.views.ground.coasts else [],

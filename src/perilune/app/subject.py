@@ -10,7 +10,7 @@ from pathlib import Path
 from perilune.app.knobs import Knob, knobs
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.store import HEADER
-from perilune.io.reload import load
+from perilune.io.reload import claims_of, opened
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file, load_text, template
@@ -31,6 +31,8 @@ class Subject:
         A flight of it, to begin with; None where there is none.
     text
         Of the scenario; "" where none says all of it.
+    unwritten
+        Why there is none.
     knobs
         What can be moved.
     """
@@ -40,6 +42,7 @@ class Subject:
     atlas: Atlas | None = None
     known: Solution | None = None
     text: str = ""
+    unwritten: str = "the problem was stated in Python"
 
     @property
     def title(self) -> str:
@@ -55,7 +58,7 @@ class Subject:
             If there is no scenario.
         """
         if not self.text:
-            raise PeriluneError("there is no scenario to hand out", got="a problem stated in Python")
+            raise PeriluneError("there is no scenario to hand out", got=self.unwritten)
         moved = {knob: values[knob.name] for knob in self.knobs if values.get(knob.name, knob.value) != knob.value}
         document = parse(self.text)
         if "name" in document.get("body", {}) and any(knob.key.startswith("body.") for knob in moved):
@@ -101,17 +104,23 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
     if target is None or target.is_file():
         if target is None:
             text = template("hybrid_landing")
-            problem = load_text(text)
-        else:
-            scenario = load_file(target, changes)
-            problem, text = scenario.problem, scenario.text or ""
-        stated = parse(text) if text else {}
-        movable = [knob for knob in knobs(problem) if not stated or knob.key.partition(".")[0] in stated]
-        return Subject(problem=problem, text=text, knobs=tuple(movable))  # a section more would state another problem
+            return _stated(load_text(text), text)
+        scenario = load_file(target, changes)
+        return _stated(scenario.problem, scenario.text or "", unwritten="the scenario names another file beside it")
     if changes:
         raise PeriluneError("--set changes a scenario", got=str(target), expected="a file")
     if (target / HEADER).is_file():
         atlas = open_atlas(target)
-        return Subject(problem=atlas.problem, atlas=atlas, knobs=knobs(atlas.problem, atlas))
-    solution = load(target)
-    return Subject(problem=solution.problem, known=solution, knobs=knobs(solution.problem))
+        unwritten = "an atlas keeps the problem, and not the scenario that stated it"
+        return Subject(problem=atlas.problem, atlas=atlas, knobs=knobs(atlas.problem, atlas), unwritten=unwritten)
+    solution, document = opened(target)
+    _, text, _ = claims_of(document)
+    return _stated(solution.problem, text, known=solution, unwritten="the solution was saved without a scenario")
+
+
+def _stated(problem: Problem, text: str, known: Solution | None = None, unwritten: str = "") -> Subject:
+    """What a scenario states, and moves; all that can be moved where there is none."""
+    sections = parse(text) if text else {}
+    movable = [knob for knob in knobs(problem) if not sections or knob.key.partition(".")[0] in sections]
+    # A section more would state another problem.
+    return Subject(problem=problem, text=text, known=known, knobs=tuple(movable), unwritten=unwritten)

@@ -52,7 +52,9 @@
     state.values = linked();
     const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.filter((k) => !k.natural).slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
     $("knob-list").replaceChildren(...main.map(row)); $("more-list").replaceChildren(...rest.map(row)); $("more").hidden = !rest.length || !!frozen;
-    $("scenario").hidden = !said.scenario; $("figures").hidden = !!frozen; $("slice-box").hidden = !few.length;
+    $("scenario").hidden = !!frozen; if (!said.scenario) { $("scenario").title = `None: ${said.unwritten}`; }
+    $("scenario").onclick = () => { if (said.scenario) { fetched("scenario.toml", "text/plain"); } else { state.notice = `there is no scenario to hand out: ${said.unwritten}`; show(); } };
+    $("figures").hidden = !!frozen; $("slice-box").hidden = !few.length;
     for (const [id, place] of [["slice-x", 0], ["slice-y", 1]]) {
       $(id).replaceChildren(...(place ? [new Option("nothing else", "")] : []), ...few.map((k) => new Option(k.key, k.name)));
       if (few[place]) { $(id).value = few[place].name; }
@@ -262,7 +264,7 @@
     const answer = await fetch(`${name}?${new URLSearchParams({ client: state.client, number: state.shown })}`); // what is shown
     if (answer.ok) { give(name, kind, await answer.blob()); } else { text($("refusal"), await answer.text()); $("refusal").hidden = false; }
   }
-  $("figures").onclick = () => fetched("figures.zip", "application/zip"); $("scenario").onclick = () => fetched("scenario.toml", "text/plain");
+  $("figures").onclick = () => fetched("figures.zip", "application/zip");
   document.addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.target.type === "number") { return; }
     if (event.key === "z") { event.preventDefault(); event.shiftKey ? redo() : undo(); } else if (event.key === "y") { event.preventDefault(); redo(); }
