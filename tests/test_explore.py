@@ -406,6 +406,31 @@ def test_a_page_without_an_atlas_jumps_too() -> None:
     assert burns == [(isp, isp > 277.867) for isp, _ in burns]
 
 
+def test_what_moves_on_a_page_is_chosen_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("perilune.app.frozen._BOTH", 3)
+    file, ask = tmp_path / "page.html", ["explore", str(ROOT / "examples" / "hybrid_lander.toml"), "--html"]
+    vary = ["--vary", "vehicle.thrust=430:450 N", "--vary", "retro.specific_impulse"]
+    assert obey([*ask, str(file), *vary]) == 0
+    assert "vehicle.thrust from 430 to 450 N and retro.specific_impulse from" in capsys.readouterr().out
+    document = json.loads(file.read_text("utf-8").partition('id="frozen">')[2].partition("</script>")[0])
+    moved, flights = [knob["name"] for knob in document["hello"]["knobs"]], document["flights"]
+    assert moved == ["vehicle_thrust", ISP]
+    thrusts = [found["values"]["vehicle_thrust"] for found in flights]
+    assert thrusts == [430.0] * 3 + [440.0] * 3 + [450.0] * 3 and all(found["type"] == "flight" for found in flights)
+    for more, words in (
+        (["--vary", "vehicle.thrst"], "did you mean 'vehicle.thrust'"),
+        ([*vary, "--vary", "vehicle.mass"], "too much moves"),
+        ([*vary[:2], *vary[:2]], "twice"),
+        (["--vary", "vehicle.thrust=3:2 N"], "is empty"),
+    ):
+        assert obey([*ask, str(tmp_path / "other.html"), *more]) == 2
+        assert words in capsys.readouterr().err
+    assert obey([*ask[:2], "--no-open", *vary]) == 2
+    assert "page of --html" in capsys.readouterr().err
+
+
 def _light(colour: str) -> float:
     """Relative luminance as WCAG 2.2 defines it."""
     digits = colour.lstrip("#") if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])

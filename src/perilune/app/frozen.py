@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from itertools import product
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from perilune.app.answering import Answering
 from perilune.app.client import hello
 from perilune.app.frames import flight, refusal
+from perilune.app.knobs import Knob
 from perilune.app.server import page_files
 from perilune.app.subject import Subject
 from perilune.words.outcome import PeriluneError
@@ -35,13 +36,18 @@ window.PERILUNE_FROZEN = (() => {
 """
 
 
-def frozen_page(subject: Subject, watch: Watch = silent) -> str:
-    """A page with the flights of an atlas over its first two axes, the others in the middle of their ranges.
+def moving(subject: Subject) -> tuple[Knob, ...]:
+    """What moves on a page if nobody says: the first two axes of an atlas, the first parameter where there is none."""
+    return tuple(knob for knob in subject.knobs if knob.mapped)[:2] or subject.knobs[:1]
+
+
+def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] = ()) -> str:
+    """A page with the flights over one parameter or two, all others as they are.
 
     Parameters
     ----------
-    subject
-        What is shown; of one that is not mapped the first parameter moves.
+    subject, chosen
+        What is shown, and what of it moves, each in its range; `moving` where nothing is chosen.
     watch
         Receives a line for every tenth flight.
 
@@ -50,13 +56,16 @@ def frozen_page(subject: Subject, watch: Watch = silent) -> str:
     PeriluneError
         If there is no flight at any point.
     """
-    chosen = [knob for knob in subject.knobs if knob.mapped][:2] or list(subject.knobs[:1])
+    chosen = chosen or moving(subject)
     count = _ALONG if len(chosen) == 1 else _BOTH
     grids = [np.linspace(knob.low, knob.high, count).tolist() for knob in chosen]
     points = [dict(zip((knob.name for knob in chosen), values, strict=True)) for values in product(*grids)]
-    flights = _flights(subject, points, watch)
+    # Row by row, there and back, so that each point is beside the one before.
+    rows = [range(begin, begin + count)[:: 1 - 2 * (begin // count % 2)] for begin in range(0, len(points), count)]
+    way = list(chain.from_iterable(rows))
+    flights = _flights(subject, points, way, watch)
     if subject.atlas is None:  # from neighbour to neighbour a family is kept across a jump: from the other end, another
-        back = _flights(subject, points[::-1], watch)[::-1]
+        back = _flights(subject, points, way[::-1], watch)
         flights = [
             min(pair, key=lambda found: found.get("objective", math.inf)) for pair in zip(flights, back, strict=True)
         ]
@@ -68,13 +77,16 @@ def frozen_page(subject: Subject, watch: Watch = silent) -> str:
     return _page(page_files(), json.dumps(document, allow_nan=False, separators=(",", ":")))
 
 
-def _flights(subject: Subject, points: Sequence[Mapping[str, float]], watch: Watch) -> list[dict[str, Any]]:
-    answering, flights = Answering(subject.problem, subject.atlas, subject.known), list[dict[str, Any]]()
-    for number, values in enumerate(points):
+def _flights(
+    subject: Subject, points: Sequence[Mapping[str, float]], way: Sequence[int], watch: Watch
+) -> list[dict[str, Any]]:
+    """The flight at each point, found in the order of `way`."""
+    answering, flights = Answering(subject.problem, subject.atlas, subject.known), dict[int, dict[str, Any]]()
+    for number, place in enumerate(way):
         if number % 10 == 0:
-            watch(f"{number} of {len(points)} flights")
-        flights.append(_one(answering, values))
-    return flights
+            watch(f"{number} of {len(way)} flights")
+        flights[place] = _one(answering, points[place])
+    return [flights[place] for place in range(len(points))]
 
 
 def _one(answering: Answering, values: Mapping[str, float]) -> dict[str, Any]:

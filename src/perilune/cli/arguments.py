@@ -218,7 +218,14 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
             "--html",
             metavar="FILE",
             type=Path,
-            help="Write one page that needs no server instead, with the flights over the first two axes of an atlas.",
+            help="Write one page that needs no server instead, with flights over one parameter or two.",
+        ),
+        option(
+            "--vary",
+            metavar="KEY[=LOW:HIGH]",
+            action="append",
+            help='With --html: what moves, e.g. "vehicle.thrust=350:650 N"; once or twice, in the range of its slider '
+            "where none is said. If left out, the first two axes of an atlas, or the first parameter.",
         ),
         FORCE,
         NO_CACHE,

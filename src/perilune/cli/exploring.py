@@ -5,14 +5,18 @@ from __future__ import annotations
 import socket
 from argparse import Namespace
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from perilune.cli.answer import Answer, aside
 from perilune.cli.progress import LONGEST_LOG, progress
-from perilune.words.outcome import PeriluneError
+from perilune.words.declared import Quantity
+from perilune.words.outcome import PeriluneError, unknown_name
 
 if TYPE_CHECKING:
+    from perilune.app.knobs import Knob
     from perilune.app.subject import Subject
 
 
@@ -34,7 +38,9 @@ def explore(typed: Namespace) -> Answer:
 
     subject = subject_of(typed.target, typed.changes or ())
     if typed.html is not None:
-        return _written(subject, typed.html, typed.force)
+        return _written(subject, typed.html, typed.vary or (), typed.force)
+    if typed.vary:
+        raise PeriluneError("--vary chooses what moves on a page of --html", advice="on a live page everything moves")
     listening = _listening(typed.port)
     port = listening.getsockname()[1]
     explorer = Explorer(subject, port)
@@ -58,16 +64,45 @@ def explore(typed: Namespace) -> Answer:
     return Answer(text="the explorer has ended", document={"served": address})
 
 
-def _written(subject: Subject, file: Path, force: bool) -> Answer:
-    from perilune.app.frozen import frozen_page
+def _written(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> Answer:
+    from perilune.app.frozen import frozen_page, moving
     from perilune.io.files import fresh_file, new_file
 
+    chosen = _chosen(subject, vary) or moving(subject)
     new_file(file, "the page", force)
     with progress(False, deque(maxlen=LONGEST_LOG)) as watch:
-        page = frozen_page(subject, watch)
+        page = frozen_page(subject, watch, chosen)
     with fresh_file(file, "the page") as beside:
         beside.write_text(page, encoding="utf-8")
-    return Answer(text=f"written to {file}: {len(page) / 1e6:.1f} MB", document={"written": str(file)})
+    moves = {
+        knob.key: f"{knob.low / knob.size:.6g} to {knob.high / knob.size:.6g} {knob.unit}".removesuffix(" 1")
+        for knob in chosen
+    }
+    told = " and ".join(f"{key} from {span}" for key, span in moves.items())
+    text = f"written to {file}: {len(page) / 1e6:.1f} MB; on it {told} can be moved (--vary names others)"
+    return Answer(text=text, document={"written": str(file), "moves": moves})
+
+
+def _chosen(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
+    """The parameters that were named, each with the range that was stated, or its own."""
+    from perilune.scenario import bounds_of
+
+    known: dict[str, Knob] = {knob.key: knob for knob in subject.knobs}
+    found: dict[str, Knob] = {}
+    for stated in vary:
+        key, _, text = (part.strip() for part in stated.partition("="))
+        if key not in known:
+            raise unknown_name("parameter that moves", key, list(known))
+        if key in found:
+            raise PeriluneError(f"--vary names {key} twice", got=stated[:60], expected="each parameter once")
+        knob, unit = known[key], subject.problem.unit_of(known[key].name)
+        low, high = (knob.low, knob.high)
+        if text:
+            low, high = bounds_of(key, text, {key: Quantity(unit=unit, example=f"1 {unit}")})
+        found[key] = replace(knob, low=low, high=high, value=min(max(knob.value, low), high))
+    if len(found) > 2:
+        raise PeriluneError("too much moves on one page", got=", ".join(found), expected="one parameter, or two")
+    return tuple(found.values())
 
 
 def _listening(port: int) -> socket.socket:
