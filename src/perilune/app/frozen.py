@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from itertools import chain, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,7 @@ def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] 
     subject, chosen
         What is shown, and what of it moves, each in its range; `moving` where nothing is chosen.
     watch
-        Receives a line for every tenth flight.
+        Receives a line for every row of flights, and what each solve tells.
 
     Raises
     ------
@@ -60,15 +60,10 @@ def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] 
     count = _ALONG if len(chosen) == 1 else _BOTH
     grids = [np.linspace(knob.low, knob.high, count).tolist() for knob in chosen]
     points = [dict(zip((knob.name for knob in chosen), values, strict=True)) for values in product(*grids)]
-    # Row by row, there and back, so that each point is beside the one before.
-    rows = [range(begin, begin + count)[:: 1 - 2 * (begin // count % 2)] for begin in range(0, len(points), count)]
-    way = list(chain.from_iterable(rows))
-    flights = _flights(subject, points, way, watch)
-    if subject.atlas is None:  # from neighbour to neighbour a family is kept across a jump: from the other end, another
-        back = _flights(subject, points, way[::-1], watch)
-        flights = [
-            min(pair, key=lambda found: found.get("objective", math.inf)) for pair in zip(flights, back, strict=True)
-        ]
+    flights = list[dict[str, Any]]()
+    for row in range(0, len(points), count):
+        watch(f"{row} of {len(points)} flights")
+        flights += _along(subject, points[row : row + count], watch)
     if not any(found["type"] == "flight" for found in flights):
         raise PeriluneError("there is no flight at any point of the page", got=flights[0]["what"])
     told = hello(subject)
@@ -77,21 +72,26 @@ def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] 
     return _page(page_files(), json.dumps(document, allow_nan=False, separators=(",", ":")))
 
 
-def _flights(
-    subject: Subject, points: Sequence[Mapping[str, float]], way: Sequence[int], watch: Watch
-) -> list[dict[str, Any]]:
-    """The flight at each point, found in the order of `way`."""
-    answering, flights = Answering(subject.problem, subject.atlas, subject.known), dict[int, dict[str, Any]]()
-    for number, place in enumerate(way):
-        if number % 10 == 0:
-            watch(f"{number} of {len(way)} flights")
-        flights[place] = _one(answering, points[place])
-    return [flights[place] for place in range(len(points))]
+def _along(subject: Subject, points: Sequence[Mapping[str, float]], watch: Watch) -> list[dict[str, Any]]:
+    """The flights at a row of points: from the map, else each from the one before.
+
+    From neighbour to neighbour a family is kept across a jump. So what is not on the map is followed from the other end
+    of the row too, where it begins from nothing, and of both the better is taken.
+    """
+    problem, atlas = subject.problem, subject.atlas
+    there, back = Answering(problem, atlas, subject.known), Answering(problem, atlas)
+    found = [_one(there, values, watch) for values in points]
+    if atlas is not None and {*points[0]} <= {*atlas.region.names}:
+        return found
+    again = [_one(back, values, watch) for values in reversed(points)]
+    return [
+        min(pair, key=lambda one: one.get("objective", math.inf)) for pair in zip(found, reversed(again), strict=True)
+    ]
 
 
-def _one(answering: Answering, values: Mapping[str, float]) -> dict[str, Any]:
+def _one(answering: Answering, values: Mapping[str, float], watch: Watch) -> dict[str, Any]:
     try:
-        found = answering.at(values)
+        found = answering.at(values, watch)
     except PeriluneError as error:
         return {"type": "refusal", "values": dict(values), **refusal(error), "latency": 0.0}
     words = f"a flight that was stored: {found.words}"
