@@ -34,7 +34,7 @@ import perilune.app.answering
 from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError, Problem, Solution
 from perilune.app.answering import Answering
-from perilune.app.beside import Beside, Killed
+from perilune.app.beside import Beside, Killed, in_thread
 from perilune.app.client import MESSAGE, Client, asked, hello
 from perilune.app.frames import flight
 from perilune.app.frozen import frozen_page
@@ -45,7 +45,7 @@ from perilune.io.export import save
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
-from perilune.words.watch import Watch
+from perilune.words.watch import Watch, silent
 
 ISP = "retro_specific_impulse"
 
@@ -308,7 +308,7 @@ def test_what_is_computed_for_a_page_that_has_gone_is_dropped(monkeypatch: pytes
 def test_it_is_said_when_nothing_more_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """And not that the process was begun anew, which is true of the next flight."""
 
-    async def killed(self: Beside, *work: Any) -> None:
+    async def killed(self: Beside, *work: Any, **more: Any) -> None:
         self.killed += 1
         raise Killed("killed whenever it was begun")
 
@@ -319,6 +319,24 @@ def test_it_is_said_when_nothing_more_is_tried(monkeypatch: pytest.MonkeyPatch) 
         assert [said["words"] for said in page.told if said["type"] == "notice"] == ["killed whenever it was begun"]
 
     monkeypatch.setattr(Beside, "done", killed)
+    _told_to(subject_of(None), story)
+
+
+def test_what_waits_for_another_page_says_so_and_its_time_has_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def late(self: Beside, work: Any, *arguments: Any, begun: Callable[[], None]) -> Any:
+        await asyncio.sleep(1.3)  # more than there is for the work
+        begun()
+        return await in_thread(work, *arguments, silent)
+
+    async def story(page: _Page) -> None:
+        page.put(number=0, values={})
+        await page.until("flight")
+        page.put(number=1, values={ISP: 309.0})
+        assert (await page.until("compared"))["words"] == "best of 3 found"
+        assert any(said["type"] == "progress" and "another page" in said["words"] for said in page.told)
+
+    monkeypatch.setattr(Beside, "done", late)
+    monkeypatch.setattr("perilune.app.client.COMPARING", 1.0)
     _told_to(subject_of(None), story)
 
 
@@ -411,14 +429,15 @@ def test_what_moves_on_a_page_is_chosen_and_said(
 ) -> None:
     monkeypatch.setattr("perilune.app.frozen._BOTH", 3)
     file, ask = tmp_path / "page.html", ["explore", str(ROOT / "examples" / "hybrid_lander.toml"), "--html"]
-    vary = ["--vary", "vehicle.thrust=430:450 N", "--vary", "retro.specific_impulse"]
+    vary = ["--vary", "vehicle.thrust=430:450 N", "--vary", "retro.specific_impulse=270:290 s"]
     assert obey([*ask, str(file), *vary]) == 0
-    assert "vehicle.thrust from 430 to 450 N and retro.specific_impulse from" in capsys.readouterr().out
+    assert "vehicle.thrust from 430 to 450 N and retro.specific_impulse from 270 to 290 s" in capsys.readouterr().out
     document = json.loads(file.read_text("utf-8").partition('id="frozen">')[2].partition("</script>")[0])
     moved, flights = [knob["name"] for knob in document["hello"]["knobs"]], document["flights"]
     assert moved == ["vehicle_thrust", ISP]
     thrusts = [found["values"]["vehicle_thrust"] for found in flights]
-    assert thrusts == [430.0] * 3 + [440.0] * 3 + [450.0] * 3 and all(found["type"] == "flight" for found in flights)
+    assert thrusts == [430.0] * 3 + [440.0] * 3 + [450.0] * 3
+    assert [found["free"]["retro_delta_v"] > 0.0 for found in flights] == [False, True, True] * 3  # the best at each
     for more, words in (
         (["--vary", "vehicle.thrst"], "did you mean 'vehicle.thrust'"),
         ([*vary, "--vary", "vehicle.mass"], "too much moves"),

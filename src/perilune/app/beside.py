@@ -64,8 +64,10 @@ class Beside:
         self._left: asyncio.Future[Any] | None = None
         self.killed = 0
 
-    async def done(self, work: Callable[..., _T], *arguments: Any) -> _T:
+    async def done(self, work: Callable[..., _T], *arguments: Any, begun: Callable[[], None] | None = None) -> _T:
         """``work(*arguments, watch)`` in the process. If it is cancelled, the watch ends it at its next line.
+
+        `begun` is called when it begins, as work for others may go before it.
 
         Raises
         ------
@@ -78,6 +80,8 @@ class Beside:
                 if not ended:
                     self._end()
                 self._left = None
+            if begun is not None:
+                begun()
             for _ in range(_TRIES):
                 try:
                     return await self._tried(work, *arguments)

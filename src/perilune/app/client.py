@@ -62,7 +62,7 @@ class Client:
         self._newest: dict[str, Any] | None = None
         self._new = asyncio.Event()
         self._when: list[float] = []
-        self._doing, self._gone = "", False
+        self._doing, self._since, self._gone = "", 0.0, False  # what is done, since when
 
     async def run(self) -> None:
         """Until it has gone."""
@@ -114,10 +114,10 @@ class Client:
 
     async def _telling(self, work: Awaitable[_T], request: dict[str, Any]) -> _T:
         """Say what is done as long as it is done."""
-        doing, began = asyncio.ensure_future(work), time.monotonic()
+        doing, self._since = asyncio.ensure_future(work), time.monotonic()
         try:
             while not (await asyncio.wait([doing], timeout=_TELL))[0]:
-                said = {"words": self._doing, "took": time.monotonic() - began}
+                said = {"words": self._doing, "took": time.monotonic() - self._since}
                 await self._send({"type": "progress", "number": request["number"], **said})
             return doing.result()
         finally:
@@ -169,8 +169,7 @@ class Client:
             better = None if self._new.is_set() else await self._compared(request, found)
             if better is not None:
                 await self._beside_it("family", number, partial(family, better))
-                self._doing = "proving"
-                proof = await self._telling(self._unless_newer(self.beside.done(proved, better)), request)
+                proof = await self._done(request, "proving", None, proved, better)
                 if proof is not None:
                     await self._send({"type": "proof", "number": number, **proof})
         except WebSocketDisconnect:
@@ -194,13 +193,13 @@ class Client:
             return found.solution
         if isinstance(found, PeriluneError) and not isinstance(found, NoneNear):
             return None
-        began, self._doing = time.perf_counter(), f"looking from nothing for a better one, for {COMPARING:g} s at most"
+        began, words = time.perf_counter(), f"looking from nothing for a better one, for {COMPARING:g} s at most"
         try:
             if isinstance(found, NoneNear):
-                work = self.beside.done(from_nothing, self.answering.problem_at(request["values"]))
+                problem = self.answering.problem_at(request["values"])
+                better = await self._done(request, words, COMPARING, from_nothing, problem)
             else:
-                work = self.beside.done(compared, found.solution)
-            better = await self._telling(self._unless_newer(work, COMPARING), request)
+                better = await self._done(request, words, COMPARING, compared, found.solution)
         except Killed:
             raise
         except (TimeoutError, PeriluneError) as error:
@@ -230,10 +229,28 @@ class Client:
         await self._send({"type": "compared", "number": request["number"], "words": better.words, **extremals(known)})
         return known
 
-    async def _unless_newer(self, work: Awaitable[_T], limit: float | None = None) -> _T | None:
-        """What comes of it; None, and it is dropped, where newer values come before. TimeoutError after the limit."""
+    async def _done(
+        self, request: dict[str, Any], words: str, limit: float | None, work: Callable[..., _T], *arguments: Any
+    ) -> _T | None:
+        """What comes of work in the process that all pages share, and telling meanwhile.
+
+        None, and it is dropped, where newer values come before. TimeoutError after so long from when it begins.
+        """
+        begun, self._doing = asyncio.Event(), "waiting for another page, whose flight is compared or proved"
+
+        def begins() -> None:
+            self._doing, self._since = words, time.monotonic()
+            begun.set()
+
+        return await self._telling(
+            self._unless_newer(self.beside.done(work, *arguments, begun=begins), begun, limit), request
+        )
+
+    async def _unless_newer(self, work: Awaitable[_T], begun: asyncio.Event, limit: float | None) -> _T | None:
         doing, newer = asyncio.ensure_future(work), asyncio.ensure_future(self._new.wait())
+        begins = asyncio.ensure_future(begun.wait())
         try:
+            await asyncio.wait([doing, newer, begins], return_when=asyncio.FIRST_COMPLETED)
             await asyncio.wait([doing, newer], timeout=limit, return_when=asyncio.FIRST_COMPLETED)
             if self._new.is_set():
                 return None
@@ -242,6 +259,7 @@ class Client:
             return doing.result()
         finally:
             newer.cancel()
+            begins.cancel()
             doing.cancel()
 
     async def _send(self, document: dict[str, Any]) -> None:
