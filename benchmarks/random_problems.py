@@ -4,7 +4,7 @@ Landings from perilune, descents, precision landings over round bodies and over 
 throttle floors, tilts, slopes, steering bounds, dry masses, free ignitions, vertical ends, speeds of touchdown and
 altitudes of the site. What the pre-flight forbids is drawn again. Each is solved without a guess and proved to level 3:
 
-    python benchmarks/random_problems.py [--count 300] [--seed 9] [--jobs 2] [--limit 120] [--only 17] [--out FILE.json]
+    python benchmarks/random_problems.py [--count 300] [--seed 9] [--jobs 2] [--limit 120] [--only 17] [--out FILE]
 
 ``--limit`` is the processor time [s] of each, ``--only`` solves these numbers alone. Feasible is what either method
 flies: a refused or failed problem counts where the direct method has a flight, or gets one from wider limits
@@ -22,8 +22,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
-from typing import Any
+from contextlib import ExitStack, contextmanager
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -259,19 +259,34 @@ def measured(
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--limit", type=float, default=limit)
     parser.add_argument("--only", type=int, nargs="*")
-    parser.add_argument("--out", default="")
+    parser.add_argument("--out", default="", help="a line for each as it comes; what it has is not computed again")
     arguments = parser.parse_args()
-    rows, numbers = list[dict[str, Any]](), arguments.only or range(arguments.count)
-    with ProcessPoolExecutor(max_workers=arguments.jobs) as pool:
-        jobs = [pool.submit(judge, arguments.seed, number, arguments.limit) for number in numbers]
+    numbers = arguments.only or range(arguments.count)
+    with ExitStack() as left:
+        kept = left.enter_context(open(arguments.out, "a+", encoding="utf-8")) if arguments.out else None
+        rows = _known(kept, arguments.seed, numbers)
+        known = {row["number"] for row in rows}
+        pool = left.enter_context(ProcessPoolExecutor(max_workers=arguments.jobs))
+        jobs = [
+            pool.submit(judge, arguments.seed, number, arguments.limit) for number in numbers if number not in known
+        ]
         for done in as_completed(jobs):
             rows.append(row := done.result())
-            print(f"{len(rows)}/{len(jobs)}: {row['number']} {told(row)}", file=sys.stderr, flush=True)
+            print(f"{len(rows)}/{len(numbers)}: {row['number']} {told(row)}", file=sys.stderr, flush=True)
+            if kept is not None:
+                kept.write(json.dumps({"seed": arguments.seed, **row}) + "\n")
+                kept.flush()
     rows.sort(key=lambda row: row["number"])
     print("\n".join(summary(rows)))
-    if arguments.out:
-        with open(arguments.out, "w", encoding="utf-8") as file:
-            json.dump(rows, file, indent=1)
+
+
+def _known(kept: TextIO | None, seed: int, numbers: Sequence[int]) -> list[dict[str, Any]]:
+    """Rows of a run that was stopped, from its file; a last line that was cut is none."""
+    if kept is None:
+        return []
+    kept.seek(0)
+    lines = [line for line in kept if line.endswith("}\n")]
+    return [row for line in lines if (row := json.loads(line))["seed"] == seed and row["number"] in numbers]
 
 
 if __name__ == "__main__":

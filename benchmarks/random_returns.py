@@ -8,7 +8,7 @@ there seems to be none with a pitch that turns as fast as the orbit at most. By 
 least flight time and least propellant; ignition at a place, or free on a revolution; exponential air and that of 1976.
 Each is solved without a guess and proved:
 
-    python benchmarks/random_returns.py [--count 200] [--seed 9] [--jobs 2] [--limit 180] [--only 17] [--out FILE.json]
+    python benchmarks/random_returns.py [--count 200] [--seed 9] [--jobs 2] [--limit 180] [--only 17] [--out FILE]
 
 ``--limit`` is the processor time [s] of each, ``--only`` solves these numbers alone. All can be flown, as the plain
 returns are: what is refused is refused wrongly. The draw depends on the seed alone.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -90,8 +91,10 @@ def test_where_what_a_bound_cuts_off_would_gain_by_leaving_it_nothing_worse_is_t
     assert found.objective[found.good] == pytest.approx(np.array(least)[found.good], abs=1e-7)
     assert (found.good | (found.answered == Answered.ENDS)).all() and 0.8 < found.good.mean() < 1.0
     a, b = points[np.argmin(found.good)].tolist()
-    with pytest.raises(PeriluneError, match="would gain by leaving what it holds"):
+    with pytest.raises(PeriluneError, match="would gain by leaving what it holds") as told:
         atlas.query(a=a, b=b)
+    near = re.findall(r"[ab] ([\d.]+)", told.value.expected)
+    assert atlas.query(a=float(near[0]), b=float(near[1]))  # what is named has an answer
 
 
 def test_a_sheet_that_reaches_no_corner_of_a_brick_is_mapped_from_where_it_was_met(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from perilune.atlas.columns import (
 )
 from perilune.atlas.course import course_from
 from perilune.atlas.lines import told_of_damage
-from perilune.atlas.region import Region, refuse_untaken, wider
+from perilune.atlas.region import Region, refuse_moving_ranges, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
@@ -95,6 +95,7 @@ def extend(
     wide = wider(region, axes)
     if wide != region:
         refuse_untaken(problem, wide)
+        refuse_moving_ranges(problem, wide)
         with kept.claimed("survey") as ours:
             if not ours or kept.survey() != survey:
                 raise PeriluneError("another builder surveys this atlas at this moment", advice="wait until it is done")

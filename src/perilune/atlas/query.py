@@ -33,6 +33,8 @@ from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
 
+_NEAREST = 64  # nodes that are asked where there is an answer
+
 
 @dataclass(frozen=True, kw_only=True)
 class Query:
@@ -346,19 +348,16 @@ class Atlas(Reader):
         )
 
     def _nearest(self, at: Vector) -> str:
-        """The nearest node that is an answer, in words."""
-        place, found, least = self.region.brick_of(at), "", np.inf
+        """The nearest of the nodes around that has an answer, in words."""
+        place, found = self.region.brick_of(at), list[Matrix]()
         for number, charted in enumerate(self.charted):
-            if (brick := self.brick(number, place)) is None:
-                continue
-            values = brick.nodes["values"][may_be_answers(brick.nodes, charted.sheets)]
-            if not len(values):
-                continue
-            away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
-            if away.min() < least:
-                least, row = float(away.min()), values[away.argmin()].tolist()
-                found = self.region.told(row)
-        return found
+            if (brick := self.brick(number, place)) is not None:
+                found.append(np.array(brick.nodes["values"][may_be_answers(brick.nodes, charted.sheets)]))
+        values = np.unique(np.concatenate([np.empty((0, len(at))), *found]), axis=0)
+        away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
+        near = values[np.argsort(away)[:_NEAREST]]
+        good = self.query_many(near).good  # another sheet may cast doubt on what is one of its own
+        return self.region.told(near[good][0].tolist()) if good.any() else ""
 
 
 def open_atlas(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Atlas:
