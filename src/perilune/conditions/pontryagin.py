@@ -243,7 +243,7 @@ def _needed(
             rows = ca.substitute(rows, zf[i], 0)
     found = []
     for k, zf in enumerate(ends):
-        wanted = set(ca.jacobian(ca.simplify(rows), zf).sparsity().get_triplet()[1])
+        wanted = set(ca.jacobian_sparsity(ca.simplify(rows), zf).get_triplet()[1])
         if k + 1 < len(phases):
             wanted |= set(starts[k + 1].jac_sparsity(0, 1).get_triplet()[1])
         found.append(tuple(sorted(wanted - set(silent[k]))))

@@ -154,7 +154,9 @@ class _End:
 
     def change(self, of: ca.SX) -> ca.SX:
         """d(of)/dY through z; from the left, as what is asked of an end are fewer rows than it has."""
-        by = ca.jacobian(of, self.z)
+        by = ca.SX(of.numel(), self.z.numel())
+        rows = sorted({*ca.jacobian_sparsity(of, self.z).get_triplet()[0]})
+        by[rows, :] = ca.jacobian(of[rows], self.z)  # the same as of all rows, which would trace all of them each time
         change = ca.SX(by.size1(), self.duration.size2())
         product = by
         for factor in self.slopes:
