@@ -197,8 +197,8 @@ def off_plane(entry_time: float) -> OffPlane:
 def away_from_plane(longitude: float, latitude: float, going: str, at: Vector) -> Vector:
     """Angle [rad] of the printed site from the plane of the orbit through a manoeuvre point [deg], at times [s]."""
     p = SimpleNamespace(
-        orbit_inclination=CASE.orbit.inclination, manoeuvre_longitude=math.radians(longitude),
-        manoeuvre_latitude=math.radians(latitude),
+        body_radius=CASE.earth.radius, orbit_inclination=CASE.orbit.inclination,
+        manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude),
     )  # fmt: skip
     angle, node = orbit.from_place(going)(p, NUMERIC)
     up, ahead = orbit.plane(angle, node, p, NUMERIC)
