@@ -90,6 +90,7 @@ load_any: Any = load_file
         (lambda: precision_of(VEHICLE, ORBIT, None, None, (0.3, 0.9)), ("not an Approach", "Orbit")),
         (lambda: Loose.solve(LANDING, levl=1), ("no keyword of solve", "'levl'", "did you mean 'level'")),
         (lambda: Loose.Indirect(strats=4), ("no keyword of Indirect", "did you mean 'starts'")),
+        (lambda: Loose.atlas.build(LANDING, {}, "map", brick=3), ("no keyword of build", "did you mean 'bricks'")),
         (lambda: pl.Indirect(starts=0), ("starts is too small", "0", ">= 1")),
         (lambda: pl.Indirect(scan_points=1), ("scan_points is too small",)),
         (lambda: Loose.Indirect(starts="many"), ("starts must be a whole number", "'many'")),

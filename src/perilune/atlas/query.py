@@ -28,7 +28,7 @@ from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.extremals import Found
-from perilune.words.asked import demand_path
+from perilune.words.asked import demand_path, keywords_by_name
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
@@ -360,6 +360,7 @@ class Atlas(Reader):
         return self.region.told(near[good][0].tolist()) if good.any() else ""
 
 
+@keywords_by_name
 def open_atlas(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Atlas:
     """Read an atlas.
 
