@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from perilune.atlas import building
 from perilune.atlas.many import Answered
 from perilune.atlas.query import open_atlas
 from perilune.problem.variables import Given, Variable
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 
@@ -112,3 +113,23 @@ def test_a_sheet_that_reaches_no_corner_of_a_brick_is_mapped_from_where_it_was_m
     least = np.array([dent(q, a, b, np.exp).min() for a, b in points.tolist()])
     assert found.objective[found.good] == pytest.approx(least[found.good], abs=1e-7)
     assert found.good.mean() > 0.9 and (found.free["q"][found.good] > 0.7).sum() > 50
+
+
+def least_over_q(price: Callable[[Any, Any], Any], points: Matrix) -> Vector:
+    """J, over q on a grid: `price` takes what has a, b and q, and exp."""
+    q, few = np.linspace(0.0, 1.0, 20_001), SimpleNamespace(exp=np.exp)
+    rows = np.column_stack([points, np.zeros(len(points))])
+    return np.array([price(SimpleNamespace(q=q, a=row[0], b=row[1]), few).min() for row in rows])
+
+
+def test_cells_are_cut_where_J_alone_bends(tmp_path: Path) -> None:
+    """Along b, by which no unknown of what is held changes; they were cut along a, and the worse well answered."""
+
+    def price(p: Any, m: Any) -> Any:
+        gain = 0.3 * p.q * (1.0 - m.exp(-(((p.b - 0.5) / 0.2) ** 2)))
+        return 8.0 * (p.q - 0.2) ** 2 * (p.q - 1.1) ** 2 - gain + 0.0 * p.a
+
+    problem, points = priced(price), np.random.default_rng(5).uniform(0.0, 1.0, (200, 2))
+    store = build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas", bricks=2)
+    found = open_atlas(store, lambda _: problem).query_many(points)
+    assert found.good.all() and found.objective == pytest.approx(least_over_q(price, points), abs=1e-7)

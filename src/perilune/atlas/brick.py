@@ -34,6 +34,7 @@ _FINEST = 2**6  # the shortest edge of a cell
 _KINKED = 2**9  # the same where the switches on the way change
 _WORST = 2**8  # the same of sheets that are no minima
 _AFAR, _COST = 0.1, 1e-4  # how far what a cell gives may be from its extremal, of 1 + |y|, and its J, of 1 + |J|
+_STRAIGHT = 1e-15  # relative, for each lattice step: by so little an edge is bent by rounding
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
 
@@ -337,9 +338,11 @@ class Brick:
         beyond[beyond] = ~self._with_beginnings(some(cells, beyond))
         # Where the conditions are linear in the unknowns a step is enough from anywhere, and J of the cell still wrong.
         near = (first.length <= _AFAR) & (np.abs(cost - second.cost) <= _COST * (1.0 + np.abs(second.cost)))
+        unlike = unlike_quadratics(terms, size) / (1.0 + np.abs(given))[:, None]
+        unlike[~passed, :, -1] = 0.0  # J is looked at where the unknowns are good
         passed &= near | beyond | ~self.lattice.minimum[cells.branch]
-        unlike = unlike_quadratics(terms[..., :-1], size) / (1.0 + np.abs(guess))[:, None]
-        return passed, beyond, (unlike.max(axis=2) * (cells.size > _FINEST)).argmax(axis=1)
+        bent = unlike.max(axis=2) + _STRAIGHT * cells.size  # where none is bent the longest
+        return passed, beyond, (bent * (cells.size > _FINEST)).argmax(axis=1)
 
     def _halved(self, cells: Cells, axis: Whole) -> Cells:
         """Both halves of cells, one after the other, with the corners that they lack."""
