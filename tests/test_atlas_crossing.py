@@ -122,6 +122,21 @@ def least_over_q(price: Callable[[Any, Any], Any], points: Matrix) -> Vector:
     return np.array([price(SimpleNamespace(q=q, a=row[0], b=row[1]), few).min() for row in rows])
 
 
+@pytest.mark.parametrize("deep", [-0.08, -0.12])
+def test_a_sheet_that_bends_does_not_end(tmp_path: Path, deep: float) -> None:
+    """Slopes foretell neither the next corner of a cell, nor that a long step ends in the other well."""
+
+    def price(p: Any, m: Any) -> Any:
+        s = 0.92 + deep * m.exp(-(((p.a - 0.46) / 0.03) ** 2)) + 0.02 * p.a
+        return 8.0 * (p.q - 0.2) ** 2 * (p.q - s) ** 2 - 0.3 * p.q
+
+    problem, points = priced(price), np.random.default_rng(5).uniform(0.0, 1.0, (200, 1))
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1), lambda _: problem)
+    found = atlas.query_many(points)
+    assert found.good.mean() > 0.95
+    assert found.objective[found.good] == pytest.approx(least_over_q(price, points)[found.good], abs=1e-7)
+
+
 def test_cells_are_cut_where_J_alone_bends(tmp_path: Path) -> None:
     """Along b, by which no unknown of what is held changes; they were cut along a, and the worse well answered."""
 

@@ -353,5 +353,8 @@ class Brick:
 
         What is guessed from corners on several layers leads to none of them, and none of them ends there.
         """
-        self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= self.ending))
+        small, known = self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= self.ending)), -1
+        while known < self.nodes.count:
+            known = self.nodes.count
+            small = self.lattice.walked_on(small)
         return replace(cells, corners=self.lattice.corners(cells.branch, cells.low, cells.size))

@@ -18,11 +18,13 @@ from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.hermite import bits
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.walking import walked
 from perilune.words.types import Matrix, Vector
 
 FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
 _BITS = 13  # of a place along one axis, so that 4 of them and a branch make one number
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
+_STRIDE = 2.0**-3  # of an edge of a cell: the shortest step of a walk along it
 _ASTRAY = 1.5  # times as far Newton's method may lead on the way: from farther it does not come back
 _MOST = 16  # evaluations for a new corner
 
@@ -59,6 +61,7 @@ class Lattice:
         self.d: int = len(low)
         self.nodes: Nodes = Nodes()
         self.own: list[int] = list(range(len(sheets)))
+        self._walked = set[tuple[int, int]]()  # from which node to where
         if before is not None:
             self.nodes.add(self.keys(before.nodes["branch"], before.nodes["place"]), **before.nodes)
             self.own = list(before.own)
@@ -138,6 +141,35 @@ class Lattice:
             self.solved(cells.branch[cell[once]], places[once], guess[once], spread[once])
             waiting = np.setdiff1d(waiting, once)
             waiting = waiting[self.nodes.numbers(keys[waiting]) < 0]
+        return replace(cells, corners=self.corners(cells.branch, cells.low, cells.size))
+
+    def walked_on(self, cells: Cells) -> Cells:
+        """The same with corners that they lack solved for by walks from the nearest at which they have an answer.
+
+        A sheet that bends more from one to the next than its slopes foretell does not end there.
+        """
+        sound = (cells.corners >= 0) & (self.minimum[cells.branch] & (cells.branch < len(self.all_sheets)))[:, None]
+        sound &= self.nodes.rows("margin", cells.corners) >= 0
+        cell, corner = np.nonzero((cells.corners < 0) & sound.any(axis=1, keepdims=True))
+        if not len(cell):
+            return cells
+        away = np.where(sound[cell], (bits(self.d)[corner][:, None] != bits(self.d)).sum(axis=2), self.d + 1)
+        begin, far = cells.corners[cell, away.argmin(axis=1)], away.min(axis=1)
+        branch, places = cells.branch[cell], cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
+        keys, order = self.keys(branch, places), np.argsort(far, kind="stable")
+        once = order[np.unique(keys[order], return_index=True)[1]]
+        walks = list(zip(begin[once].tolist(), keys[once].tolist(), strict=True))
+        once = once[[walk not in self._walked for walk in walks]]
+        self._walked.update(walks)
+        if not len(once):
+            return cells
+        begin, branch, places = begin[once], branch[once], places[once]
+        starts, y = self.values(self.nodes.rows("place", begin)), self.nodes.rows("terms", begin)[:, 0, :-1]
+        here, share = walked(
+            self.chart, self.borders, self.sheets, branch, starts, y, self.values(places), _STRIDE, _NEAR, _ASTRAY
+        )
+        there = np.nonzero(share == 1.0)[0]
+        self.solved(branch[there], places[there], here[there], np.full(len(there), np.inf))
         return replace(cells, corners=self.corners(cells.branch, cells.low, cells.size))
 
     # -- nodes ----------------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from perilune.atlas.natures import nature_behind_folds
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet, held_at
-from perilune.atlas.walking import MOST, carried, carried_on, reached_at, walked
+from perilune.atlas.walking import MOST, carried, carried_on, from_one, reached_at, walked
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.problem.extremal import Extremal, Nature
@@ -263,7 +263,7 @@ class Survey:
     ) -> tuple[Matrix, list[tuple[Vector, Vector, Sheet]]]:
         """A sheet at all corners of bricks, NaN where it does not reach, and extremals behind the folds on the way."""
         targets, (places, _) = corners / chart.scale, self.region.corners()
-        here, share = walked(chart, borders, sheet, values, y, targets)
+        here, share = walked(chart, borders, [sheet], *from_one(values, y, targets))
         ended = np.nonzero(share < 1.0)[0]
         ended = ended[np.linspace(0, len(ended) - 1, min(len(ended), _AROUND)).astype(np.int64)]
         starts = values + share[ended, None] * (targets[ended] - values)
@@ -285,6 +285,8 @@ class Survey:
             if not other.alike(sheet):
                 continue
             reached = np.nonzero(np.isfinite(there[:, 0]))[0]
+            if any(away[i] == 0.0 and not same(y, there[i]) for i in reached):
+                continue  # it has another layer there
             starts = [(corners[i], there[i]) for i in reached[np.argsort(away[reached])][:_BESIDE]]
             starts += [(one.values, one.y) for one in known.small if one.sheet == number]
             for start, unknowns in starts:
