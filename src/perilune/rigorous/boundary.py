@@ -1,0 +1,257 @@
+"""The boundary value problem of an extremal as equations F(y) = 0, with their derivatives.
+
+The unknowns y are lambda(0) of each phase, the free parameters, the multipliers nu of the end conditions, and the
+length of every arc of a phase but its last one. Arcs follow each other; the start of each is a function of y and of the
+end of the one before. With L = J + nu . psi + lambda_k(0) . x_k(0) the equations are
+
+    psi = 0,    lambda(T) = dL/dx(T),    dL/dq = 0 (and H added where q is the duration),    dH/du = 0 at a switch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from flint import arb, arb_mat
+
+from perilune.problem.problem import Problem
+from perilune.rigorous.equations import Arc, Key, Reader, Regimes, Scalar
+from perilune.rigorous.graph import Expression, Graph
+from perilune.rigorous.reading import Unsupported
+from perilune.rigorous.taylor import Ball, Program
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """An arc of a phase: its phase, the regimes, and by which scalar's switch it ends, "" at the phase's end."""
+
+    phase: int
+    regimes: Regimes
+    switched: str = ""
+
+
+class Differentiated:
+    """Expressions of y and of one or more ends, with their derivatives, sparse."""
+
+    def __init__(self, graph: Graph, outputs: Sequence[Expression], groups: Sequence[Sequence[Key]]) -> None:
+        self.count = len(outputs)
+        keys = [key for group in groups for key in group]
+        rows = graph.jacobian(outputs, keys)
+        self._places: list[list[tuple[int, int]]] = []
+        slopes = list[Expression]()
+        at = 0
+        for group in groups:
+            here = [(i, j) for i in range(self.count) for j in range(len(group)) if not rows[i][at + j].vanishes()]
+            self._places.append(here)
+            slopes += [rows[i][at + j] for i, j in here]
+            at += len(group)
+        self._shapes = [(self.count, len(group)) for group in groups]
+        self._values = Program(graph, keys, outputs)
+        self._all = Program(graph, keys, [*outputs, *slopes])
+
+    def values(self, *groups: Sequence[Ball]) -> list[Ball]:
+        """The outputs."""
+        return self._values.values([value for group in groups for value in group])
+
+    def slopes(self, *groups: Sequence[Ball]) -> tuple[list[Ball], list[Any]]:
+        """The outputs, and a matrix of derivatives for each group."""
+        found = self._all.values([value for group in groups for value in group])
+        rest, matrices = iter(found[self.count :]), []
+        for shape, places in zip(self._shapes, self._places, strict=True):
+            matrix = arb_mat(*shape)
+            for place in places:
+                matrix[place] = next(rest)
+            matrices.append(matrix)
+        return found[: self.count], matrices
+
+    def moved_by(self, group: int) -> set[int]:
+        """Which of a group's entries any output depends on."""
+        return {j for _, j in self._places[group]}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundaryProblem:
+    """F(y) = 0.
+
+    Attributes
+    ----------
+    problem, pieces, arcs
+        What is flown: the arcs in order.
+    names
+        Of the entries of y.
+    starts
+        For each arc (y, z before) -> z(0).
+    durations
+        For each arc y -> its length.
+    residual
+        (y, end of each arc) -> F.
+    rows
+        What each entry of F is, in words.
+    meets
+        What vanishes at the end of each arc: end conditions of its phase, or what a switch asks for.
+    objective
+        (y, last end) -> J.
+    """
+
+    problem: Problem
+    graph: Graph
+    pieces: tuple[Piece, ...]
+    arcs: tuple[Arc, ...]
+    names: tuple[str, ...]
+    starts: tuple[Differentiated, ...]
+    durations: tuple[Differentiated, ...]
+    residual: Differentiated
+    rows: tuple[str, ...]
+    meets: tuple[tuple[Expression, ...], ...]
+    objective: Differentiated
+
+    @cached_property
+    def columns(self) -> tuple[tuple[int, ...], ...]:
+        """For each arc the entries of y that move its start."""
+        found = list[tuple[int, ...]]()
+        before = set[int]()
+        for start, duration in zip(self.starts, self.durations, strict=True):
+            own = start.moved_by(0) | (before if start.moved_by(1) else set())
+            found.append(tuple(sorted(own)))
+            before = own | duration.moved_by(0)
+        return tuple(found)
+
+
+def boundary_problem(problem: Problem, pieces: Sequence[Piece]) -> BoundaryProblem:
+    """The equations of an extremal that is made of these arcs.
+
+    Raises
+    ------
+    Unsupported
+        If the problem has what no theorem can be stated for yet.
+    """
+    return _Stating(problem, pieces).stated()
+
+
+class _Stating:
+    def __init__(self, problem: Problem, pieces: Sequence[Piece]) -> None:
+        self.problem, self.pieces = problem, tuple(pieces)
+        reader = self.reader = Reader(problem)
+        graph = self.graph = reader.graph
+        self.arcs = tuple(reader.arc(piece.phase, piece.regimes) for piece in pieces)
+        phases = range(len(problem.phases))
+        self.first = [next(i for i, piece in enumerate(pieces) if piece.phase == k) for k in phases]
+        self.last = [max(i for i, piece in enumerate(pieces) if piece.phase == k) for k in phases]
+        names = list[str]()
+        self.lam, self.nu, self.length = list[Any](), list[Any](), dict[int, Expression]()
+        for k, phase in enumerate(problem.phases):
+            own = [*phase.state_names, *self.arcs[self.first[k]].constants]
+            self.lam.append([graph.input(("y", len(names) + i)) for i in range(len(own))])
+            names += [f"{phase.name}.lambda_{name}(0)" for name in own]
+        self.free = {f.name: graph.input(("y", len(names) + i)) for i, f in enumerate(problem.free)}
+        self.free_at = len(names)
+        names += problem.free_names
+        for phase in problem.phases:
+            own = [c.name for c in phase.end_conditions]
+            if any(c.ranged for c in phase.end_conditions):
+                raise Unsupported(f"an end condition of {phase.name} is a range")
+            self.nu.append([graph.input(("y", len(names) + i)) for i in range(len(own))])
+            names += [f"{phase.name}.nu_{name}" for name in own]
+        for i, piece in enumerate(pieces):
+            if piece.switched:
+                self.length[i] = graph.input(("y", len(names)))
+                names.append(f"{problem.phases[piece.phase].name}, length of arc {i - self.first[piece.phase] + 1}")
+        self.names = tuple(names)
+        self.ends = [[graph.input(("end", i, j)) for j in range(2 * arc.half)] for i, arc in enumerate(self.arcs)]
+
+    def stated(self) -> BoundaryProblem:
+        graph, problem = self.graph, self.problem
+        zero = graph.constant(0)
+        last = problem.phases[-1]
+        objective = self.reader.function("objective", self.ends[-1], free=self.free, phase=last)[0]
+        lagrangian, conditions, costates = objective, list[Expression](), list[Expression]()
+        rows, costate_rows = list[str](), list[str]()
+        met: list[list[Expression]] = [[] for _ in self.pieces]
+        for k, phase in enumerate(problem.phases):
+            end, half = self.ends[self.last[k]], self.arcs[self.last[k]].half
+            psi = []
+            if phase.end is not None and phase.end_conditions:
+                psi = self.reader.function((k, "end"), end, free=self.free, phase=phase)
+            boundary = sum((nu * value for nu, value in zip(self.nu[k], psi, strict=True)), zero)
+            conditions += psi
+            met[self.last[k]] += psi
+            rows += [f"{phase.name}: {c.name}" for c in phase.end_conditions]
+            start = sum((a * b for a, b in zip(self.lam[k], self._opening(k), strict=True)), zero)
+            lagrangian = lagrangian + boundary + start
+            if k + 1 < len(problem.phases):
+                following = zip(self.lam[k + 1], self._opening(k + 1), strict=True)
+                boundary = boundary + sum((a * b for a, b in following), zero)
+            else:
+                boundary = boundary + objective
+            slopes = graph.gradient(boundary, [("end", self.last[k], i) for i in range(half)])
+            costates += [end[half + i] - slope for i, slope in enumerate(slopes)]
+            names = [*phase.state_names, *self.arcs[self.last[k]].constants]
+            costate_rows += [f"{phase.name}: transversality of {name}" for name in names]
+        stationary = graph.gradient(lagrangian, [("y", self.free_at + i) for i in range(len(problem.free))])
+        for k, phase in enumerate(problem.phases):
+            if phase.duration in problem.free_names:
+                stationary[problem.free_names.index(phase.duration)] += self._at(
+                    self.last[k], self.arcs[self.last[k]].hamiltonian
+                )
+        switches = [
+            (i, scalar) for i, piece in enumerate(self.pieces) for scalar in self.arcs[i].scalars
+            if scalar.control.name == piece.switched
+        ]  # fmt: skip
+        switching = [self._at(i, self._switching(i, scalar)) for i, scalar in switches]
+        for (i, _), e in zip(switches, switching, strict=True):
+            met[i].append(e)
+        all_rows = [*conditions, *costates, *stationary, *switching]
+        rows += [*costate_rows, *(f"stationarity in {name}" for name in problem.free_names)]
+        rows += [f"switch of {scalar.control.name} at the end of arc {i + 1}" for i, scalar in switches]
+        y = [("y", i) for i in range(len(self.names))]
+        ends = [[("end", i, j) for j in range(2 * arc.half)] for i, arc in enumerate(self.arcs)]
+        starts, durations = [], []
+        for i, piece in enumerate(self.pieces):
+            k = piece.phase
+            opening = [*self._opening(k), *self.lam[k]] if i == self.first[k] else self.ends[i - 1]
+            starts.append(Differentiated(graph, opening, [y, ends[i - 1] if i else []]))
+            length = self.length.get(i)
+            if length is None:
+                whole = self.free.get(problem.phases[k].duration)
+                length = self.reader.given[problem.phases[k].duration] if whole is None else whole
+                for j in range(self.first[k], i):
+                    length = length - self.length[j]
+            durations.append(Differentiated(graph, [length], [y]))
+        return BoundaryProblem(
+            problem=problem, graph=graph, pieces=self.pieces, arcs=self.arcs, names=self.names, starts=tuple(starts),
+            durations=tuple(durations), residual=Differentiated(graph, all_rows, [y, *ends]), rows=tuple(rows),
+            meets=tuple(map(tuple, met)), objective=Differentiated(graph, [objective], [y, ends[-1]]),
+        )  # fmt: skip
+
+    def _opening(self, k: int) -> list[Expression]:
+        """States and constant states where phase k begins."""
+        constants = [self.free[name] for name in self.arcs[self.first[k]].constants]
+        if k == 0:
+            return [*self.reader.function("start", free=self.free), *constants]
+        end, phase = self.ends[self.last[k - 1]], self.problem.phases[k - 1]
+        return [*self.reader.function(("links", k - 1), end, free=self.free, phase=phase), *constants]
+
+    def _switching(self, i: int, scalar: Scalar) -> Expression:
+        """What vanishes where a scalar leaves its regime: dH/du on a bound, between them the distance to the bound."""
+        if scalar.regime != "interior":
+            return scalar.slope
+        limit = scalar.limits[self.pieces[i + 1].regimes[scalar.control.name] == "upper"]
+        assert limit is not None  # else it would not be on it
+        return scalar.value - limit
+
+    def _at(self, i: int, of: Expression) -> Expression:
+        """An expression of z at the end of an arc."""
+        known: Mapping[Any, Expression] = {("z", j): e for j, e in enumerate(self.ends[i])}
+        return self.graph.substitute([of], known)[0]
+
+
+def matrix(columns: Sequence[int], of: Any) -> Any:
+    """Some columns of a matrix."""
+    return arb_mat([[of[i, j] for j in columns] for i in range(of.nrows())]) if columns else arb_mat(of.nrows(), 0)
+
+
+def balls(values: Sequence[Any]) -> list[Ball]:
+    """Numbers as exact balls."""
+    return [arb(value) for value in values]

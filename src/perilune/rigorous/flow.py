@@ -1,0 +1,155 @@
+"""The flow of an arc, enclosed step by step: Taylor polynomials with a remainder that is proved.
+
+On a step [0, h] let Z be balls around the range of the polynomial P of order n - 1, a little wider, and z_n(Z) the
+Taylor coefficient of order n that the equations give for every start in Z. If
+
+    P([0, h]) + z_n(Z) [0, h^n]  lies in the interior of Z,
+
+then every solution that begins where P does stays in Z, and z(h) lies in P(h) + z_n(Z) h^n (Corliss, Rihm, *Validating
+an a priori enclosure using high-order Taylor series*, 1996). The same holds for the tangents V' = F'(z) V beside it,
+whose polynomials follow from the coefficients of F'(z).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flint import arb, arb_mat, ctx
+
+from perilune.rigorous.equations import Arc
+from perilune.rigorous.taylor import Ball, Coefficients
+from perilune.words.outcome import PeriluneError
+
+_WIDER = 2.0**-20  # by so much of its size Z is wider than the range of P; radii have 30 bits
+_NARROW = 80  # bits for coefficients over Z, whose radii are far above the rounding
+_ATTEMPTS = 4
+_LEAST = 1e-60  # SI: it is wider by this where it is zero
+
+
+class NotEnclosed(PeriluneError):
+    """A step whose enclosure could not be proved."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """A step that is proved.
+
+    Attributes
+    ----------
+    begin, length
+        Time from the begin of the arc, and how long [s].
+    polynomial, remainder
+        Of each component: coefficients of orders 0 to n - 1, and that of order n over the whole step.
+    """
+
+    begin: Ball
+    length: Ball
+    polynomial: list[Coefficients]
+    remainder: list[Ball]
+
+    def at(self, since: Ball) -> list[Ball]:
+        """z at a time, or over an interval of times, since the step began."""
+        return [horner([*c, last], since) for c, last in zip(self.polynomial, self.remainder, strict=True)]
+
+
+def coefficients(arc: Arc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list[Coefficients], list[Any]]:
+    """Taylor coefficients of orders 0 to `orders` of state and costate, and of tangents where there are any."""
+    if V is None:
+        return arc.plain.flow(z, orders)[0], []
+    size = len(z)
+    inputs, outputs = arc.with_slopes.flow(z, orders)
+    slopes = outputs[size:]
+    matrices = []
+    for k in range(orders):
+        A = arb_mat(size, size)
+        for place, c in zip(arc.pattern, slopes, strict=True):
+            A[place] = c[k]
+        matrices.append(A)
+    tangents = [V]
+    for k in range(orders):
+        total = matrices[0] * tangents[k]
+        for j in range(1, k + 1):
+            total += matrices[j] * tangents[k - j]
+        tangents.append(total * (1 / arb(k + 1)))
+    return inputs, tangents
+
+
+def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: int) -> tuple[list[Ball], Any, Step]:
+    """One step, proved.
+
+    Parameters
+    ----------
+    arc
+        The equations.
+    z, V
+        Balls at its begin; V may be None.
+    begin, length
+        When it begins in its arc, and how long it is: a ball.
+    order
+        Of the remainder, n.
+
+    Returns
+    -------
+    z and V at its end, and the step.
+
+    Raises
+    ------
+    NotEnclosed
+        If the inclusion fails.
+    """
+    polynomial, tangents = coefficients(arc, z, V, order - 1)
+    span = arb(0).union(length)
+    reach = arb(0).union(length**order)
+    ranges = [horner(c, span) for c in polynomial]
+    tangent_range = None if V is None else horner(tangents, span)
+    still = [rate.vanishes() for rate in arc.rates]
+    wider = [max(_size(r) * _WIDER, _LEAST) for r in ranges]
+    largest = max((_size(r) for r in _entries(tangent_range)), default=0.0)
+    tangent_wider = [max(largest * _WIDER, _LEAST) for _ in _entries(tangent_range)]
+    for _ in range(_ATTEMPTS):
+        Z = [r if s else r + arb(0, w) for r, w, s in zip(ranges, wider, still, strict=True)]
+        W = None if V is None else _widened(tangent_range, tangent_wider)
+        with ctx.workprec(_NARROW):
+            over, tangents_over = coefficients(arc, Z, W, order)
+        remainder = [c[order] for c in over]
+        left = [r * reach for r in remainder]
+        inside = [s or whole.contains_interior(r + e)
+                  for whole, r, e, s in zip(Z, ranges, left, still, strict=True)]  # fmt: skip
+        moved = None if V is None else tangents_over[order] * reach
+        tangent_inside = [
+            whole.contains_interior(r + e)
+            for whole, r, e in zip(_entries(W), _entries(tangent_range), _entries(moved), strict=True)
+        ]
+        if all(inside) and all(tangent_inside):
+            end = [horner(c, length) + r * length**order for c, r in zip(polynomial, remainder, strict=True)]
+            V_end = None if V is None else horner(tangents, length) + tangents_over[order] * length**order
+            return end, V_end, Step(begin=begin, length=length, polynomial=polynomial, remainder=remainder)
+        wider = [max(w, 4 * _size(e)) for w, e in zip(wider, left, strict=True)]
+        tangent_wider = [max(w, 4 * _size(e)) for w, e in zip(tangent_wider, _entries(moved), strict=True)]
+    raise NotEnclosed(
+        f"a step of {arc.phase.name} is not enclosed",
+        got=f"at {float(begin.mid()):.6g} s, {float(length.mid()):.3g} s long",
+    )
+
+
+def horner(c: Sequence[Any], t: Ball) -> Any:
+    """A polynomial with numbers or matrices for coefficients, lowest order first."""
+    total = c[-1]
+    for k in range(len(c) - 2, -1, -1):
+        total = total * t + c[k]
+    return total
+
+
+def _size(ball: Ball) -> float:
+    return float(ball.abs_upper()) if ball.is_finite() else float("inf")
+
+
+def _entries(matrix: Any) -> list[Ball]:
+    return [] if matrix is None else matrix.entries()
+
+
+def _widened(matrix: Any, by: Sequence[float]) -> Any:
+    entries = [r + arb(0, w) for r, w in zip(matrix.entries(), by, strict=True)]
+    return arb_mat(matrix.nrows(), matrix.ncols(), entries)

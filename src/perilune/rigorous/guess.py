@@ -1,0 +1,85 @@
+"""What a solution suggests: of which arcs its extremal is made, and about where the unknowns are.
+
+None of it is trusted: it says where to look, and the proof begins there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from flint import arb
+
+from perilune.problem.controls import Bounded, scalars
+from perilune.problem.solution import Solution
+from perilune.rigorous.boundary import BoundaryProblem, Piece
+from perilune.rigorous.reading import Unsupported
+from perilune.rigorous.taylor import Ball
+
+_ON_BOUND = 1e-7  # of the range of a control
+
+
+def pieces_of(solution: Solution) -> tuple[list[Piece], list[float]]:
+    """The arcs of a solution between the jumps of its control, and the length of each [s].
+
+    Raises
+    ------
+    Unsupported
+        If two scalars switch at once.
+    """
+    pieces, lengths = list[Piece](), list[float]()
+    for k, phase in enumerate(solution.problem.phases):
+        own = list(scalars(phase.controls))
+        trajectory = solution.trajectories[k]
+        time = trajectory.control.time
+        breaks = time[1:][np.diff(time) == 0] if own else time[:0]
+        found = list[tuple[dict[str, str], float, float]]()
+        for begin, end in pairwise(np.unique([0.0, *breaks, trajectory.duration]).tolist()):
+            if end - begin <= 1e-9 * trajectory.duration:
+                continue
+            u = solution.flown(k, np.linspace(begin, end, 9)[1:-1])[1]
+            regimes = {control.name: _regime(control, u[at], solution) for at, control in own}
+            if found and found[-1][0] == regimes:
+                found[-1] = (regimes, found[-1][1], end)
+            else:
+                found.append((regimes, begin, end))
+        for number, (regimes, begin, end) in enumerate(found):
+            changed = []
+            if number + 1 < len(found):
+                changed = [name for name, regime in regimes.items() if found[number + 1][0][name] != regime]
+                if len(changed) > 1:
+                    raise Unsupported(f"{' and '.join(changed)} switch at once")
+            pieces.append(Piece(phase=k, regimes=regimes, switched="".join(changed)))
+            lengths.append(end - begin)
+    return pieces, lengths
+
+
+def _regime(control: Bounded, u: np.ndarray, solution: Solution) -> str:
+    lower, upper = control.limits(solution.parameters)
+    near = _ON_BOUND * (upper - lower if np.isfinite(upper - lower) else 1.0)
+    for name, on in zip(("lower", "upper"), control.on_bounds(u, near, solution.parameters), strict=True):
+        if np.all(on):
+            return name
+    return "interior"
+
+
+def unknowns_of(solution: Solution, boundary: BoundaryProblem, lengths: Sequence[float]) -> list[Ball]:
+    """About where the root is, in the order of `boundary.names`.
+
+    Raises
+    ------
+    Unsupported
+        If the solution has no costates.
+    """
+    problem, found = solution.problem, list[float]()
+    for k, trajectory in enumerate(solution.trajectories):
+        if trajectory.costate is None:
+            raise Unsupported("the solution has no costates")
+        arc = next(arc for arc in boundary.arcs if arc.phase_index == k)
+        found += [*trajectory.costate.values[0].tolist(), *([0.0] * len(arc.constants))]
+    found += [float(solution.free[name]) for name in problem.free_names]
+    for phase in problem.phases:
+        found += [float(solution.multipliers.get(f"{phase.name}.{c.name}", 0.0)) for c in phase.end_conditions]
+    found += [length for length, piece in zip(lengths, boundary.pieces, strict=True) if piece.switched]
+    return [arb(value) for value in found]

@@ -1,0 +1,97 @@
+"""From the tape of a problem's function (`perilune.problem.tape`) to expressions with exact constants.
+
+The tape is what is proved of: each of its operations is taken for the function of real numbers that it names, and each
+constant for the rational number that its double is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from perilune.problem.tape import ROLES, Expression as Taped
+from perilune.rigorous.graph import Expression, Graph
+from perilune.words.outcome import PeriluneError
+
+
+class Unsupported(PeriluneError):
+    """What the theorem cannot be stated for yet."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"no theorem: {what}", advice="levels 1 to 4 do not need it")
+
+
+def read(graph: Graph, taped: Taped, values: Mapping[tuple[str, str], Any]) -> list[Expression]:
+    """The outputs of a tape as expressions.
+
+    Parameters
+    ----------
+    graph
+        Where they stand.
+    taped
+        A function of a problem.
+    values
+        By (role, component), what it works on.
+
+    Raises
+    ------
+    Unsupported
+        If it has an operation without a Taylor series here.
+    """
+    found: list[Expression] = []
+    for word, *rest in taped.tape.instructions:
+        if word in ROLES:
+            found.append(graph.of(values[word, rest[0]]))
+        elif word == "const":
+            found.append(graph.constant(float(rest[0])))
+        else:
+            make = _MEANING.get(word)
+            if make is None:
+                raise Unsupported(f"the physics has {_TOLD.get(word, f'the operation {word}')}")
+            found.append(make(graph, *(found[i] for i in rest)))
+    return [found[i] for i in taped.tape.outputs]
+
+
+_TOLD = {
+    **dict.fromkeys(("where", "lt", "le", "eq", "ne"), "a choice (m.where), at which a Taylor series would end"),
+    **dict.fromkeys(("fabs", "fmin", "fmax"), "a kink (m.fabs, m.fmin, m.fmax), at which a Taylor series would end"),
+    "table": "a table, whose knots end a Taylor series",
+}
+
+
+def _itself(name: str) -> Callable[..., Expression]:
+    return lambda graph, *at: graph.do(name, *at)
+
+
+def _power(graph: Graph, a: Expression, b: Expression) -> Expression:
+    exponent = b.constant
+    if exponent is None:
+        return graph.do("exp", b * graph.do("log", a))
+    return graph.power(a, exponent)
+
+
+def _arcsine(graph: Graph, a: Expression) -> Expression:
+    return graph.do("asin", a, graph.do("sqrt", 1 - a * a))
+
+
+def _hyperbolic(graph: Graph, a: Expression) -> tuple[Expression, Expression]:
+    up, down = graph.do("exp", a), graph.do("exp", -a)
+    return (up - down) / 2, (up + down) / 2
+
+
+def _ratio(both: tuple[Expression, Expression]) -> Expression:
+    return both[0] / both[1]
+
+
+_MEANING: dict[str, Callable[..., Expression]] = {
+    **{name: _itself(name) for name in ("add", "sub", "mul", "div", "neg", "sqrt", "exp", "log", "sin", "cos")},
+    "pow": _power,
+    "tan": lambda graph, a: graph.do("sin", a) / graph.do("cos", a),
+    "asin": _arcsine,
+    "acos": lambda graph, a: graph.pi() / 2 - _arcsine(graph, a),
+    "atan": lambda graph, a: graph.do("atan", a, 1 + a * a),
+    "atan2": lambda graph, y, x: graph.do("atan2", y, x, x * x + y * y),
+    "sinh": lambda graph, a: _hyperbolic(graph, a)[0],
+    "cosh": lambda graph, a: _hyperbolic(graph, a)[1],
+    "tanh": lambda graph, a: _ratio(_hyperbolic(graph, a)),
+}  # fmt: skip

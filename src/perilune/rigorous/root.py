@@ -1,0 +1,165 @@
+"""A root of F(y) = 0: refined by Newton's method in many digits, then proved by Krawczyk's operator.
+
+With c the centre of a box Y, and C about the inverse of F'(c),
+
+    K(Y) = c - C F(c) + (1 - C F'(Y)) (Y - c)  in the interior of Y
+
+proves that Y holds one root and no other, and that it lies in K(Y) (Krawczyk 1969; Neumaier, *Interval Methods for
+Systems of Equations*, 1990, chapter 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from flint import arb, arb_mat
+
+from perilune.rigorous.boundary import BoundaryProblem
+from perilune.rigorous.flight import Flight, Grid, enclosed, middle, plainly, residual, slopes
+from perilune.rigorous.taylor import Ball
+from perilune.words.outcome import PeriluneError
+
+_ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
+_LEAST = 1e-60  # radius of a box, SI
+Tell = Callable[[str], None]
+
+
+class NotProved(PeriluneError):
+    """A statement that could not be proved."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How much effort.
+
+    Attributes
+    ----------
+    bits
+        Of all numbers.
+    order
+        Of the Taylor series.
+    tolerance
+        Size of a step's last terms beside those that count.
+    """
+
+    bits: int = 192
+    order: int = 30
+    tolerance: float = 1e-52
+    newton: int = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refined:
+    """Where Newton's method ended: y, the inverse of F' there, the grid of the flights, and the steps it took."""
+
+    y: list[Ball]
+    inverse: Any
+    grid: Grid
+    steps: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Root:
+    """A root that is proved to be the only one in a box.
+
+    Attributes
+    ----------
+    y
+        Balls that hold it.
+    box
+        Balls in which there is no other.
+    flight
+        Of every y of the box.
+    contraction
+        Norm of 1 - C F'(Y), by the radii of the box; below 1.
+    defect
+        The largest ratio of C F(c) to those radii.
+    """
+
+    y: list[Ball]
+    box: list[Ball]
+    flight: Flight
+    contraction: float
+    defect: float
+
+
+def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tell: Tell) -> Refined:
+    """Newton's method from a guess.
+
+    Raises
+    ------
+    NotProved
+        If it does not converge, or not quadratically.
+    """
+    grid, moved, y = None, list[float](), middle(y)
+    inverse = arb_mat(0, 0)
+    for number in range(settings.newton):
+        flown, chosen = plainly(boundary, y, settings.order, settings.tolerance, grid)
+        grid = chosen if number == 0 else grid
+        F, J = slopes(boundary, y, flown)
+        inverse = _inverse(J)
+        change = (inverse * arb_mat([[value.mid()] for value in F])).entries()
+        least = _ZERO * max(abs(float(a)) for a in y)
+        largest = max(abs(float(b)) / max(abs(float(a)), least) for a, b in zip(y, change, strict=True))
+        moved.append(largest)
+        y = middle([a - b for a, b in zip(y, change, strict=True)])
+        tell(f"Newton's method in {settings.bits} bits: step {largest:.2g}, {sum(map(len, chosen))} steps of the flow")
+        if largest < settings.tolerance * 1e6:
+            break
+        if number > 1 and largest > 1e-3 * moved[-2]:
+            raise NotProved("Newton's method in many digits does not converge", got=f"steps {moved}")
+    assert grid is not None
+    return Refined(y=y, inverse=inverse, grid=grid, steps=moved)
+
+
+def _inverse(J: Any) -> Any:
+    try:
+        return J.mid().inv().mid()
+    except ZeroDivisionError:
+        raise NotProved("the extremal is not isolated: the matrix of its conditions is singular") from None
+
+
+def prove_root(
+    boundary: BoundaryProblem, refined: Refined, settings: Settings, tell: Tell, radii: Sequence[float] | None = None
+) -> Root:
+    """Krawczyk's operator on a box around a refined root.
+
+    Parameters
+    ----------
+    boundary, refined, settings, tell
+        What is to be proved, with what effort.
+    radii
+        Of the box; by default a few times the defect.
+
+    Raises
+    ------
+    NotProved
+        If K(Y) does not lie in Y.
+    NotEnclosed
+        If a flight is not enclosed.
+    """
+    centre = enclosed(boundary, refined.y, refined.grid, settings.order, tangents=False)
+    F = residual(boundary, refined.y, centre)
+    off = (refined.inverse * arb_mat([[value] for value in F])).entries()
+    defects = [float(value.abs_upper()) for value in off]
+    tell(f"centre enclosed: defect {max(defects):.2g}")
+    own = [4 * d + _LEAST for d in defects] if radii is None else list(radii)
+    box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
+    flown = enclosed(boundary, box, refined.grid, settings.order, centre)
+    _, J = slopes(boundary, box, flown)
+    size = len(box)
+    unit = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
+    rest = unit - refined.inverse * J
+    moved = (rest * arb_mat([[b - c] for b, c in zip(box, refined.y, strict=True)])).entries()
+    krawczyk = [c - d + e for c, d, e in zip(refined.y, off, moved, strict=True)]
+    contraction = max(float(e.abs_upper()) / r for e, r in zip(moved, own, strict=True))
+    tell(f"box enclosed: contraction {contraction:.2g}")
+    if not all(b.contains_interior(k) for b, k in zip(box, krawczyk, strict=True)):
+        raise NotProved(
+            "no root is proved: Krawczyk's operator leaves the box",
+            got=f"contraction {contraction:.3g}, defect {max(defects):.3g}",
+        )
+    return Root(y=krawczyk, box=box, flight=flown, contraction=contraction,
+                defect=max(d / r for d, r in zip(defects, own, strict=True)))  # fmt: skip

@@ -1,0 +1,254 @@
+"""What a sound prover of level 5 shows, and a faulty one does not: closed forms, overlaps, refusals.
+
+Every check imports the prover when it is called, so that it can be run on a mutant of it. `complaints` runs them all.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from flint import arb, arb_mat, arb_series, ctx
+
+import perilune as pl
+from problems.ascents import tangent_steering
+from problems.landings import meditch
+
+BITS, DIGITS = 160, 1e-25
+
+
+def room(name: str) -> Any:
+    return importlib.import_module(f"perilune.rigorous.{name}")
+
+
+@cache
+def solved(make: Callable[..., pl.Problem], *options: Any) -> pl.Solution:
+    return pl.solve(make(*options), level=0)
+
+
+def settings(order: int = 30, tolerance: float = 1e-44) -> Any:
+    return room("root").Settings(bits=BITS, order=order, tolerance=tolerance)
+
+
+def stated(solution: pl.Solution, off: float = 0.0) -> tuple[Any, list[Any]]:
+    """The boundary value problem, and a guess that is off by a part of itself."""
+    pieces, lengths = room("guess").pieces_of(solution)
+    boundary = room("boundary").boundary_problem(solution.problem, pieces)
+    return boundary, [value * (1 + off) for value in room("guess").unknowns_of(solution, boundary, lengths)]
+
+
+def proved(solution: pl.Solution, effort: Any = None, off: float = 1e-4) -> tuple[Any, Any, Any]:
+    """Boundary value problem, refined and proved root; found once by each prover."""
+    root, effort = room("root"), effort or settings()
+    known = root.__dict__.setdefault("_checked", {})
+    key = (id(solution), effort.order)
+    if key not in known:
+        boundary, guess = stated(solution, off)
+        refined = root.refine(boundary, guess, effort, lambda _: None)
+        known[key] = boundary, refined, root.prove_root(boundary, refined, effort, lambda _: None)
+    return known[key]
+
+
+def near(value: Any, truth: Any) -> bool:
+    """Whether a value holds what is true, to 25 digits."""
+    return value.overlaps(truth) and float(value.rad()) < DIGITS * max(1.0, abs(float(value.mid())))
+
+
+def meditch_lands() -> bool:
+    """Free fall, then full thrust by the rocket equation: height and speed vanish at the end."""
+    boundary, _, root = proved(solved(meditch))
+    y = dict(zip(boundary.names, root.y, strict=True))
+    p = {name: arb(given.value) for name, given in boundary.problem.given.items()}
+    fall = y["descent, length of arc 1"]
+    burn, flow = y["t_f"] - fall, arb(1.227) / p["c"]
+    height, speed = p["h"] + p["v"] * fall - p["g"] * fall**2 / 2, p["v"] - p["g"] * fall
+    left = 1 - flow * burn / p["m"]
+    met = height + speed * burn - p["g"] * burn**2 / 2 + p["c"] * p["m"] / flow * (left * left.log() + 1 - left)
+    return near(met, arb(0)) and near(speed - p["g"] * burn - p["c"] * left.log(), arb(0))
+
+
+def tangent_is_linear() -> bool:
+    """tan(beta) falls linearly from tau to -tau; speed and height by quadrature of that."""
+    boundary, _, root = proved(solved(tangent_steering))
+    y = dict(zip(boundary.names, root.y, strict=True))
+    tau, T = y["only.lambda_vy(0)"] / y["only.lambda_vx(0)"], y["t2"]
+    steep = (1 + tau * tau).sqrt()
+    area = tau.asinh() / tau
+    return near(100 * T * area, arb(45)) and near(100 * T * T / (4 * tau) * (steep - area), arb(5))
+
+
+def phases_do_not_matter() -> bool:
+    """The same in two phases: the link and its derivative."""
+    _, _, whole = proved(solved(tangent_steering))
+    boundary, _, split = proved(solved(tangent_steering, True))
+    own = split.y[boundary.names.index("t2")] + arb(0.2)
+    return near(own - whole.y[3], arb(0))
+
+
+def efforts_agree() -> bool:
+    """Two orders and numbers of steps: roots and tangents overlap."""
+    for make in (meditch, tangent_steering):
+        (_, _, one), (_, _, other) = proved(solved(make)), proved(solved(make), settings(26, 1e-42))
+        pairs = [*zip(one.y, other.y, strict=True)]
+        for D, E in zip(one.flight.tangents, other.flight.tangents, strict=True):
+            pairs += zip(D.entries(), E.entries(), strict=True)
+        if not all(a.overlaps(b) for a, b in pairs) or one.contraction > 1e-15:
+            return False
+    return True
+
+
+def newton_is_quadratic() -> bool:
+    for make in (meditch, tangent_steering):
+        _, refined, _ = proved(solved(make))
+        steps = [step for step in refined.steps if step > 1e-40]
+        if len(steps) < 3 or any(b > 1e4 * a * a for a, b in pairwise(steps)):
+            return False
+    return True
+
+
+def refused(call: Callable[[], Any]) -> bool:
+    try:
+        call()
+    except (room("root").NotProved, room("flow").NotEnclosed):
+        return True
+    return False
+
+
+def a_wrong_centre_is_refused() -> bool:
+    root = room("root")
+    boundary, refined, _ = proved(solved(tangent_steering))
+    radii = [1e-11 * abs(float(value)) for value in refined.y]
+    moved = [refined.y[0] * (1 + arb(1e-9)), *refined.y[1:]]
+    held = root.Refined(y=moved, inverse=refined.inverse, grid=refined.grid)
+    return refused(lambda: root.prove_root(boundary, held, settings(), lambda _: None, radii))
+
+
+def a_wide_box_is_refused() -> bool:
+    """One whose flights are enclosed, but on which nothing contracts."""
+    root = room("root")
+    boundary, refined, _ = proved(solved(meditch))
+    radii = [0.02 * abs(float(value)) for value in refined.y]
+    return refused(lambda: root.prove_root(boundary, refined, settings(), lambda _: None, radii))
+
+
+def pole(rate: Callable[[Any, Any], Any]) -> Any:
+    """An arc of one state and a costate without rate."""
+    graph = room("graph").Graph()
+    x = graph.input(("z", 0))
+    rates = (rate(graph, x), graph.constant(0))
+    phase = solved(tangent_steering).problem.phases[0]
+    return room("equations").Arc(graph=graph, phase=phase, phase_index=0, constants=(), rates=rates,
+                                 hamiltonian=x, control={}, scalars=(), strengths=())  # fmt: skip
+
+
+def a_step_over_a_pole_is_refused() -> bool:
+    """x' = 1 + x^2 from 0 is tan t; a step beyond its pole has no enclosure, one before it has."""
+    flow, arc = room("flow"), pole(lambda graph, x: 1 + x * x)
+    start = [arb(0), arb(1)]
+    end = flow.step(arc, start, None, arb(0), arb(0.25), 20)[0][0]
+    late = refused(lambda: flow.step(arc, start, None, arb(0), arb(1.75), 20))
+    return late and end.overlaps(arb(0.25).tan()) and 0 < float(end.rad()) < 1e-9
+
+
+def tangents_are_enclosed() -> bool:
+    """Of tan t the tangent is 1/cos^2 t, at every t of the step."""
+    flow, arc = room("flow"), pole(lambda graph, x: 1 + x * x)
+    _, V, step = flow.step(arc, [arb(0), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
+    along = all(step.at(arb(t))[0].overlaps(arb(t).tan()) for t in np.linspace(0.01, 0.25, 7).tolist())
+    return along and V[0, 0].overlaps(1 / arb(0.25).cos() ** 2) and 0 < float(V[0, 0].rad()) < 1e-3
+
+
+def growth_is_enclosed() -> bool:
+    """x' = x: the remainder is no larger than it has to be, so that a part of it would not do."""
+    flow, arc = room("flow"), pole(lambda graph, x: 1 * x)
+    end, V, _ = flow.step(arc, [arb(1), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
+    truth = arb(0.25).exp()
+    return all(value.overlaps(truth) and 0 < float(value.rad()) < 1e-12 for value in (end[0], V[0, 0]))
+
+
+def signs_are_seen() -> bool:
+    """Along x = tan t, t in [0, 1/4]: what dips below zero, touches it or begins with it."""
+    flow, signs = room("flow"), room("signs")
+    arc = pole(lambda graph, x: 1 + x * x)
+    _, _, step = flow.step(arc, [arb(0), arb(1)], None, arb(0), arb(0.25), 20)
+    x = arc.graph.input(("z", 0))
+
+    def positive(of: Any, zeros: tuple[int, int] = (0, 0)) -> bool:
+        return signs.positive(signs.Quantity(arc, of, []), [step], zeros).proved
+
+    dips, above = (x - 0.125) * (x - 0.125) - 1e-6, (x - 0.125) * (x - 0.125) + 1e-6
+    inside, falls = x * (0.125 - x), 1 - x * 4
+    good = positive(above) and positive(x, (1, 0)) and positive(x * x, (2, 0))
+    bad = [positive(dips), positive(x), positive(-x, (1, 0)), positive(inside, (1, 0)), positive(falls),
+           positive(x - 0.2, (0, 1)), positive(x * x)]  # fmt: skip
+    return good and not any(bad)
+
+
+def operations() -> list[tuple[str, Callable[[Any, Any], Any], Callable[[Any], Any]]]:
+    """(name, expression of x, the same of a series)."""
+    meaning = room("reading")._MEANING
+
+    def named(name: str) -> Callable[[Any, Any], Any]:
+        return lambda graph, x: meaning[name](graph, x)
+
+    return [
+        *((name, named(name), lambda s, name=name: getattr(s, name)())
+          for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "atan", "asin", "acos")),
+        ("pow", lambda g, x: g.power(x, 1.75), lambda s: (s.log() * arb(1.75)).exp()),
+        ("cube", lambda g, x: g.power(x, 3), lambda s: s * s * s),
+        ("both", lambda g, x: g.do("sin", x) * g.do("cos", x), lambda s: s.sin() * s.cos()),
+        ("div", lambda g, x: x / (1 + x * x), lambda s: s / (1 + s * s)),
+        ("under", lambda g, x: 3 / (x - 2) - x, lambda s: 3 / (s - 2) - s),
+        ("atan2", lambda g, x: meaning["atan2"](g, x, 2 - x * x), lambda s: (s / (2 - s * s)).atan()),
+        ("tanh", named("tanh"), lambda s: (s.exp() - (-s).exp()) / (s.exp() + (-s).exp())),
+    ]  # fmt: skip
+
+
+def series_agree(orders: int = 14) -> bool:
+    """Recurrences beside FLINT's power series, and derivatives beside series of order 1."""
+    before, ctx.cap = ctx.cap, orders + 2
+    try:
+        for _, expression, series in operations():
+            graph = room("graph").Graph()
+            x = graph.input("x")
+            e = expression(graph, x)
+            moved, (found,) = room("taylor").Program(graph, ["x"], [e]).flow([arb("0.3")], orders)
+            truth = series(arb_series(moved[0][:orders], orders)).coeffs()
+            truth += [arb(0)] * (orders - len(truth))
+            if not all(
+                a.overlaps(b) and float(a.rad()) < 1e-30 * max(1, abs(float(b)))
+                for a, b in zip(found, truth, strict=True)
+            ):
+                return False
+            slope = room("taylor").Program(graph, ["x"], graph.gradient(e, ["x"])).values([arb("0.3")])[0]
+            if not slope.overlaps(series(arb_series([arb("0.3"), 1], 2)).coeffs()[1]):
+                return False
+        return True
+    finally:
+        ctx.cap = before
+
+
+# The cheapest first: a mutant is caught by the first that it does not meet.
+CHECKS: tuple[Callable[[], bool], ...] = (
+    series_agree, a_step_over_a_pole_is_refused, growth_is_enclosed, tangents_are_enclosed, signs_are_seen,
+    meditch_lands, a_wide_box_is_refused, tangent_is_linear, a_wrong_centre_is_refused, newton_is_quadratic,
+    phases_do_not_matter, efforts_agree,
+)  # fmt: skip
+
+
+def holds(check: Callable[[], bool]) -> bool:
+    """Whether a check is met; a prover that fails in it is caught as well."""
+    with ctx.workprec(BITS):
+        try:
+            return check()
+        except Exception:  # of a mutant, whatever it is
+            return False
+
+
+def complaint() -> str:
+    """The first check that a prover does not meet, or ""."""
+    return next((check.__name__ for check in CHECKS if not holds(check)), "")
