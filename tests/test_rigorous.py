@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
+
+import perilune as pl
+from problems.integrators import least_energy
+from problems.landings import meditch
+from problems.singular import nearest_to_zero
 
 pytest.importorskip("flint")
 import prover_checks
@@ -92,3 +99,33 @@ MUTANTS = {
 def test_mutants_of_the_prover_are_caught(name: str) -> None:
     with mutated(*MUTANTS[name]):
         assert prover_checks.complaint(), f"nobody noticed: {name}"
+
+
+def test_a_theorem_is_a_level_of_the_verification() -> None:
+    solution = prover_checks.solved(meditch)
+    found = pl.verify(solution, level=5)
+    assert found.level == 5 and "theorem" in found.title
+    assert found.notes[0].startswith("Theorem. ") and "1.42031259904919781546735996764" in found.notes[0]
+    certificate = json.loads(json.dumps(found.certificate))
+    assert certificate["problem"]["given"]["c"] == str(Fraction(2.349)) and len(certificate["unknowns"]) == 8
+
+
+def test_what_is_not_proved_is_named_and_lowers_nothing() -> None:
+    for problem, note in (
+        (nearest_to_zero(), "no theorem: the control u of go is singular"),
+        (least_energy(0.1), "no theorem: beside the answer only another extremal is proved"),
+    ):
+        solution = pl.solve(problem, level=3)
+        found = pl.verify(solution, level=5)
+        assert found.level == solution.verification.level == 3
+        assert found.passed and found.certificate is None
+        assert found.notes[0].startswith(note)
+
+
+def test_without_ball_arithmetic_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = prover_checks.solved(meditch)
+    for name in [name for name in sys.modules if name.startswith("perilune.rigorous")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "flint", None)
+    with pytest.raises(pl.PeriluneError, match=r"pip install 'perilune\[rigorous\]'"):
+        pl.verify(solution, level=5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
@@ -12,9 +13,9 @@ from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
-from perilune.problem.verification import LEVELS, Verification
+from perilune.problem.verification import LEVELS, THEOREM, Verification
 from perilune.words.asked import demand, demand_callable, demand_level, keywords_by_name, refused
-from perilune.words.outcome import Outcome
+from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.watch import Watch
 
 SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3
@@ -46,7 +47,7 @@ def solve(
     guess
         A solution of any method for this or a similar problem. None is needed.
     level
-        Verification level to prove, 0 for none; 4 solves the problem by another method too.
+        Verification level to prove, 0 for none; 4 solves the problem by another method too, 5 proves a theorem.
     tolerance
         Differences that do not matter to the proof, which then says so; by default only rounding does not.
     watch
@@ -71,10 +72,10 @@ def solve(
     demand_callable(watch, "a watch")
     demand_tolerance(tolerance)
     refuse_impossible(preflight(problem))
-    solution = prove(_answered(usable(method), problem, guess, watch), level, tolerance)
+    solution = prove(_answered(usable(method), problem, guess, watch), level, tolerance, watch)
     if guess is None and isinstance(usable(method), Indirect) and _no_minimum(solution):
         further = cast("Indirect", usable(method)).beyond(problem, solution, watch)
-        if further is not None and (better := prove(further, level, tolerance)).verification.level >= 3:
+        if further is not None and (better := prove(further, level, tolerance, watch)).verification.level >= 3:
             return better
     return solution
 
@@ -115,7 +116,9 @@ def demand_tolerance(tolerance: Tolerance | None) -> None:
 
 
 @keywords_by_name
-def prove(solution: Solution, level: int = 3, tolerance: Tolerance | None = None) -> Solution:
+def prove(
+    solution: Solution, level: int = 3, tolerance: Tolerance | None = None, watch: Watch | None = None
+) -> Solution:
     """Prove a solution, wherever it comes from.
 
     Parameters
@@ -126,6 +129,8 @@ def prove(solution: Solution, level: int = 3, tolerance: Tolerance | None = None
         Verification level; 0 proves nothing.
     tolerance
         As for `solve`; by default that with which the solution was solved, if any: ``Tolerance()`` is none.
+    watch
+        Is told of what takes long.
 
     Returns
     -------
@@ -144,7 +149,7 @@ def prove(solution: Solution, level: int = 3, tolerance: Tolerance | None = None
     solution, notes = _found_again(solution)
     if solution.statistics.claimed:
         solution = replace(solution, structure=())  # a file's words, which nothing here has read off the tables
-    verification = verify(solution, level=level)
+    verification = verify(solution, level=level, watch=watch)
     if not verification.passed and solution.extremals:
         first, *others = solution.extremals
         named = replace(first, nature=as_far_as(first.nature, verification.level))
@@ -182,8 +187,9 @@ def verify(
     resolve: Resolve | None = None,
     other: Method | None = None,
     tolerance: Tolerance | None = None,
+    watch: Watch | None = None,
 ) -> Verification:
-    """Check what a solution claims; see `perilune.proof.levels.examine`.
+    """Check what a solution claims; see `perilune.proof.levels.examine`, and for level 5 `perilune.rigorous.verified`.
 
     Parameters
     ----------
@@ -195,13 +201,39 @@ def verify(
         The other method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
     tolerance
         As for `prove`.
+    watch
+        Is told of what takes long.
     """
     from perilune.proof.levels import examine
 
     demand(solution, Solution, "a solution to verify")
     demand_callable(resolve, "what solves again")
     demand_tolerance(tolerance)
-    return examine(solution, level, resolve or _solve_again, other if other is None else usable(other), tolerance)
+    demand_callable(watch, "a watch")
+    demand_level(level, LEVELS)
+    add_theorem = _theorem() if level == THEOREM else None
+    usual = level if add_theorem is None else THEOREM - 2
+    found = examine(solution, usual, resolve or _solve_again, other if other is None else usable(other), tolerance)
+    return found if add_theorem is None or found.level < usual else add_theorem(found, solution, watch)
+
+
+def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]:
+    """What adds level 5.
+
+    Raises
+    ------
+    PeriluneError
+        If ball arithmetic is not installed.
+    """
+    try:
+        from perilune.rigorous.verified import with_theorem
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "flint":
+            raise
+        raise PeriluneError(
+            "a theorem needs python-flint, which is not installed", advice="pip install 'perilune[rigorous]'"
+        ) from None
+    return with_theorem
 
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:

@@ -173,7 +173,9 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         "Prove a saved solution again, from its file alone.",
         option("directory", metavar="DIR", type=Path, help="What `perilune solve --out` wrote."),
         switch("--verbose", "Show every check."),
-        level(1, 3),
+        level(1, 3, 5),
+        option("--certificate", metavar="FILE", type=Path, help="Where to write the certificate of a theorem."),
+        FORCE,
         NO_CACHE,
     )
     command(

@@ -148,7 +148,24 @@ def _atlas(typed: Namespace) -> Answer:
 def _verify(typed: Namespace) -> Answer:
     from perilune.report.beside import proved_directory
 
-    return _solution_answer(proved_directory(typed.directory, typed.level), typed.verbose)
+    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
+        solution = proved_directory(typed.directory, typed.level, watch)
+    answer = _solution_answer(solution, typed.verbose)
+    if typed.certificate is None:
+        return answer
+    return replace(answer, text=f"{answer.text}\n\n{_certified(solution, typed)}")
+
+
+def _certified(solution: Solution, typed: Namespace) -> str:
+    """Write the certificate of a theorem; what is said of it."""
+    from perilune.io.files import json_text
+
+    if solution.verification.certificate is None:
+        return "no certificate was written, as there is no theorem"
+    text = json_text(dict(solution.verification.certificate))
+    with typed.certificate.open("w" if typed.force else "x", encoding="utf-8") as opened:
+        opened.write(text)
+    return f"certificate written to {typed.certificate}"
 
 
 def _export(typed: Namespace) -> Answer:

@@ -46,11 +46,11 @@ def switch(flag: str, about: str, **settings: Any) -> Option:
     return option(flag, action="store_true", help=about, **settings)
 
 
-def level(least: int, usual: int) -> Option:
+def level(least: int, usual: int, most: int = 3) -> Option:
     """The level of a proof."""
-    text = f"Verification level to prove, {_range(least, 3)}" + ("; 0 for none" if not least else "")
+    text = f"Verification level to prove, {_range(least, most)}" + ("; 0 for none" if not least else "")
     help_ = f"{text}. Usually {usual}."
-    return option("--level", metavar="LEVEL", type=whole(least, 3), default=usual, help=help_)
+    return option("--level", metavar="LEVEL", type=whole(least, most), default=usual, help=help_)
 
 
 FILE = option("file", metavar="FILE", type=Path, help="Scenario in TOML; `perilune new` writes one.")

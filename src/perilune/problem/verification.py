@@ -1,18 +1,21 @@
 """The record of a proof: checks, each with a value, a limit and a meaning, and the level they reach.
 
-Levels: 0 unverified; 1 feasible; 2 extremal; 3 locally optimal; 4 cross-checked by another method. A level is reached
-when every check of it and of the levels below passed.
+Levels: 0 unverified; 1 feasible; 2 extremal; 3 locally optimal; 4 cross-checked by another method; 5 a theorem. A level
+is reached when every check of it and of the levels below passed; but a theorem needs no other method.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from perilune.problem.tolerance import Tolerance
 from perilune.words.face import method
 
-LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked")
+LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked", "theorem")
 LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # that may be asked for
+THEOREM = 5  # with those up to 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +27,7 @@ class Check:
     name, meaning
         Short name, and what the check shows, in a sentence.
     level
-        The level (1-4) that needs it.
+        The level (1-5) that needs it.
     value, limit
         The check passes when ``value <= limit`` (a NaN fails).
     unit
@@ -76,22 +79,26 @@ class Verification:
         What was not checked, and what was left out as it could not be, in sentences.
     tolerance
         What was stated of differences that do not matter. Of a solution without checks, with what it is to be proved.
+    certificate
+        Of a theorem: what it says and rests on, a tree for JSON; None without one.
     """
 
     checks: tuple[Check, ...] = ()
     text: str = ""
     notes: tuple[str, ...] = ()
     tolerance: Tolerance = field(default_factory=Tolerance)
+    certificate: Mapping[str, Any] | None = field(default=None, compare=False)
 
     @property
     def level(self) -> int:
-        """Highest level such that it has checks and all checks up to it passed."""
+        """Highest level such that it has checks and all checks up to it passed; a theorem without level 4 counts."""
         reached = 0
-        for level in range(1, len(LEVEL_NAMES)):
+        for level in LEVELS:
             here = [c for c in self.checks if c.level == level]
-            if not here or not all(c.passed for c in here):
+            if here and not all(c.passed for c in here):
                 break
-            reached = level
+            if (here and level == reached + 1) or (here and level == THEOREM and reached == THEOREM - 2):
+                reached = level
         return reached
 
     @property

@@ -64,7 +64,7 @@ def examine(
     PeriluneError
         If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase, or has them in another order.
     """
-    demand_level(level, LEVELS)
+    demand_level(level, LEVELS[:-1])
     tolerance = solution.verification.tolerance if tolerance is None else tolerance
     if len(solution.trajectories) != len(solution.problem.phases):
         raise PeriluneError(

@@ -21,12 +21,13 @@ from perilune.problem.solution import Solution
 from perilune.report import REPORT_FILE
 from perilune.report.summary import extremal_cells, spoken
 from perilune.solve import as_far_as, judged, prove
+from perilune.words.watch import Watch
 
 _MOST_NAMES = 8
 _NUMBER = re.compile(r"-?\d+\.\d+")
 
 
-def proved_directory(directory: str | Path, level: int = 3) -> Solution:
+def proved_directory(directory: str | Path, level: int = 3, watch: Watch | None = None) -> Solution:
     """Load the solution in a directory, prove it, and compare its report.
 
     Parameters
@@ -34,7 +35,9 @@ def proved_directory(directory: str | Path, level: int = 3) -> Solution:
     directory
         As `perilune.save` and ``perilune solve --out`` write it; or the file ``solution.json`` alone.
     level
-        Verification level, 1 to 4.
+        Verification level, 1 to 5.
+    watch
+        Is told of what takes long.
 
     Returns
     -------
@@ -47,7 +50,7 @@ def proved_directory(directory: str | Path, level: int = 3) -> Solution:
         As `perilune.load`.
     """
     loaded, place = load(directory), Path(directory)
-    solution = prove(loaded, level)
+    solution = prove(loaded, level, watch=watch)
     found = solution.verification
     if not found.passed or not place.is_dir():
         return solution

@@ -10,7 +10,7 @@ end of the one before. With L = J + nu . psi + lambda_k(0) . x_k(0) the equation
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -19,7 +19,6 @@ from flint import arb, arb_mat
 from perilune.problem.problem import Problem
 from perilune.rigorous.equations import Arc, Key, Reader, Regimes, Scalar
 from perilune.rigorous.graph import Expression, Graph
-from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.taylor import Ball, Program
 
 
@@ -30,6 +29,22 @@ class Piece:
     phase: int
     regimes: Regimes
     switched: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sides:
+    """Which bounds the extremal is on.
+
+    Attributes
+    ----------
+    free
+        ``lower`` or ``upper`` of the free parameters that are on a bound, by name.
+    ranges
+        Of end conditions that are ranges, by phase and name: ``lower``, ``upper``, or ``inside``.
+    """
+
+    free: Mapping[str, str] = field(default_factory=dict)
+    ranges: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
 
 class Differentiated:
@@ -77,7 +92,7 @@ class BoundaryProblem:
 
     Attributes
     ----------
-    problem, pieces, arcs
+    problem, pieces, sides, arcs
         What is flown: the arcs in order.
     names
         Of the entries of y.
@@ -93,11 +108,16 @@ class BoundaryProblem:
         What vanishes at the end of each arc: end conditions of its phase, or what a switch asks for.
     objective
         (y, last end) -> J.
+    signs
+        (y, ends) -> what has to be positive at the bounds that the extremal is on, and its room in other ranges.
+    signed
+        What each of these is, in words.
     """
 
     problem: Problem
     graph: Graph
     pieces: tuple[Piece, ...]
+    sides: Sides
     arcs: tuple[Arc, ...]
     names: tuple[str, ...]
     starts: tuple[Differentiated, ...]
@@ -106,6 +126,13 @@ class BoundaryProblem:
     rows: tuple[str, ...]
     meets: tuple[tuple[Expression, ...], ...]
     objective: Differentiated
+    signs: Differentiated
+    signed: tuple[str, ...]
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """How the names of unknowns end that no solution tells: costates of constant states."""
+        return tuple(f".lambda_{name}(0)" for arc in self.arcs for name in arc.constants)
 
     @cached_property
     def columns(self) -> tuple[tuple[int, ...], ...]:
@@ -119,20 +146,21 @@ class BoundaryProblem:
         return tuple(found)
 
 
-def boundary_problem(problem: Problem, pieces: Sequence[Piece]) -> BoundaryProblem:
-    """The equations of an extremal that is made of these arcs.
+def boundary_problem(problem: Problem, pieces: Sequence[Piece], sides: Sides | None = None) -> BoundaryProblem:
+    """The equations of an extremal that is made of these arcs, and on these bounds.
 
     Raises
     ------
     Unsupported
         If the problem has what no theorem can be stated for yet.
     """
-    return _Stating(problem, pieces).stated()
+    return _Stating(problem, pieces, sides or Sides()).stated()
 
 
 class _Stating:
-    def __init__(self, problem: Problem, pieces: Sequence[Piece]) -> None:
-        self.problem, self.pieces = problem, tuple(pieces)
+    def __init__(self, problem: Problem, pieces: Sequence[Piece], sides: Sides) -> None:
+        self.problem, self.pieces, self.sides = problem, tuple(pieces), sides
+        self.signs: dict[str, Expression] = {}
         reader = self.reader = Reader(problem)
         graph = self.graph = reader.graph
         self.arcs = tuple(reader.arc(piece.phase, piece.regimes) for piece in pieces)
@@ -150,8 +178,6 @@ class _Stating:
         names += problem.free_names
         for phase in problem.phases:
             own = [c.name for c in phase.end_conditions]
-            if any(c.ranged for c in phase.end_conditions):
-                raise Unsupported(f"an end condition of {phase.name} is a range")
             self.nu.append([graph.input(("y", len(names) + i)) for i in range(len(own))])
             names += [f"{phase.name}.nu_{name}" for name in own]
         for i, piece in enumerate(pieces):
@@ -175,8 +201,9 @@ class _Stating:
             if phase.end is not None and phase.end_conditions:
                 psi = self.reader.function((k, "end"), end, free=self.free, phase=phase)
             boundary = sum((nu * value for nu, value in zip(self.nu[k], psi, strict=True)), zero)
-            conditions += psi
-            met[self.last[k]] += psi
+            equations = self._equations(k, psi)
+            conditions += equations
+            met[self.last[k]] += equations
             rows += [f"{phase.name}: {c.name}" for c in phase.end_conditions]
             start = sum((a * b for a, b in zip(self.lam[k], self._opening(k), strict=True)), zero)
             lagrangian = lagrangian + boundary + start
@@ -195,6 +222,7 @@ class _Stating:
                 stationary[problem.free_names.index(phase.duration)] += self._at(
                     self.last[k], self.arcs[self.last[k]].hamiltonian
                 )
+        stationary = self._stationary(stationary)
         switches = [
             (i, scalar) for i, piece in enumerate(self.pieces) for scalar in self.arcs[i].scalars
             if scalar.control.name == piece.switched
@@ -220,10 +248,50 @@ class _Stating:
                     length = length - self.length[j]
             durations.append(Differentiated(graph, [length], [y]))
         return BoundaryProblem(
-            problem=problem, graph=graph, pieces=self.pieces, arcs=self.arcs, names=self.names, starts=tuple(starts),
+            problem=problem, graph=graph, pieces=self.pieces, sides=self.sides, arcs=self.arcs,
+            names=self.names, starts=tuple(starts),
             durations=tuple(durations), residual=Differentiated(graph, all_rows, [y, *ends]), rows=tuple(rows),
             meets=tuple(map(tuple, met)), objective=Differentiated(graph, [objective], [y, ends[-1]]),
+            signs=Differentiated(graph, [*self.signs.values()], [y, *ends]), signed=tuple(self.signs),
         )  # fmt: skip
+
+    def _equations(self, k: int, psi: list[Expression]) -> list[Expression]:
+        """What vanishes where a phase ends; of a range its distance to the bound that it is on, or else nu."""
+        phase, found = self.problem.phases[k], list[Expression]()
+        for c, value, nu in zip(phase.end_conditions, psi, self.nu[k], strict=True):
+            if not c.ranged:
+                found.append(value)
+                continue
+            side, name = self.sides.ranges[phase.name, c.name], f"{phase.name}: {c.name}"
+            lower, upper = (self._limit(limit) for limit in (c.lower, c.upper))
+            bound = {"lower": lower, "upper": upper, "inside": None}[side]
+            if side == "inside":
+                found.append(nu)
+                if lower is not None:
+                    self.signs[f"{name} is above its lower bound"] = value - lower
+                if upper is not None:
+                    self.signs[f"{name} is below its upper bound"] = upper - value
+            else:
+                found.append(value - (bound or 0))
+                told = f"{name} would cost less beyond its {side} bound, where it is"
+                self.signs[told] = nu if side == "upper" else -nu
+        return found
+
+    def _stationary(self, slopes: list[Expression]) -> list[Expression]:
+        """dJ/dq = 0 of each free parameter, or where it is on a bound its distance to that."""
+        found = list(slopes)
+        for i, f in enumerate(self.problem.free):
+            if f.name in self.sides.free:
+                side = self.sides.free[f.name]
+                found[i] = self.free[f.name] - (f.lower if side == "lower" else f.upper)
+                told = f"J would be less with {f.name} beyond its {side} bound, where it is"
+                self.signs[told] = slopes[i] if side == "lower" else -slopes[i]
+        return found
+
+    def _limit(self, limit: Any) -> Expression | None:
+        if isinstance(limit, str):
+            return self.free[limit] if limit in self.free else self.reader.given[limit]
+        return None if abs(limit) == float("inf") else self.graph.constant(limit)
 
     def _opening(self, k: int) -> list[Expression]:
         """States and constant states where phase k begins."""

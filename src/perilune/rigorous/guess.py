@@ -13,7 +13,7 @@ from flint import arb
 
 from perilune.problem.controls import Bounded, scalars
 from perilune.problem.solution import Solution
-from perilune.rigorous.boundary import BoundaryProblem, Piece
+from perilune.rigorous.boundary import BoundaryProblem, Piece, Sides
 from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.taylor import Ball
 
@@ -53,6 +53,29 @@ def pieces_of(solution: Solution) -> tuple[list[Piece], list[float]]:
             pieces.append(Piece(phase=k, regimes=regimes, switched="".join(changed)))
             lengths.append(end - begin)
     return pieces, lengths
+
+
+def sides_of(solution: Solution) -> Sides:
+    """The bounds that a solution is on: free parameters, and ranges at the ends of phases."""
+    problem, free, ranges = solution.problem, dict[str, str](), dict[tuple[str, str], str]()
+    for f in problem.free:
+        value = float(solution.free[f.name])
+        near = _ON_BOUND * max(abs(value), problem.size_of(f) * _ON_BOUND)
+        for side, limit in (("lower", f.lower), ("upper", f.upper)):
+            if abs(value - limit) <= near:
+                free[f.name] = side
+    for k, phase in enumerate(problem.phases):
+        ranged = [c for c in phase.end_conditions if c.ranged]
+        if not ranged:
+            continue
+        values = phase.evaluate("end", solution.trajectories[k].state.values[-1], (), solution.parameters)
+        for c, value in zip(phase.end_conditions, values, strict=True):
+            if c.ranged:
+                lower, upper = c.limits(solution.parameters)
+                nu = solution.multipliers.get(f"{phase.name}.{c.name}", 0.0)
+                nearer = "lower" if abs(value - lower) < abs(value - upper) else "upper"
+                ranges[phase.name, c.name] = nearer if nu else "inside"
+    return Sides(free=free, ranges=ranges)
 
 
 def _regime(control: Bounded, u: np.ndarray, solution: Solution) -> str:

@@ -7,18 +7,17 @@ bound, the convexity of H where it is between them, the ranges of free parameter
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Direction
 from perilune.rigorous.boundary import BoundaryProblem
 from perilune.rigorous.equations import Scalar
-from perilune.rigorous.flow import Step
 from perilune.rigorous.graph import Expression
 from perilune.rigorous.reading import Unsupported, read
+from perilune.rigorous.root import Root
 from perilune.rigorous.signs import Quantity, Seen, positive, vanishing
-from perilune.rigorous.taylor import Ball
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,23 +34,28 @@ class Statement:
         The least value that was enclosed away from the ends where it vanishes; NaN or infinite where there is none.
     where
         Where it is not proved, in words.
+    slack
+        By so much it may fall below 0 at an end where it touches its limit; 0 where it does not.
     """
 
     words: str
     proved: bool
     least: float = math.nan
     where: str = ""
+    slack: float = 0.0
 
 
 class Limits:
     """The statements of one flight."""
 
-    def __init__(self, boundary: BoundaryProblem, steps: Sequence[Sequence[Step]], box: Sequence[Ball]) -> None:
-        self.boundary, self.steps, self.box = boundary, steps, box
+    def __init__(self, boundary: BoundaryProblem, root: Root) -> None:
+        self.boundary, self.steps, self.box, self.ends = boundary, root.flight.steps, root.y, root.flight.ends
 
     def all(self) -> Iterator[Statement]:
         """Every one."""
         yield from self._parameters()
+        for words, value in zip(self.boundary.signed, self.boundary.signs.values(self.box, *self.ends), strict=True):
+            yield Statement(words=words, proved=bool(value > 0), least=float(value.lower()))
         for i, arc in enumerate(self.boundary.arcs):
             where = arc.phase.name + (f", arc {i + 1}" if len(self.boundary.arcs) > 1 else "")
             yield from self._path(i, where)
@@ -67,9 +71,10 @@ class Limits:
         y = dict(zip(self.boundary.names, self.box, strict=True))
         for f in self.boundary.problem.free:
             for limit, sign in ((f.lower, 1), (f.upper, -1)):
-                if math.isfinite(limit):
+                side = "lower" if sign > 0 else "upper"
+                if math.isfinite(limit) and self.boundary.sides.free.get(f.name) != side:
                     room = sign * (y[f.name] - limit)
-                    words = f"{f.name} {'>' if sign > 0 else '<'} {limit!r}"
+                    words = f"{f.name} {'>' if sign > 0 else '<'} {float(limit):.17g}"
                     yield Statement(words=words, proved=bool(room > 0), least=float(room.lower()))
         for i, duration in enumerate(self.boundary.durations):
             (length,) = duration.values(self.box)
@@ -127,7 +132,7 @@ class Limits:
         if of.constant is not None:
             return Statement(words=words, proved=of.constant > 0, least=float(of.constant.p) / float(of.constant.q))
         seen = positive(quantity, self.steps[i], (self._zeros(i, quantity, -1), self._zeros(i, quantity, 0)))
-        return Statement(words=words, proved=seen.proved, least=seen.least, where=_told(seen, self.steps[i]))
+        return Statement(words=words, proved=seen.proved, least=seen.least, where=_told(seen), slack=seen.slack)
 
     def _zeros(self, i: int, quantity: Quantity, side: int) -> int:
         """How many derivatives of a quantity vanish at the begin (side -1) or the end (0) of arc i."""
@@ -141,5 +146,5 @@ class Limits:
         return {("z", j): arc.graph.input(("end", i, j)) for j in range(2 * arc.half)}
 
 
-def _told(seen: Seen, steps: Sequence[Step]) -> str:
+def _told(seen: Seen) -> str:
     return "" if seen.proved else f"at {seen.at:.6g} s"

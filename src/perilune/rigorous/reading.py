@@ -18,7 +18,7 @@ class Unsupported(PeriluneError):
     """What the theorem cannot be stated for yet."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"no theorem: {what}", advice="levels 1 to 4 do not need it")
+        super().__init__(what, advice="levels 1 to 4 do not need it")
 
 
 def read(graph: Graph, taped: Taped, values: Mapping[tuple[str, str], Any]) -> list[Expression]:

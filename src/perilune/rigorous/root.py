@@ -18,10 +18,13 @@ from flint import arb, arb_mat
 
 from perilune.rigorous.boundary import BoundaryProblem
 from perilune.rigorous.flight import Flight, Grid, enclosed, middle, plainly, residual, slopes
+from perilune.rigorous.flow import NotEnclosed
 from perilune.rigorous.taylor import Ball
 from perilune.words.outcome import PeriluneError
 
 _ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
+_CONTRACTS = 0.1  # by so much a large box should contract
+_FARTHEST, _SMALLER = 1e-3, 3  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
 _LEAST = 1e-60  # radius of a box, SI
 Tell = Callable[[str], None]
 
@@ -70,8 +73,8 @@ class Root:
         Balls that hold it.
     box
         Balls in which there is no other.
-    flight
-        Of every y of the box.
+    flight, centre
+        Of every y of the box, and of its centre.
     contraction
         Norm of 1 - C F'(Y), by the radii of the box; below 1.
     defect
@@ -81,6 +84,7 @@ class Root:
     y: list[Ball]
     box: list[Ball]
     flight: Flight
+    centre: Flight
     contraction: float
     defect: float
 
@@ -121,9 +125,26 @@ def _inverse(J: Any) -> Any:
         raise NotProved("the extremal is not isolated: the matrix of its conditions is singular") from None
 
 
+def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Settings, tell: Tell) -> Root:
+    """The same root in a box that is as large as it can be proved to be the only one in, about."""
+    first = [float(b.rad()) for b in root.box]
+    factor = _CONTRACTS / max(root.contraction, _LEAST)
+    sizes = [max(abs(float(c)), _ZERO * max(abs(float(c)) for c in refined.y)) for c in refined.y]
+    factor = min(factor, *(_FARTHEST * size / r for size, r in zip(sizes, first, strict=True)))
+    for _ in range(_SMALLER):
+        if factor <= 1.0:
+            break
+        try:
+            return prove_root(boundary, refined, settings, tell, [factor * r for r in first], root.centre)
+        except (NotProved, NotEnclosed):
+            factor *= 1e-3
+    return root
+
+
 def prove_root(
-    boundary: BoundaryProblem, refined: Refined, settings: Settings, tell: Tell, radii: Sequence[float] | None = None
-) -> Root:
+    boundary: BoundaryProblem, refined: Refined, settings: Settings, tell: Tell,
+    radii: Sequence[float] | None = None, centre: Flight | None = None,
+) -> Root:  # fmt: skip
     """Krawczyk's operator on a box around a refined root.
 
     Parameters
@@ -132,6 +153,8 @@ def prove_root(
         What is to be proved, with what effort.
     radii
         Of the box; by default a few times the defect.
+    centre
+        The proved flight of the centre, where it is known.
 
     Raises
     ------
@@ -140,7 +163,7 @@ def prove_root(
     NotEnclosed
         If a flight is not enclosed.
     """
-    centre = enclosed(boundary, refined.y, refined.grid, settings.order, tangents=False)
+    centre = centre or enclosed(boundary, refined.y, refined.grid, settings.order, tangents=False)
     F = residual(boundary, refined.y, centre)
     off = (refined.inverse * arb_mat([[value] for value in F])).entries()
     defects = [float(value.abs_upper()) for value in off]
@@ -161,5 +184,5 @@ def prove_root(
             "no root is proved: Krawczyk's operator leaves the box",
             got=f"contraction {contraction:.3g}, defect {max(defects):.3g}",
         )
-    return Root(y=krawczyk, box=box, flight=flown, contraction=contraction,
+    return Root(y=krawczyk, box=box, flight=flown, centre=centre, contraction=contraction,
                 defect=max(d / r for d, r in zip(defects, own, strict=True)))  # fmt: skip

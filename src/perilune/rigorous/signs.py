@@ -21,6 +21,7 @@ from perilune.rigorous.graph import Expression, Graph
 from perilune.rigorous.taylor import Ball, Program
 
 _DEEPEST = 12  # halvings of a step
+_SLACK = 1e-12  # SI: an enclosure of what vanishes at an end is narrower
 _HIGHEST = 4  # derivative that is looked at
 
 Affine = dict[Any, Any]  # input key (None: the constant) -> rational
@@ -38,10 +39,13 @@ class Seen:
         Lower bound over all pieces that needed no derivative; infinite where there is none.
     at
         Where it is not proved [s] of its arc.
+    slack
+        By so much it may fall below 0 towards the end of its arc, where nothing says that it vanishes there exactly.
     """
 
     proved: bool
     least: float
+    slack: float = 0.0
     at: float = float("nan")
 
 
@@ -84,7 +88,7 @@ def positive(quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] =
         How many of its derivatives, itself the first, vanish where the arc begins, and where it ends: there it has to
         be positive only inside.
     """
-    least = float("inf")
+    least, slack = float("inf"), 0.0
     for number, step in enumerate(steps):
         at_begin, at_end = (zeros[0] if number == 0 else 0), (zeros[1] if number + 1 == len(steps) else 0)
         waiting = [(0.0, 1.0, 0)]
@@ -100,11 +104,36 @@ def positive(quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] =
                 continue
             if b == 1.0 and at_end and (-1) ** at_end * quantity.value(z, at_end) > 0:
                 continue
+            if (
+                b == 1.0
+                and number + 1 == len(steps)
+                and not at_end
+                and (lost := _falls(quantity, step, span, z)) is not None
+            ):
+                slack = max(slack, lost)
+                continue
             if depth == _DEEPEST:
                 return Seen(proved=False, least=least, at=float((step.begin + span).mid()))
             middle = 0.5 * (a + b)
             waiting += [(a, middle, depth + 1), (middle, b, depth + 1)]
-    return Seen(proved=True, least=least)
+    return Seen(proved=True, least=least, slack=slack)
+
+
+def _falls(quantity: Quantity, step: Step, span: Ball, z: Sequence[Ball]) -> float | None:
+    """By how much a quantity may lie below 0 on the last piece of an arc, if only by what its end is not known by.
+
+    It falls up to the end, g' < 0, or g'' > 0 with g' about 0 there: then g >= g(T), or g >= g(T) - |g'(T)| (T - a).
+    """
+    end = step.at(step.length)
+    here = quantity.value(end)
+    if not -_SLACK < here < _SLACK:
+        return None
+    lost = float(here.abs_upper())
+    if quantity.value(z, 1) < 0:
+        return lost
+    if quantity.value(z, 2) > 0:
+        return lost + float(quantity.value(end, 1).abs_upper() * span.abs_upper())
+    return None
 
 
 def vanishing(quantity: Quantity, known: Sequence[Expression], at: Mapping[Any, Expression]) -> int:

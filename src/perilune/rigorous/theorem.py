@@ -4,57 +4,71 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flint import arb, ctx
+from flint import ctx
 
 from perilune.problem.solution import Solution
 from perilune.rigorous.boundary import BoundaryProblem, boundary_problem
 from perilune.rigorous.flow import NotEnclosed
-from perilune.rigorous.guess import pieces_of, unknowns_of
+from perilune.rigorous.guess import pieces_of, sides_of, unknowns_of
 from perilune.rigorous.limits import Limits, Statement
 from perilune.rigorous.reading import Unsupported
-from perilune.rigorous.root import NotProved, Refined, Root, Settings, prove_root, refine
+from perilune.rigorous.root import NotProved, Refined, Root, Settings, alone, prove_root, refine
+from perilune.rigorous.taylor import Ball
 
-# Tried in order: longer steps of high order first, then shorter ones.
-EFFORTS = (Settings(), Settings(tolerance=1e-62, bits=256), Settings(tolerance=1e-80, bits=320))
+# Tried in order: shorter steps and more bits where the first are not enclosed.
+EFFORTS = (Settings(), Settings(tolerance=1e-66, bits=256), Settings(tolerance=1e-86, bits=320))
+_NEARLY_ZERO = 1e-9  # of the largest unknown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Theorem:
-    """What was proved.
+class Proved:
+    """A root that is proved, with everything that was to be proved of it.
 
     Attributes
     ----------
-    boundary, root, refined, settings
-        The equations, their root and how it was enclosed; None where there is none.
+    boundary, refined, settings
+        The equations, and how their root was found.
+    root, alone
+        The root in a small box, whose flight encloses it; and in a large one, in which there is no other.
+    objective
+        J.
     statements
-        Everything that was to be proved beside the root.
+        That everything limited is strictly inside.
     distance
-        From the published answer to the root: the largest over the unknowns, beside their size.
-    unsaid
-        Why there is no theorem, or "".
-    seconds
-        How long it took.
+        From the answer to the root: the largest over the unknowns, beside their size.
+    reached
+        Whether the answer lies in the large box.
     """
 
-    boundary: BoundaryProblem | None = None
-    root: Root | None = None
-    refined: Refined | None = None
-    settings: Settings | None = None
-    statements: tuple[Statement, ...] = ()
-    distance: float = math.nan
-    unsaid: str = ""
-    seconds: float = math.nan
+    boundary: BoundaryProblem
+    refined: Refined
+    settings: Settings
+    root: Root
+    alone: Root
+    objective: Ball
+    statements: tuple[Statement, ...]
+    distance: float
+    reached: bool
 
     @property
-    def proved(self) -> bool:
-        """Whether there is an extremal that keeps every limit."""
-        return self.root is not None and all(statement.proved for statement in self.statements)
+    def missing(self) -> tuple[Statement, ...]:
+        """What is not proved."""
+        return tuple(statement for statement in self.statements if not statement.proved)
 
 
-def theorem_of(solution: Solution, tell: Callable[[str], None]) -> Theorem:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attempt:
+    """What came of it: a proved root, or why there is none; and how long it took [s]."""
+
+    proved: Proved | None
+    unsaid: str
+    seconds: float
+
+
+def attempt(solution: Solution, tell: Callable[[str], None], efforts: Sequence[Settings] = EFFORTS) -> Attempt:
     """Prove what can be proved of a solution.
 
     Parameters
@@ -63,38 +77,47 @@ def theorem_of(solution: Solution, tell: Callable[[str], None]) -> Theorem:
         With costates; it is where the search begins, and nothing in it is trusted.
     tell
         Is told of every part.
+    efforts
+        Tried in order, until one proves a root.
     """
-    began = time.monotonic()
+    began, unsaid = time.monotonic(), ""
     try:
         pieces, lengths = pieces_of(solution)
-        boundary = boundary_problem(solution.problem, pieces)
+        boundary = boundary_problem(solution.problem, pieces, sides_of(solution))
         guess = unknowns_of(solution, boundary, lengths)
+        for settings in efforts:
+            with ctx.workprec(settings.bits):
+                try:
+                    found = _proved(boundary, guess, settings, tell)
+                    return Attempt(proved=found, unsaid="", seconds=time.monotonic() - began)
+                except (NotProved, NotEnclosed) as error:
+                    unsaid = error.what + (f": {error.got}" if error.got else "")
+                    tell(unsaid)
     except Unsupported as error:
-        return Theorem(unsaid=error.what, seconds=time.monotonic() - began)
-    unsaid = ""
-    for settings in EFFORTS:
-        with ctx.workprec(settings.bits):
-            try:
-                refined = refine(boundary, guess, settings, tell)
-                root = prove_root(boundary, refined, settings, tell)
-            except (NotProved, NotEnclosed) as error:
-                unsaid = str(error).replace("\n", ";")
-                tell(unsaid)
-                continue
-            try:
-                statements = tuple(Limits(boundary, root.flight.steps, root.box).all())
-            except Unsupported as error:
-                return Theorem(unsaid=error.what, seconds=time.monotonic() - began)
-            far = max(
-                float((a - b).abs_upper()) / max(float(b.abs_upper()), 1e-9 * float(max(guess, key=abs).abs_upper()))
-                for a, b in zip(root.y, guess, strict=True)
-            )
-            return Theorem(boundary=boundary, root=root, refined=refined, settings=settings, statements=statements,
-                           distance=far, seconds=time.monotonic() - began)  # fmt: skip
-    return Theorem(boundary=boundary, unsaid=unsaid, seconds=time.monotonic() - began)
+        unsaid = error.what
+    return Attempt(proved=None, unsaid=unsaid, seconds=time.monotonic() - began)
 
 
-def objective(theorem: Theorem) -> arb:
-    """J of the proved extremal."""
-    assert theorem.boundary is not None and theorem.root is not None
-    return theorem.boundary.objective.values(theorem.root.y, theorem.root.flight.ends[-1])[0]
+def _proved(
+    boundary: BoundaryProblem, guess: Sequence[Ball], settings: Settings, tell: Callable[[str], None]
+) -> Proved:
+    refined = refine(boundary, guess, settings, tell)
+    root = prove_root(boundary, refined, settings, tell)
+    distance = _distance(boundary, root, guess)
+    large = alone(boundary, refined, root, settings, tell)
+    tell("signs along the flight")
+    statements = tuple(Limits(boundary, root).all())
+    known = [b for b, value in zip(large.box, guess, strict=True) if not b.contains(value)]
+    return Proved(
+        boundary=boundary, refined=refined, settings=settings, root=root, alone=large,
+        objective=boundary.objective.values(root.y, root.flight.ends[-1])[0],
+        statements=statements, distance=distance, reached=not known,
+    )  # fmt: skip
+
+
+def _distance(boundary: BoundaryProblem, root: Root, guess: Sequence[Ball]) -> float:
+    """From the guess, but for costates of constant states, which no solution tells."""
+    told = [i for i, name in enumerate(boundary.names) if not name.endswith(boundary.untold)]
+    least = _NEARLY_ZERO * max(float(guess[i].abs_upper()) for i in told)
+    far = [float((root.y[i] - guess[i]).abs_upper()) / max(float(guess[i].abs_upper()), least) for i in told]
+    return max(far, default=math.nan)

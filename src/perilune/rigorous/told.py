@@ -1,0 +1,161 @@
+"""The theorem in words and numbers, and as a certificate that an independent program can check again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from perilune.problem.problem import Problem
+from perilune.rigorous.limits import Statement
+from perilune.rigorous.taylor import Ball
+from perilune.rigorous.theorem import Proved
+
+CERTIFICATE = "perilune theorem 1"
+TRUSTED = (
+    "FLINT's ball arithmetic (arb), through python-flint",
+    "perilune.rigorous: derivatives of expressions, Taylor recurrences, remainder, Krawczyk's operator, signs",
+    "perilune.problem.tape: that the recorded operations are those of the functions that state the problem",
+    "the interpreter of Python and the machine",
+)
+_DIGITS = 30
+_EXACT = "every number taken as the rational number that its double is"
+
+
+def _ball(value: Ball) -> str:
+    """A ball with its digits and its radius, for a reader."""
+    return str(value.str(_DIGITS))
+
+
+def theorem_text(proved: Proved) -> str:
+    """What is proved, in one paragraph."""
+    boundary, problem = proved.boundary, proved.boundary.problem
+    y = dict(zip(boundary.names, proved.root.y, strict=True))
+    told = [f"J = {_ball(proved.objective)} {problem.objective_unit}"]
+    told += [f"{f.name} = {_ball(y[f.name])} {f.unit}".removesuffix(" 1") for f in problem.free]
+    arcs = f" It consists of {len(boundary.arcs)} arcs." if len(boundary.arcs) > 1 else ""
+    around = "in which the verified answer lies" if proved.reached else "around it"
+    return (
+        f"Theorem. With {_EXACT}, the problem {problem.name} has an extremal: a flight that satisfies Pontryagin's "
+        f"conditions exactly, with {', '.join(told)}.{arcs} Its unknowns are within {proved.distance:.2g} of those of "
+        f"the verified answer, relative to their size, and the only ones in a box {around} (contraction "
+        f"{proved.alone.contraction:.2g}). {_kept(proved.statements)} That it is a local optimum is not part of the "
+        "theorem."
+    )
+
+
+def _kept(statements: Sequence[Statement]) -> str:
+    slack = [statement for statement in statements if statement.slack > 0]
+    text = (
+        "Along the whole flight every limit is kept strictly, but where an end lies on it by condition; the control "
+        "is the only one that minimises H."
+    )
+    if not slack:
+        return text
+    most = ", ".join(f"{statement.words} to within {statement.slack:.2g}" for statement in slack)
+    return f"{text} At an end that touches a limit: {most}."
+
+
+def missing_text(missing: Sequence[Statement]) -> str:
+    """What could not be proved, in one sentence."""
+    told = "; ".join(f"{s.words}{f' {s.where}' if s.where else ''}" for s in missing)
+    return f"an extremal is proved, but not that {told}"
+
+
+def certificate(proved: Proved, text: str) -> dict[str, Any]:
+    """Everything that the proof rests on and claims, for JSON; balls and exact numbers as texts."""
+    boundary, root = proved.boundary, proved.root
+    return {
+        "format": CERTIFICATE,
+        "theorem": text,
+        "trusted": list(TRUSTED),
+        "problem": problem_document(boundary.problem),
+        "arcs": [
+            {"phase": piece.phase, "regimes": dict(piece.regimes), "switched": piece.switched}
+            for piece in boundary.pieces
+        ],
+        "on_bounds": {
+            "free": dict(boundary.sides.free),
+            "ranges": [[*place, side] for place, side in boundary.sides.ranges.items()],
+        },
+        "bits": proved.settings.bits,
+        "order": proved.settings.order,
+        "grid": [list(begins) for begins in proved.refined.grid],
+        "unknowns": [
+            {"name": name, "centre": exact(c), "radius": float(b.rad()), "enclosure": str(k.str(60, more=True))}
+            for name, c, b, k in zip(boundary.names, proved.refined.y, root.box, root.y, strict=True)
+        ],
+        "inverse": [
+            [str(entry.str(25, radius=False)) for entry in row] for row in proved.refined.inverse.tolist()
+        ],
+        "contraction": root.contraction,
+        "only_one_within": [float(b.rad()) for b in proved.alone.box],
+        "objective": str(proved.objective.str(60, more=True)),
+        "distance": proved.distance,
+        "statements": [
+            {"words": s.words, "proved": s.proved, "least": s.least if math.isfinite(s.least) else None,
+             "slack": s.slack}
+            for s in proved.statements
+        ],
+    }  # fmt: skip
+
+
+def exact(value: Ball) -> str:
+    """The centre of a ball, exactly: ``mantissa*2^exponent``."""
+    mantissa, exponent = value.mid().man_exp()
+    return f"{int(mantissa)}*2^{int(exponent)}"
+
+
+def problem_document(problem: Problem) -> dict[str, Any]:
+    """The problem as the proof takes it: names, exact numbers and tapes."""
+
+    def limit(value: Any) -> Any:
+        return value if isinstance(value, str) else _rational(value) if math.isfinite(value) else None
+
+    def limits(bounded: Any) -> dict[str, Any]:
+        return {"name": bounded.name, "lower": limit(bounded.lower), "upper": limit(bounded.upper)}
+
+    phases = [
+        {
+            "name": phase.name,
+            "duration": phase.duration,
+            "states": [limits(state) for state in phase.states],
+            "controls": [
+                {"kind": c.kind, "names": list(c.names), **({} if c.kind == "direction" else limits(c))}
+                for c in phase.controls
+            ],
+            "end": [limits(c) for c in phase.end_conditions],
+            "path": [c.name for c in phase.path_conditions],
+        }
+        for phase in problem.phases
+    ]  # fmt: skip
+    wanted = ("dynamics", "end", "path", "links", "start", "objective")
+    tapes = {
+        _told(key): expression.tape.document()
+        for key, expression in problem.form.expressions.items()
+        if _told(key).split()[0] in wanted
+    }
+    return {
+        "name": problem.name,
+        "digest": problem.form.digest,
+        "phases": phases,
+        "given": {name: _rational(given.value) for name, given in problem.given.items()},
+        "free": [limits(f) for f in problem.free],
+        "tapes": tapes,
+    }
+
+
+def _told(key: Any) -> str:
+    """The name of a function: ``start``, ``dynamics 0``, ``links 0``."""
+    if isinstance(key, str):
+        return key
+    k, name = key if isinstance(key[0], int) else key[::-1]
+    return f"{name} {k}"
+
+
+def _rational(value: float) -> str:
+    return str(Fraction(float(value)))
+
+
+Certificate = Mapping[str, Any]

@@ -1,0 +1,64 @@
+"""Level 5 of a verification: its checks, the theorem among its notes, and the certificate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from perilune.problem.solution import Solution
+from perilune.problem.verification import THEOREM, Check, Verification
+from perilune.rigorous.theorem import Proved, attempt
+from perilune.rigorous.told import certificate, missing_text, theorem_text
+from perilune.words.watch import Watch, silent
+
+_FAR = 1e-6  # of an unknown: an extremal that is farther away is another one
+
+
+def with_theorem(verification: Verification, solution: Solution, watch: Watch | None = None) -> Verification:
+    """A verification with what of level 5 can be proved; what cannot is a note, and changes no other level.
+
+    Parameters
+    ----------
+    verification
+        Of levels 1 to 3.
+    solution
+        What was verified.
+    watch
+        Is told of every part.
+    """
+    found = attempt(solution, watch or silent)
+    if found.proved is None:
+        return _noted(verification, found.unsaid)
+    if not found.proved.distance <= _FAR:
+        return _noted(
+            verification, f"beside the answer only another extremal is proved, {found.proved.distance:.2g} away"
+        )
+    if found.proved.missing:
+        return _noted(verification, missing_text(found.proved.missing))
+    text = theorem_text(found.proved)
+    return replace(
+        verification,
+        checks=(*verification.checks, *_checks(found.proved)),
+        notes=(text, *verification.notes),
+        certificate=certificate(found.proved, text),
+    )
+
+
+def _noted(verification: Verification, why: str) -> Verification:
+    return replace(verification, notes=(f"no theorem: {why}", *verification.notes))
+
+
+def _checks(proved: Proved) -> tuple[Check, ...]:
+    return (
+        Check(
+            name="extremal_proved", level=THEOREM, value=proved.root.contraction, limit=0.5, unit="1",
+            meaning="contraction of Krawczyk's operator on a box: below 1 it holds exactly one extremal",
+        ),
+        Check(
+            name="distance_proved", level=THEOREM, value=proved.distance, limit=_FAR, unit="1",
+            meaning="from the answer to the extremal that is proved, the largest over the unknowns beside their size",
+        ),
+        Check(
+            name="limits_proved", level=THEOREM, value=float(len(proved.missing)), limit=0.0, unit="1",
+            meaning=f"of {len(proved.statements)} statements on limits and the minimum of H those not proved",
+        ),
+    )  # fmt: skip
