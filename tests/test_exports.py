@@ -149,3 +149,16 @@ def test_the_command_exports_what_was_solved(tmp_path: Path, capsys: pytest.Capt
     assert read_json(capsys.readouterr().out)["proof"] == "level 1: feasible"
     assert run(["export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
     assert sorted(os.listdir(tmp_path)) == ["flight.czml", "run"]
+
+
+def test_both_sides_of_a_switch_stand_in_the_tables(tmp_path: Path) -> None:
+    """A throttle of 0.9, 0.3 and 0.9: the row before a switch has what was before it."""
+    flown = pl.solve(load_file(ROOT / "examples" / "precision_landing.toml").problem, level=0)
+    pl.save(flown, tmp_path / "landing")
+    kept = pl.load(tmp_path / "landing")
+    assert pl.prove(kept, 1).verification.level == 1
+    frame = kept.to_dataframe()
+    throttle, pushed = frame["throttle"].to_numpy(), frame["thrust_acceleration"].to_numpy()
+    steps = np.flatnonzero(np.diff(throttle))
+    assert len(steps) == 2 and (np.diff(frame.index)[steps] == 0).all()
+    assert (np.abs(pushed[steps + 1] / pushed[steps] - (1 / 3, 3)) < 1e-9).all()

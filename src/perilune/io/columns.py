@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.solution import Solution, full
+from perilune.problem.solution import Solution, Trajectory, full
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
@@ -72,7 +72,7 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
     solution, k
         The solution and the number of the phase.
     t
-        Times from the phase's ignition [s]; the state's nodes if None.
+        Times from the phase's ignition [s]; the state's nodes if None, a switch by both its sides.
 
     Returns
     -------
@@ -80,10 +80,10 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
         In this order: ``time``, outputs, states, control components, ``lambda_<state>``, ``H``.
     """
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
-    t = trajectory.time if t is None else t
+    told, t = (trajectory.time, nodes(trajectory)) if t is None else (t, t)
     state, control = solution.flown(k, t)
     outputs = phase.evaluate("outputs", state, control, solution.parameters)
-    table = [Column(name="time", unit="s", values=t)]
+    table = [Column(name="time", unit="s", values=told)]
     table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
     table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state, strict=True)]
     units = [c.unit for c in phase.controls for _ in c.names]
@@ -96,6 +96,14 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
         ]
         table.append(Column(name="H", unit=f"{per}/s", values=hamiltonian(solution, k, t)))
     return {column.name: column for column in table}
+
+
+def nodes(trajectory: Trajectory) -> Vector:
+    """Times at which to look for the state's nodes: the first of two at one time lies before the switch there."""
+    t = trajectory.time.copy()
+    first = np.flatnonzero(np.diff(t) == 0)
+    t[first] = np.nextafter(t[first], 0.0)
+    return t
 
 
 def costate_unit(objective_unit: str, state_unit: str) -> str:

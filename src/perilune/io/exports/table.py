@@ -2,7 +2,8 @@
 
 The columns are those of `perilune.io.columns`: outputs, states, controls, costates and H, angles in degrees and
 everything else in SI; and where the problem says where in space it flies, position, velocity and acceleration by thrust
-in inertial axes. What a phase does not have is NaN in it. Where a phase ends and the next begins a time stands twice.
+in inertial axes. What a phase does not have is NaN in it. Where a phase ends and the next begins, and at a switch, a
+time stands twice: before it and behind it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.io.columns import Column, columns
+from perilune.io.columns import Column, columns, nodes
 from perilune.problem.solution import Solution
 from perilune.problem.views import Space
 from perilune.words.types import Vector
@@ -62,7 +63,7 @@ def flight_table(solution: Solution) -> FlightTable:
     for k, trajectory in enumerate(solution.trajectories):
         found = columns(solution, k)
         del found["time"]
-        parts.append(found | {column.name: column for column in _in_space(solution, k, trajectory.time)})
+        parts.append(found | {column.name: column for column in _in_space(solution, k, nodes(trajectory))})
         times.append(begin + trajectory.time)
         begin += trajectory.duration
     lengths = [len(time) for time in times]
