@@ -194,6 +194,11 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     )
     assert said == [["0.1", "0.2"], ["3.45123", "3.45124", "3.45125"], ["0.0345", "+1e-9", "+2e-9"]]
     assert page.locator("#path svg polyline").count() >= 2
+    for said in ("nosuch=3", "vehicle.thrust=440N", "vehicle.thrust=1e9"):  # a link of another page, or mistyped
+        page.goto(f"{alone.as_uri()}#{said}")
+        until(page, f"document.getElementById('source').innerText.includes('not as the link says: {said}')")
+    _drag(page, 0.95, 0.95, 0.1)
+    until(page, "!document.getElementById('source').innerText.includes('link')")
     if width > 900:  # beside the views the parameters stay in sight, and below the head of the page
         page.evaluate("scrollTo(0, 500)")
         until(

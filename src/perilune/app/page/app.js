@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const $ = (id) => document.getElementById(id), HOT = 60;
-  const state = { knobs: [], values: {}, first: {}, number: 0, shown: -1, flight: null, pins: [], past: [], ahead: [], slice: null, family: null, frames: 0, asked: 0, maximised: "" };
+  const state = { knobs: [], values: {}, first: {}, number: 0, shown: -1, flight: null, pins: [], past: [], ahead: [], slice: null, family: null, frames: 0, asked: 0, maximised: "", unlinked: "" };
   window.perilune = state; // for who looks, and for tests
   const frozen = window.PERILUNE_FROZEN || null;
   let socket = null, waiting = [], again = false, dirty = false;
@@ -62,9 +62,16 @@
     }
     ask();
   }
-  function linked() { // the values that the address holds
-    const from = new URLSearchParams(location.hash.slice(1));
-    return Object.fromEntries(state.knobs.map((k) => { const v = parseFloat(from.get(k.key)); return [k.name, Number.isFinite(v) ? placed(k, v * k.size) : state.first[k.name]]; }));
+  function linked() { // the values that the address holds; what of it cannot be taken is said
+    const from = new URLSearchParams(location.hash.slice(1)), lost = new Set(from.keys());
+    const values = Object.fromEntries(state.knobs.map((k) => {
+      const said = from.get(k.key), v = said && said.trim() ? Number(said) : NaN;
+      if (!Number.isFinite(v)) { return [k.name, state.first[k.name]]; }
+      const at = placed(k, v * k.size); if (at === v * k.size) { lost.delete(k.key); }
+      return [k.name, at];
+    }));
+    state.unlinked = lost.size ? `not as the link says: ${[...lost].map((key) => `${key}=${from.get(key)}`.slice(0, 60)).join(", ")}` : "";
+    return values;
   }
   const nearest = (grid, v) => grid.reduce((best, at) => Math.abs(at - v) < Math.abs(best - v) ? at : best);
   const placed = (knob, v) => knob.grid ? nearest(knob.grid, v) : v; // what is outside a slider's range widens it
@@ -103,10 +110,10 @@
     };
     return box;
   }
-  function remember() { state.past.push({ ...state.values }); if (state.past.length > HOT) { state.past.shift(); } state.ahead = []; buttons(); }
+  function remember() { state.past.push({ ...state.values }); if (state.past.length > HOT) { state.past.shift(); } state.ahead = []; state.unlinked = ""; buttons(); }
   function restore(values) { state.values = { ...values }; for (const k of state.knobs) { k.set(); } save(); buttons(); ask(); }
-  function undo() { if (state.past.length) { state.ahead.push({ ...state.values }); restore(state.past.pop()); } }
-  function redo() { if (state.ahead.length) { state.past.push({ ...state.values }); restore(state.ahead.pop()); } }
+  function undo() { if (state.past.length) { state.unlinked = ""; state.ahead.push({ ...state.values }); restore(state.past.pop()); } }
+  function redo() { if (state.ahead.length) { state.unlinked = ""; state.past.push({ ...state.values }); restore(state.ahead.pop()); } }
   function buttons() { $("undo").disabled = !state.past.length; $("redo").disabled = !state.ahead.length; }
   function hash() { const moved = new URLSearchParams(); for (const k of state.knobs) { if (state.values[k.name] !== state.first[k.name]) { moved.set(k.key, exact(k, state.values[k.name])); } } return moved.toString(); }
   function save() { history.replaceState(null, "", "#" + hash()); }
@@ -142,7 +149,7 @@
   }
   function waits(parts) { // what is done now, and what went wrong beside it
     if (state.doing) { const node = document.createElement("span"); text(node, `${state.doing.words.length > 90 ? state.doing.words.slice(0, 90) + "…" : state.doing.words}, ${state.doing.took.toFixed(0)} s`); parts.push(node); }
-    if (state.notice) { const node = document.createElement("i"); text(node, state.notice); parts.push(node); }
+    for (const words of [state.notice, state.unlinked].filter(Boolean)) { const node = document.createElement("i"); text(node, words); parts.push(node); }
     $("source").replaceChildren(...parts.flatMap((node, i) => i ? ["; ", node] : [node]));
   }
   function numbers(flight) {
