@@ -88,6 +88,8 @@ def test_figures_are_asked_for_by_name(hybrid: Solution) -> None:
         (lambda: hybrid.plot(3), "not a figure to show"),  # pyright: ignore[reportArgumentType]
         (lambda: plot(hybrid.problem), "not a solution to show"),  # pyright: ignore[reportArgumentType]
         (lambda: hybrid.animate(seconds=0), "seconds, 0.2 to 120"),
+        (lambda: hybrid.animate("flight.mp4"), "ends in .gif"),
+        (lambda: pl.scenario.load_text(ROOT), "load_file(FILE) reads a file"),  # pyright: ignore[reportArgumentType]
     ]
     for ask, words in asks:
         with pytest.raises(PeriluneError) as refused:

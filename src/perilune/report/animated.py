@@ -69,6 +69,8 @@ def animate(
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not _FASTEST <= seconds <= _LONGEST:
         raise refused(seconds, f"seconds, {_FASTEST:g} to {_LONGEST:g}", "a time to show a flight in")
     target = None if file is None else new_file(file, "an animation", force)
+    if target is not None and target.suffix.lower() != ".gif":
+        raise refused(target.name, "a name that ends in .gif", "the file of an animation")
     with matplotlib.rc_context(STYLE):
         made = _animation(_way(solution, round(_FRAMES * seconds)))
         if target is not None:

@@ -23,7 +23,7 @@ from perilune.scenario.ranges import bounds_of, values_of
 from perilune.scenario.reader import names_files, problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
-from perilune.words.asked import demand_path
+from perilune.words.asked import demand, demand_path
 from perilune.words.declared import Quantity
 
 __all__ = [
@@ -91,6 +91,7 @@ def _document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, 
 
 def load_text(text: str) -> Problem:
     """The problem of a scenario's text; errors as `load_file`."""
+    demand(text, str, "the text of a scenario", "perilune.scenario.load_file(FILE) reads a file")
     return problem_of(parse(text))
 
 
