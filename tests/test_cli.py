@@ -340,7 +340,9 @@ def test_a_real_sweep_through_the_jump(capsys: pytest.CaptureFixture[str]) -> No
     assert all(p["outcome"] == "PROVED" for p in points)
 
 
-def test_new_writes_a_scenario_that_may_be_solved(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_new_writes_a_scenario_that_may_be_solved(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "mine.toml"
     assert run(["new", str(path)]) == 0
     assert run(["check", str(path)]) == 0
@@ -354,6 +356,11 @@ def test_new_writes_a_scenario_that_may_be_solved(capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out == written
     assert run(["new", "hybrid_landing"]) == 0
     assert capsys.readouterr().out == written
+    monkeypatch.chdir(tmp_path)
+    assert run(["new", "hybrid_landing.toml"]) == 0 and Path("hybrid_landing.toml").exists()
+    capsys.readouterr()
+    assert run(["new", "moon_walk"]) == 2 and not Path("moon_walk").exists()  # a kind, and not the name of a file
+    assert "no kind of this name" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["hybrid_landing", "powered_descent", "precision_landing"])

@@ -7,7 +7,6 @@ from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -207,7 +206,7 @@ def _new(typed: Namespace) -> Answer:
 
     kind, file = typed.kind, typed.place
     if kind is not None and kind not in KINDS and file is None and kind not in (known := kind_names()):
-        if get_close_matches(kind, known, n=1, cutoff=0.8):  # else it is `perilune new FILE`
+        if Path(kind).name == kind and not Path(kind).suffix:  # else it is `perilune new FILE`
             raise unknown_name("kind", kind, known)
         kind, file = None, Path(kind)
     text = template(kind or "hybrid_landing")
