@@ -7,18 +7,27 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 import perilune as pl
-from problems.integrators import least_energy
+from perilune.problem.verification import Check, Verification
+from problems.integrators import least_time
 from problems.landings import meditch
 from problems.singular import nearest_to_zero
 
 pytest.importorskip("flint")
+from flint import arb
+
 import prover_checks
+from perilune.rigorous.check_certificate import confirm
+from perilune.rigorous.jets import Failed
+from perilune.rigorous.told import exact
+from perilune.rigorous.verified import with_theorem
 
 ROOM = Path(__file__).parent.parent / "src" / "perilune" / "rigorous"
 
@@ -56,7 +65,7 @@ MUTANTS = {
     "remainder dropped": ("flow", "length) + r * length**order", "length)"),
     "remainder halved": ("flow", "length) + r * length**order", "length) + r * length**order / 2"),
     "remainder of tangents dropped": ("flow", "+ tangents_over[order] * length**order", ""),
-    "remainder along a step dropped": ("flow", "horner([*c, last], since)", "horner(c, since)"),
+    "remainder along a step dropped": ("flow", "_over(c, since) + last * since**order", "_over(c, since)"),
     "remainder at the start alone": (
         "flow",
         "Z = [r if s else r + arb(0, w)",
@@ -111,14 +120,17 @@ def test_a_theorem_is_a_level_of_the_verification() -> None:
 
 
 def test_what_is_not_proved_is_named_and_lowers_nothing() -> None:
-    for problem, note in (
-        (nearest_to_zero(), "no theorem: the control u of go is singular"),
-        (least_energy(0.1), "no theorem: beside the answer only another extremal is proved"),
+    check = Check(name="known", level=1, value=0.0, limit=1.0, unit="1", meaning="something")
+    right = prover_checks.solved(least_time)
+    for solution, note in (
+        (prover_checks.solved(nearest_to_zero), "no theorem: the control u of go is singular"),
+        (
+            replace(right, free={"t_f": 1.00001 * right.free["t_f"]}),
+            "no theorem: beside the answer only another extremal is proved",
+        ),
     ):
-        solution = pl.solve(problem, level=3)
-        found = pl.verify(solution, level=5)
-        assert found.level == solution.verification.level == 3
-        assert found.passed and found.certificate is None
+        found = with_theorem(Verification(checks=(check,)), solution)
+        assert found.level == 1 and found.passed and found.certificate is None
         assert found.notes[0].startswith(note)
 
 
@@ -129,3 +141,34 @@ def test_without_ball_arithmetic_it_says_how_to_get_it(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "flint", None)
     with pytest.raises(pl.PeriluneError, match=r"pip install 'perilune\[rigorous\]'"):
         pl.verify(solution, level=5)
+
+
+@cache
+def certificate(make: Callable[[], pl.Problem]) -> str:
+    """The certificate of a problem, as a file has it."""
+    return json.dumps(pl.verify(prover_checks.solved(make), level=5).certificate)
+
+
+@pytest.mark.parametrize("make", [meditch, least_time])
+def test_a_certificate_is_confirmed_without_the_prover(make: Callable[[], pl.Problem]) -> None:
+    told = json.loads(certificate(make))
+    found, J = confirm(told, lambda _: None)
+    assert J.overlaps(arb(told["objective"])) and J.rad() < 1e-25 and len(found) == len(told["unknowns"])
+
+
+@pytest.mark.parametrize("claim", ["place", "J", "problem", "bound", "sign"])
+def test_a_false_certificate_is_refused(claim: str) -> None:
+    told = json.loads(certificate(least_time))
+    if claim == "place":  # 1e-9 away, with a radius that says otherwise
+        place = arb(2) * (1 + arb(1e-9))
+        told["unknowns"][2] |= {"centre": exact(place), "enclosure": f"[{place.str(20, radius=False)} +/- 1e-15]"}
+    elif claim == "J":
+        told["objective"] = "[2.0000000001 +/- 1e-15]"
+    elif claim == "problem":
+        told["problem"]["given"]["distance"] = "1000000001/1000000000"
+    elif claim == "bound":
+        told["problem"]["phases"][0]["states"][1]["upper"] = "1/2"
+    else:
+        told["arcs"][0]["regimes"]["u"], told["arcs"][1]["regimes"]["u"] = "lower", "upper"
+    with pytest.raises((Failed, ArithmeticError, ValueError)):
+        confirm(told, lambda _: None)

@@ -258,7 +258,7 @@ def test_neighbours_that_disagree_with_the_costates_fail(scipy_hybrid: Solution)
 
 def test_an_unknown_level_is_refused(scipy_hybrid: Solution) -> None:
     with pytest.raises(PeriluneError, match="no such level"):
-        verify(scipy_hybrid, level=5)
+        verify(scipy_hybrid, level=6)
 
 
 def test_missing_trajectories_are_refused(scipy_hybrid: Solution) -> None:

@@ -51,7 +51,8 @@ class Step:
 
     def at(self, since: Ball) -> list[Ball]:
         """z at a time, or over an interval of times, since the step began."""
-        return [horner([*c, last], since) for c, last in zip(self.polynomial, self.remainder, strict=True)]
+        order = len(self.polynomial[0])
+        return [_over(c, since) + last * since**order for c, last in zip(self.polynomial, self.remainder, strict=True)]
 
 
 def coefficients(arc: Arc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list[Coefficients], list[Any]]:
@@ -140,6 +141,13 @@ def horner(c: Sequence[Any], t: Ball) -> Any:
     for k in range(len(c) - 2, -1, -1):
         total = total * t + c[k]
     return total
+
+
+def _over(c: Coefficients, t: Ball) -> Ball:
+    """A polynomial over an interval, by its slope there: narrower than its terms together."""
+    middle = t.mid()
+    slope = horner([k * own for k, own in enumerate(c)][1:] or [arb(0)], t)
+    return horner(c, middle) + slope * (t - middle)
 
 
 def _size(ball: Ball) -> float:

@@ -25,6 +25,7 @@ from perilune.words.outcome import PeriluneError
 _ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
 _CONTRACTS = 0.1  # by so much a large box should contract
 _FARTHEST, _SMALLER = 1e-3, 3  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
+_ROOM = 4.0  # times the defect is the radius of a box
 _LEAST = 1e-60  # radius of a box, SI
 Tell = Callable[[str], None]
 
@@ -168,7 +169,7 @@ def prove_root(
     off = (refined.inverse * arb_mat([[value] for value in F])).entries()
     defects = [float(value.abs_upper()) for value in off]
     tell(f"centre enclosed: defect {max(defects):.2g}")
-    own = [4 * d + _LEAST for d in defects] if radii is None else list(radii)
+    own = [_ROOM * d + _LEAST for d in defects] if radii is None else list(radii)
     box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
     flown = enclosed(boundary, box, refined.grid, settings.order, centre)
     _, J = slopes(boundary, box, flown)

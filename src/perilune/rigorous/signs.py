@@ -112,7 +112,7 @@ def positive(quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] =
             ):
                 slack = max(slack, lost)
                 continue
-            if depth == _DEEPEST:
+            if depth == _DEEPEST or value < 0:
                 return Seen(proved=False, least=least, at=float((step.begin + span).mid()))
             middle = 0.5 * (a + b)
             waiting += [(a, middle, depth + 1), (middle, b, depth + 1)]
