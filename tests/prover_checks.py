@@ -188,6 +188,50 @@ def signs_are_seen() -> bool:
     return good and not any(bad)
 
 
+def swinging(duration: float, free: bool) -> pl.Problem:
+    """Least integral of (u^2 - x^2)/2 from x = 0 to 1, x' = u: minima until the conjugate point at pi, none beyond.
+
+    Or from x = 0 to anywhere: until pi/2.
+    """
+    phase = pl.Phase(
+        name="go",
+        states=(pl.Variable(name="x", unit="m"), pl.Variable(name="cost", unit="m^2*s")),
+        controls=(pl.Bounded(name="u", unit="m/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u / (p.w * p.w) - x.x * x.x)),
+        duration="T",
+        end=None if free else lambda x, p, m: (x.x - p.e,),
+        end_conditions=() if free else (pl.Variable(name="place", unit="m"),),
+    )
+    given = {"T": (duration, "s"), "e": (1.0, "m"), "w": (1.0, "1/s")}
+    return pl.Problem(
+        name="swinging",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0),
+        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        objective=lambda x, p, m: x.cost,
+        objective_unit="m^2*s",
+    )
+
+
+def a_minimum(duration: float, free: bool = False) -> bool:
+    """Whether the extremal sin(t)/sin(T), or 0 with a free end, is proved to be one."""
+    boundary = room("boundary").boundary_problem(
+        swinging(duration, free), [room("boundary").Piece(phase=0, regimes={"u": "interior"})]
+    )
+    slope = -1 / np.sin(duration)
+    guess = [arb(0), arb(1)] if free else [arb(slope), arb(1), arb(float(slope * np.cos(duration)))]
+    refined = room("root").refine(boundary, guess, settings(), lambda _: None)
+    root = room("root").prove_root(boundary, refined, settings(), lambda _: None)
+    return room("second_order").local_optimum(
+        boundary, root.y, refined.grid, settings().order, [1.0, 1.0], lambda _: None
+    ).proved  # fmt: skip
+
+
+def conjugate_points_are_seen() -> bool:
+    ends = a_minimum(1.5, True) and not a_minimum(1.65, True)
+    return ends and a_minimum(3.0) and not a_minimum(4.0)
+
+
 def operations() -> list[tuple[str, Callable[[Any, Any], Any], Callable[[Any], Any]]]:
     """(name, expression of x, the same of a series)."""
     meaning = room("reading")._MEANING
@@ -236,7 +280,7 @@ def series_agree(orders: int = 14) -> bool:
 CHECKS: tuple[Callable[[], bool], ...] = (
     series_agree, a_step_over_a_pole_is_refused, growth_is_enclosed, tangents_are_enclosed, signs_are_seen,
     meditch_lands, a_wide_box_is_refused, tangent_is_linear, a_wrong_centre_is_refused, newton_is_quadratic,
-    phases_do_not_matter, efforts_agree,
+    phases_do_not_matter, conjugate_points_are_seen, efforts_agree,
 )  # fmt: skip
 
 

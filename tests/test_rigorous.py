@@ -96,6 +96,13 @@ MUTANTS = {
     "sign at the deepest halving taken": ("signs", "Seen(proved=False", "Seen(proved=True"),
     "sign at one point": ("signs", "z = step.at(span)", "z = step.at(span.mid())"),
     "half of a step unseen": ("signs", ", (middle, b, depth + 1)]", "]"),
+    "Riccati's equation past a conjugate point": (
+        "second_order",
+        "return float((proved.begin + span).mid())",
+        "continue",
+    ),
+    "form at the end unseen": ("second_order", "kernel.transpose() * form * kernel", "kernel.transpose() * kernel"),
+    "second variation with the wrong sign": ("second_order", "W = M * -1", "W = M"),
     "constants rounded": (
         "graph",
         "fmpq(*float(value).as_integer_ratio())",

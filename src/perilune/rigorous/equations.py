@@ -128,8 +128,15 @@ class Reader:
             values |= {("u", name): value for name, value in zip(phase.control_names, u, strict=False)}
         return read(self.graph, self.problem.form.expressions[key], values)
 
-    def arc(self, k: int, regimes: Regimes) -> Arc:
+    def arc(self, k: int, regimes: Regimes, whole: bool = False) -> Arc:
         """The canonical equations of a phase.
+
+        Parameters
+        ----------
+        k, regimes
+            Which phase, and where its scalars are.
+        whole
+            Whether every free parameter is a constant state, the duration too: time then runs from 0 to 1.
 
         Raises
         ------
@@ -146,12 +153,13 @@ class Reader:
         limits = {control.name: self._limits(control, free) for _, control in scalars(phase.controls)}
         named = [e for pair in limits.values() for e in pair if e is not None]
         acting = set[Any]().union(*(e.inputs() for e in (*f, *named)))
-        constants = tuple(name for name in self.problem.free_names if ("p", name) in acting)
+        constants = tuple(name for name in self.problem.free_names if whole or ("p", name) in acting)
         half = len(x) + len(constants)
         z = [graph.input(("z", i)) for i in range(2 * half)]
         known: dict[Any, Expression] = {("x", i): z[i] for i in range(len(x))}
         known |= {("p", name): z[len(x) + j] for j, name in enumerate(constants)}
-        f = graph.substitute(f, known)
+        duration = {**self.given, **free}[phase.duration] if whole else graph.constant(1)
+        f = graph.substitute([duration * rate for rate in f], known)
         limits = {name: (_put(graph, low, known), _put(graph, high, known)) for name, (low, high) in limits.items()}
         H = sum((z[half + i] * rate for i, rate in enumerate(f)), graph.constant(0))
         control, strengths = _control(graph, phase, H, regimes, limits)

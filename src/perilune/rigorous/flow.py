@@ -42,12 +42,24 @@ class Step:
         Time from the begin of the arc, and how long [s].
     polynomial, remainder
         Of each component: coefficients of orders 0 to n - 1, and that of order n over the whole step.
+    tangents
+        The same of V, that of order n the last; none where they were not flown.
     """
 
     begin: Ball
     length: Ball
     polynomial: list[Coefficients]
     remainder: list[Ball]
+    tangents: list[Any]
+
+    def tangents_at(self, since: Ball) -> tuple[Any, list[tuple[Any, Ball]]]:
+        """V in the middle of an interval of times since the step began, and how far it is from that in all of it.
+
+        They are apart, so that what multiplies V finds the changes of its entries still together.
+        """
+        middle, order = since.mid(), len(self.tangents) - 1
+        slope = horner([own * arb(k) for k, own in enumerate(self.tangents[:-1])][1:], since)
+        return horner(self.tangents[:-1], middle), [(slope, since - middle), (self.tangents[-1], since**order)]
 
     def at(self, since: Ball) -> list[Ball]:
         """z at a time, or over an interval of times, since the step began."""
@@ -107,8 +119,7 @@ def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: 
     tangent_range = None if V is None else horner(tangents, span)
     still = [rate.vanishes() for rate in arc.rates]
     wider = [max(_size(r) * _WIDER, _LEAST) for r in ranges]
-    largest = max((_size(r) for r in _entries(tangent_range)), default=0.0)
-    tangent_wider = [max(largest * _WIDER, _LEAST) for _ in _entries(tangent_range)]
+    tangent_wider = [max(size * _WIDER, _LEAST) for size in _sizes(tangent_range)]
     for _ in range(_ATTEMPTS):
         Z = [r if s else r + arb(0, w) for r, w, s in zip(ranges, wider, still, strict=True)]
         W = None if V is None else _widened(tangent_range, tangent_wider)
@@ -126,7 +137,9 @@ def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: 
         if all(inside) and all(tangent_inside):
             end = [horner(c, length) + r * length**order for c, r in zip(polynomial, remainder, strict=True)]
             V_end = None if V is None else horner(tangents, length) + tangents_over[order] * length**order
-            return end, V_end, Step(begin=begin, length=length, polynomial=polynomial, remainder=remainder)
+            proved = Step(begin=begin, length=length, polynomial=polynomial, remainder=remainder,
+                          tangents=[] if V is None else [*tangents, tangents_over[order]])  # fmt: skip
+            return end, V_end, proved
         wider = [max(w, 4 * _size(e)) for w, e in zip(wider, left, strict=True)]
         tangent_wider = [max(w, 4 * _size(e)) for w, e in zip(tangent_wider, _entries(moved), strict=True)]
     raise NotEnclosed(
@@ -152,6 +165,17 @@ def _over(c: Coefficients, t: Ball) -> Ball:
 
 def _size(ball: Ball) -> float:
     return float(ball.abs_upper()) if ball.is_finite() else float("inf")
+
+
+def _sizes(matrix: Any) -> list[float]:
+    """About how large each entry may become, whatever units its row and its column have."""
+    if matrix is None:
+        return []
+    rows = [[_size(entry) for entry in row] for row in matrix.tolist()]
+    largest = [max(row, default=0.0) for row in rows]
+    shares = [max((row[j] / most for row, most in zip(rows, largest, strict=True) if most), default=0.0)
+              for j in range(matrix.ncols())]  # fmt: skip
+    return [most * share for most in largest for share in shares]
 
 
 def _entries(matrix: Any) -> list[Ball]:

@@ -169,7 +169,10 @@ def prove_root(
     off = (refined.inverse * arb_mat([[value] for value in F])).entries()
     defects = [float(value.abs_upper()) for value in off]
     tell(f"centre enclosed: defect {max(defects):.2g}")
-    own = [_ROOM * d + _LEAST for d in defects] if radii is None else list(radii)
+    # Never below what the numbers themselves are rounded by.
+    rounding = 2.0 ** (10 - settings.bits)
+    least = [_ROOM * d + rounding * abs(float(c)) + _LEAST for c, d in zip(refined.y, defects, strict=True)]
+    own = least if radii is None else list(radii)
     box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
     flown = enclosed(boundary, box, refined.grid, settings.order, centre)
     _, J = slopes(boundary, box, flown)

@@ -16,6 +16,7 @@ from perilune.rigorous.guess import pieces_of, sides_of, unknowns_of
 from perilune.rigorous.limits import Limits, Statement
 from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.root import NotProved, Refined, Root, Settings, alone, prove_root, refine
+from perilune.rigorous.second_order import local_optimum
 from perilune.rigorous.taylor import Ball
 
 # Tried in order: shorter steps and more bits where the first are not enclosed.
@@ -37,6 +38,8 @@ class Proved:
         J.
     statements
         That everything limited is strictly inside.
+    optimum
+        That it is a strict local optimum.
     distance
         From the answer to the root: the largest over the unknowns, beside their size.
     reached
@@ -50,6 +53,7 @@ class Proved:
     alone: Root
     objective: Ball
     statements: tuple[Statement, ...]
+    optimum: Statement
     distance: float
     reached: bool
 
@@ -107,11 +111,14 @@ def _proved(
     large = alone(boundary, refined, root, settings, tell)
     tell("signs along the flight")
     statements = tuple(Limits(boundary, root).all())
+    count = len(boundary.problem.phases[0].states)
+    sizes = [max(float(z[i].abs_upper()) for z in root.flight.nodes[0]) or 1.0 for i in range(count)]
+    optimum = local_optimum(boundary, root.y, refined.grid, settings.order, sizes, tell)
     known = [b for b, value in zip(large.box, guess, strict=True) if not b.contains(value)]
     return Proved(
         boundary=boundary, refined=refined, settings=settings, root=root, alone=large,
         objective=boundary.objective.values(root.y, root.flight.ends[-1])[0],
-        statements=statements, distance=distance, reached=not known,
+        statements=statements, optimum=optimum, distance=distance, reached=not known,
     )  # fmt: skip
 
 

@@ -40,9 +40,17 @@ def theorem_text(proved: Proved) -> str:
         f"Theorem. With {_EXACT}, the problem {problem.name} has an extremal: a flight that satisfies Pontryagin's "
         f"conditions exactly, with {', '.join(told)}.{arcs} Its unknowns are within {proved.distance:.2g} of those of "
         f"the verified answer, relative to their size, and the only ones in a box {around} (contraction "
-        f"{proved.alone.contraction:.2g}). {_kept(proved.statements)} That it is a local optimum is not part of the "
-        "theorem."
+        f"{proved.alone.contraction:.2g}). {_kept(proved.statements)} {_optimum(proved.optimum)}"
     )
+
+
+def _optimum(statement: Statement) -> str:
+    if statement.proved:
+        return (
+            "It is a strict local optimum: every other flight whose states, controls and free parameters stay close "
+            "enough to it, and that meets the same conditions, has a larger J."
+        )
+    return f"That it is a local optimum is not part of the theorem, {statement.where}."
 
 
 def _kept(statements: Sequence[Statement]) -> str:
@@ -93,6 +101,7 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
         "only_one_within": [float(b.rad()) for b in proved.alone.box],
         "objective": str(proved.objective.str(60, more=True)),
         "distance": proved.distance,
+        "local_optimum": proved.optimum.proved,
         "statements": [
             {"words": s.words, "proved": s.proved, "least": s.least if math.isfinite(s.least) else None,
              "slack": s.slack}
