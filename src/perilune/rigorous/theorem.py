@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flint import ctx
+from flint import arb, ctx
 
 from perilune.problem.solution import Solution
 from perilune.rigorous.boundary import BoundaryProblem, boundary_problem
@@ -21,7 +21,7 @@ from perilune.rigorous.taylor import Ball
 
 # Tried in order: shorter steps and more bits where the first are not enclosed.
 EFFORTS = (Settings(), Settings(tolerance=1e-66, bits=256), Settings(tolerance=1e-86, bits=320))
-_NEARLY_ZERO = 1e-9  # of the largest unknown
+_NEARLY_ZERO = 1e-6  # of the largest unknown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,8 +111,9 @@ def _proved(
     large = alone(boundary, refined, root, settings, tell)
     tell("signs along the flight")
     statements = tuple(Limits(boundary, root).all())
+    along = [one.at(arb(0).union(one.length)) for one in root.flight.steps[0]]
     count = len(boundary.problem.phases[0].states)
-    sizes = [max(float(z[i].abs_upper()) for z in root.flight.nodes[0]) or 1.0 for i in range(count)]
+    sizes = [max(float(z[i].abs_upper()) for z in along) or 1.0 for i in range(count)]
     optimum = local_optimum(boundary, root.y, refined.grid, settings.order, sizes, tell)
     known = [b for b, value in zip(large.box, guess, strict=True) if not b.contains(value)]
     return Proved(
