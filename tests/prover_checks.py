@@ -218,12 +218,13 @@ def a_minimum(duration: float, free: bool = False) -> bool:
     boundary = room("boundary").boundary_problem(
         swinging(duration, free), [room("boundary").Piece(phase=0, regimes={"u": "interior"})]
     )
+    rough = settings(24, 1e-36)
     slope = -1 / np.sin(duration)
     guess = [arb(0), arb(1)] if free else [arb(slope), arb(1), arb(float(slope * np.cos(duration)))]
-    refined = room("root").refine(boundary, guess, settings(), lambda _: None)
-    root = room("root").prove_root(boundary, refined, settings(), lambda _: None)
+    refined = room("root").refine(boundary, guess, rough, lambda _: None)
+    root = room("root").prove_root(boundary, refined, rough, lambda _: None)
     return room("second_order").local_optimum(
-        boundary, root.y, refined.grid, settings().order, [1.0, 1.0], lambda _: None
+        boundary, root.y, refined.grid, rough.order, [1.0, 1.0], lambda _: None
     ).proved  # fmt: skip
 
 

@@ -50,7 +50,7 @@ def _noted(verification: Verification, why: str) -> Verification:
 def _checks(proved: Proved) -> tuple[Check, ...]:
     return (
         Check(
-            name="extremal_proved", level=THEOREM, value=proved.root.contraction, limit=0.5, unit="1",
+            name="extremal_proved", level=THEOREM, value=proved.root.contraction, limit=1.0, unit="1",
             meaning="contraction of Krawczyk's operator on a box: below 1 it holds exactly one extremal",
         ),
         Check(
