@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from copy import deepcopy as copied
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
@@ -336,6 +337,16 @@ def test_shards_are_read_with_numpy_alone(built: Path) -> None:
     nodes = np.load(built / bricks[0]["nodes"]["file"], allow_pickle=False)
     assert {"sheet", "values", "terms", "margin", "residual"} <= set(nodes.dtype.names or ())
     assert nodes["residual"].max() < 1e-9
+
+
+def test_a_copy_of_an_atlas_opens_it_again(built: Path) -> None:
+    """What it has looked at is machine code and maps of files, of this process alone."""
+    atlas = open_atlas(built)
+    point = np.mean([atlas.region.low, atlas.region.high], axis=0)
+    asked = dict(zip(atlas.region.names, point.tolist(), strict=True))
+    J = atlas.query(**asked).objective
+    for other in (copied(atlas), pickle.loads(pickle.dumps(atlas))):
+        assert other.query(**asked).objective == J
 
 
 def test_what_is_there_is_not_computed_again_and_what_is_missing_comes_back_the_same(built: Path, copy: Path) -> None:

@@ -443,6 +443,7 @@ def test_what_moves_on_a_page_is_chosen_and_said(
         ([*vary, "--vary", "vehicle.mass"], "too much moves"),
         ([*vary[:2], *vary[:2]], "twice"),
         (["--vary", "vehicle.thrust=3:2 N"], "is empty"),
+        (["--vary", "vehicle.thrust=-5:400 N"], "vehicle.thrust"),
     ):
         assert obey([*ask, str(tmp_path / "other.html"), *more]) == 2
         assert words in capsys.readouterr().err

@@ -219,6 +219,7 @@ class Reader:
 
     def __init__(self, directory: Path, problem_from_scenario: Callable[[str], Problem]) -> None:
         self.store: Store = Store(directory)
+        self._problem_from_scenario = problem_from_scenario
         header = self.store.header()
         self.problem: Problem = read_problem(header, problem_from_scenario)
         self._first = header_region(self.problem, header)
@@ -228,6 +229,10 @@ class Reader:
         self._bricks: dict[tuple[int, ...], Brick] = {}
         self.said: dict[tuple[int, ...], dict[str, Any]] = {}
         self.refresh()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy opens the directory again: machine code is of one process."""
+        return type(self), (self.store.directory, self._problem_from_scenario)
 
     def __repr__(self) -> str:
         return f"<Atlas of {self.problem.name}: {', '.join(axis.extent for axis in self.region.axes)}>"

@@ -7,6 +7,7 @@ from argparse import Namespace
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from perilune.words.outcome import PeriluneError, unknown_name
 if TYPE_CHECKING:
     from perilune.app.knobs import Knob
     from perilune.app.subject import Subject
+    from perilune.problem.problem import Problem
 
 
 def explore(typed: Namespace) -> Answer:
@@ -102,7 +104,25 @@ def _chosen(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
         found[key] = replace(knob, low=low, high=high, value=min(max(knob.value, low), high))
     if len(found) > 2:
         raise PeriluneError("too much moves on one page", got=", ".join(found), expected="one parameter, or two")
+    _refuse_unstated(subject.problem, tuple(found.values()))
     return tuple(found.values())
+
+
+def _refuse_unstated(problem: Problem, chosen: Sequence[Knob]) -> None:
+    """Refuse an end of a range with which no problem can be stated, whatever else moves."""
+    refused: dict[tuple[str, float], PeriluneError] = {}
+    stated: set[tuple[str, float]] = set()
+    for corner in product(*((knob.low, knob.high) for knob in chosen)):
+        ends = {(knob.name, value) for knob, value in zip(chosen, corner, strict=True)}
+        try:
+            problem.with_given(**dict(ends))
+        except PeriluneError as error:
+            refused |= dict.fromkeys(ends, error)
+        else:
+            stated |= ends
+    for end, error in refused.items():
+        if end not in stated:
+            raise error
 
 
 def _listening(port: int) -> socket.socket:

@@ -197,7 +197,7 @@
     if (family && family.values.length > 2) {
       const others = flight.roots.slice(1).filter((e) => family.name in e.free).map((e) => [e.free[family.name], sign * e.objective, Draw.css("--ink")]);
       const mark = [...others, [flight.free[family.name], sign * flight.objective]];
-      Draw.lines($("family"), "family", `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} along ${family.name.replaceAll("_", " ")}`, flight.unit, family.values, [{ name: "extremals with it held", values: family.objective.map((v) => sign * v) }], 170, mark);
+      Draw.lines($("family"), "family", `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} along ${family.name.replaceAll("_", " ")}${family.unit === "1" ? "" : ` [${family.unit}]`}`, flight.unit, family.values, [{ name: "extremals with it held", values: family.objective.map((v) => sign * v) }], 170, mark);
     }
   }
   function lights(flight) {

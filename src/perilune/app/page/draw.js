@@ -51,7 +51,7 @@ const Draw = (() => {
     entry.plot = new uPlot({
       width, height, pxAlign: 0, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => room(low, high, entry.least) } }, cursor: { points: { size: 5 } },
       legend: { show: curves.length > 1 },
-      axes: [{ ...axis, size: 26 }, { ...axis, size: wide, space: 22, values: (_, ticks) => labels(ticks) }],
+      axes: [{ ...axis, size: 26, values: (_, ticks) => labels(ticks) }, { ...axis, size: wide, space: 22, values: (_, ticks) => labels(ticks) }],
       series: [{ label: "t", value: (_, v) => fine(v) }, ...curves.map((c, i) => ({ label: c.name, stroke: c.colour || colours()[i % 5], width: c.dash ? 1 : 1.6, dash: c.dash, points: { show: false }, value: (_, v) => fine(v) }))],
       hooks: { draw: [(u) => {
         for (const point of entry.mark || []) {
