@@ -14,7 +14,7 @@ import pytest
 
 import perilune as pl
 from perilune import PeriluneError
-from perilune.atlas import building
+from perilune.atlas import building, extend
 from perilune.atlas.many import Answered
 from perilune.atlas.query import open_atlas
 from perilune.problem.variables import Given, Variable
@@ -148,3 +148,34 @@ def test_cells_are_cut_where_J_alone_bends(tmp_path: Path) -> None:
     store = build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas", bricks=2)
     found = open_atlas(store, lambda _: problem).query_many(points)
     assert found.good.all() and found.objective == pytest.approx(least_over_q(price, points), abs=1e-7)
+
+
+def test_a_layer_that_enters_a_brick_through_a_part_of_its_side_is_mapped(tmp_path: Path) -> None:
+    """A well leaves another with a; its layer comes to the middle of a side, and one cell has the other's all over."""
+
+    def price(p: Any, m: Any) -> Any:
+        away = ((p.b - 0.62) / 0.07) ** 2 + ((p.a - 0.1) / 0.4) ** 2 + ((p.q - 0.2 - 1.4 * p.a) / 0.1) ** 2
+        return 2.0 * (p.q - 0.2) ** 2 - m.exp(-away)
+
+    problem, rng = priced(price), np.random.default_rng(5)
+    store = build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas")
+    points = rng.uniform([0.2, 0.5], [0.4, 0.75], (150, 2))
+    found = open_atlas(store, lambda _: problem).query_many(points)
+    assert found.good.mean() > 0.95 and (found.free["q"] > 0.4).sum() > 20
+    assert found.objective[found.good] == pytest.approx(least_over_q(price, points)[found.good], abs=1e-7)
+
+
+def test_of_what_enters_a_brick_the_layer_that_its_first_cell_passes_over_is_mapped(tmp_path: Path) -> None:
+    """A well was met on a side of two bricks alone; the other layer is at all corners of the second."""
+
+    def price(p: Any, m: Any) -> Any:
+        away = ((p.a - 0.5) / 0.1) ** 2 + ((p.b - 0.5) / 0.15) ** 2 + ((p.q - 0.8) / 0.1) ** 2
+        return 2.0 * (p.q - 0.2) ** 2 - 1.2 * m.exp(-away)
+
+    problem, of = priced(price), {"problem_from_scenario": lambda _: problem, "sample": 0}
+    store = build(problem, {"a": (0.0, 0.5), "b": (0.0, 1.0)}, tmp_path / "atlas", bricks=1)
+    extend(store, {"a": (0.0, 1.0)}, **of)
+    points = np.random.default_rng(5).uniform([0.4, 0.4], [0.6, 0.6], (150, 2))
+    found = open_atlas(store, lambda _: problem).query_many(points)
+    assert found.good.mean() > 0.95 and (found.free["q"] > 0.7).sum() > 60
+    assert found.objective[found.good] == pytest.approx(least_over_q(price, points)[found.good], abs=1e-7)

@@ -22,7 +22,7 @@ _ALIKE = 1e-3  # relative: what a cell gives, and an extremal that it has
 _AT_ONCE = 64  # places, each of which is compared with all cells
 
 Extremal = tuple[int, Whole, Vector]  # its sheet, its place, and its unknowns
-_ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
+ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
 
 
 def arrays_of(extremals: Sequence[Extremal]) -> tuple[Whole, Whole, Matrix]:
@@ -90,7 +90,7 @@ def covered(
 ) -> NDArray[np.bool_]:
     """Which extremals at places the cells of some branches have; `step` is that of the lattice, canonical."""
     found = np.zeros(len(places), dtype=bool)
-    own = np.isin(cells.branch, branches) & np.isin(cells.status, _ANSWERING)
+    own = np.isin(cells.branch, branches) & np.isin(cells.status, ANSWERING)
     numbers = np.nonzero(own & (cells.corners >= 0).all(axis=1))[0]
     low, high = cells.low[numbers].T, (cells.low + cells.size)[numbers].T
     for start in range(0, len(places) if len(numbers) else 0, _AT_ONCE):

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import Extremal, arrays_of, covered, ending_layers, given, torn_edges
+from perilune.atlas.branches import ANSWERING, Extremal, arrays_of, covered, ending_layers, given, torn_edges
 from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, Status, Whole, ending, joined, leaves_of, same, some
 from perilune.atlas.crossing import Crossings
 from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
@@ -63,6 +63,7 @@ class Brick:
         self._looked_at = self._cells_looked_at = 0
         self._crossings = Crossings(lattice)
         self._inside = dict[int, Whole]()  # places other than corners at which sheets began
+        self._entered = list[Extremal]()  # what first branches were given there
         self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 
     def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cells | None = None) -> Cut:
@@ -79,6 +80,7 @@ class Brick:
         new = self._sown(sheet, place, y, before)
         self.lattice.solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
         self._begun(sheet[new], place[new])
+        self._entered = [(int(sheet[i]), place[i], y[i]) for i in new]
         if not self.nodes.count:  # where the side of a fold is rounding, none may be of its sheet
             return Cut(nodes={}, cells=self.lattice.wholes(np.empty(0, dtype=np.int64)), own=tuple(self.lattice.own))
         here = np.setdiff1d(sheet[new], before.branch if before is not None else ())
@@ -164,6 +166,7 @@ class Brick:
 
         None where nothing is left, or there are too many branches.
         """
+        self._left += self._passed_over(done)
         had = self.lattice.had(done, self._left).tolist()
         self._left = [one for one, known in zip(self._left, had, strict=True) if not known]
         if self._left and self._led_to():
@@ -175,6 +178,18 @@ class Brick:
         self.lattice.solved(branch, place[None], y[None], np.full(1, np.inf))
         root = self.lattice.wholes(branch)
         return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
+
+    def _passed_over(self, done: Cells) -> list[Extremal]:
+        """What a first branch was given and its cells do not give: another layer, of which a side may have a part."""
+        found, kept = list[Extremal](), list[Extremal]()
+        for sheet, place, y in self._entered:
+            if not np.isin(done.status[leaves_of(done, sheet, place[None])], ANSWERING).any():
+                kept.append((sheet, place, y))
+            elif not covered(done, self.nodes, self.step, [sheet], place[None], y[None])[0]:
+                self.nodes.forget(self.lattice.keys(np.array(sheet), place))
+                found.append((sheet, place, y))
+        self._entered = kept  # what a cell gives it goes on to give
+        return found
 
     # -- across bounds --------------------------------------------------------------------------------------------
 

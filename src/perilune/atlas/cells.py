@@ -125,6 +125,11 @@ class Nodes:
             before[self.count : self.count + new] = columns[name]
         self.count += new
 
+    def forget(self, key: Whole) -> None:
+        """A node that is not of its branch is at its place no more, and nothing goes on from it."""
+        if (number := self.known.pop(int(key), None)) is not None:
+            self.met = np.append(self.met, number)
+
     def numbers(self, keys: Whole) -> Whole:
         """Of the nodes, -1 for those that are not there."""
         known = self.known

@@ -2,7 +2,8 @@
 
 A brick begins with what the survey found at its corners. A sheet that enters it through a side alone is known to its
 neighbour: the nodes which that has on their common side, where this one has nothing, are what it goes on from. So are
-those where this one has other extremals of the same sheet: there the sheet has several branches.
+those where this one has other extremals of the same sheet, as nodes or in its cells: there the sheet has several
+branches.
 """
 
 from __future__ import annotations
@@ -24,8 +25,15 @@ _DIGITS = 5  # behind the point, of what is told apart on sides
 _COARSER = 4  # of the lattice over 4 axes, along a side of which there are three more
 
 
+def _none(_: Key, nodes: Rows) -> NDArray[np.bool_]:
+    return np.zeros(len(nodes), dtype=bool)
+
+
 def spilled(
-    keys: Sequence[Key], shards: Callable[[Key], Shards | None], sheets: Callable[[int], Sequence[Sheet]]
+    keys: Sequence[Key],
+    shards: Callable[[Key], Shards | None],
+    sheets: Callable[[int], Sequence[Sheet]],
+    passed_over: Callable[[Key, Rows], NDArray[np.bool_]] = _none,
 ) -> Iterator[tuple[Key, Rows]]:
     """Nodes on the sides of bricks that go on into them, with their places as these have them.
 
@@ -37,6 +45,8 @@ def spilled(
         Nodes and cells of those that there are.
     sheets
         Those of a chart.
+    passed_over
+        Of nodes on the sides of a brick that there is which lie in cells of their sheets that do not give them.
     """
     sides: dict[tuple[Key, int, int], Rows] = {}
     for key in keys:
@@ -63,7 +73,10 @@ def spilled(
         if not found:
             continue
         every: Rows = np.concatenate(found)
-        every = every[_news(every, shards(key), sheets(key[0]))]
+        news, had = _news(every, shards(key), sheets(key[0]))
+        if (others := np.nonzero(~news & ~had)[0]).size:
+            news[others] = passed_over(key, every[others])
+        every = every[news]
         if len(every):
             yield key, every[np.sort(np.unique(_keys(every), axis=0, return_index=True)[1])]
 
@@ -81,10 +94,11 @@ def _keys(nodes: Rows) -> NDArray[Any]:
     return np.column_stack([nodes["sheet"], nodes["place"], nodes["terms"][:, 0].round(_DIGITS)])
 
 
-def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> NDArray[np.bool_]:
-    """Which nodes lie where a brick has nothing of their sheet, or other extremals of it alone."""
+def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which nodes lie where a brick has nothing of their sheet, or other extremals of it alone, and which it has."""
+    had = np.zeros(len(nodes), dtype=bool)
     if known is None:
-        return np.ones(len(nodes), dtype=bool)
+        return ~had, had
     own, cells = known
     news = ~np.isin(nodes["sheet"], cells["sheet"])
     for cell in cells[(cells["status"] == Status.ABSENT) & (cells["corners"] < 0).all(axis=1)]:
@@ -97,6 +111,6 @@ def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> NDArray
         at.setdefault((alike[int(own["sheet"][row])], *own["place"][row].tolist()), []).append(row)
     for i, node in enumerate(nodes):
         there = own[at.get((alike[int(node["sheet"])], *node["place"].tolist()), [])]
-        known_here = same(node["terms"][0, :-1], there["terms"][:, 0, :-1])
-        news[i] = not known_here.any() and (news[i] or (there["sheet"] == node["sheet"]).any())
-    return news
+        had[i] = same(node["terms"][0, :-1], there["terms"][:, 0, :-1]).any()
+        news[i] = not had[i] and (news[i] or (there["sheet"] == node["sheet"]).any())
+    return news, had

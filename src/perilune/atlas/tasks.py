@@ -5,7 +5,7 @@ First every brick in which the survey knows a sheet; then, round by round, those
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.branches import ANSWERING, covered
 from perilune.atlas.brick import Brick
-from perilune.atlas.cells import WHOLE, Cells, Cut
+from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, leaves_of, some
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of, widths_of
 from perilune.atlas.course import Course, course_from
@@ -139,12 +140,33 @@ def tasks_going_on(
         types = node_type(d, charts[key[0]]["unknowns"]), cell_type(d)
         return kept.shard(line["nodes"], types[0]), kept.shard(line["cells"], types[1])
 
+    def passed_over(key: Key, nodes: Any) -> NDArray[np.bool_]:
+        chart, known, (low, high) = charts[key[0]], shards(key), region.box(key[1:])
+        assert known is not None
+        widths = tuple(widths_of(chart, region).tolist())
+        scale = _tools(problem, region.names, widths, course_from(chart), tuple(chart["times"]))[0].scale
+        return _passed_over(_cut_of(*known, len(chart["sheets"])), (high - low) / scale / WHOLE, sheets[key[0]], nodes)
+
     keys = [(number, *brick) for number, chart in enumerate(charts) for brick in _places(region, chart)]
     sheets = [sheets_of(chart) for chart in charts]
-    for key, nodes in spilled(keys, shards, sheets.__getitem__):
+    for key, nodes in spilled(keys, shards, sheets.__getitem__, passed_over):
         seeds = nodes["sheet"].astype(np.int64), nodes["place"].astype(np.int64), nodes["terms"][:, 0, :-1]
         before = None if (known := shards(key)) is None else tuple(map(np.array, known))
         yield key, _task(problem, region, charts[key[0]], key[1:], tolerance, seeds, before)
+
+
+def _passed_over(before: Cut, step: Vector, sheets: Sequence[Sheet], found: Any) -> NDArray[np.bool_]:
+    """Which extremals on the sides of a brick lie in cells of their sheets that answer, and are given by none."""
+    out, cells, nodes = np.zeros(len(found), dtype=bool), before.cells, Nodes()
+    nodes.add(np.arange(len(before.nodes["branch"])), **before.nodes)
+    sided = some(cells, ((cells.low == 0) | (cells.low + cells.size == WHOLE)).any(axis=1))
+    for sheet in np.intersect1d(found["sheet"], cells.branch).tolist():
+        place = found["place"].astype(np.int64)
+        inside = np.isin(cells.status[leaves_of(cells, sheet, place)], ANSWERING)
+        here = np.nonzero((found["sheet"] == sheet) & inside)[0]
+        alike = [branch for branch, own in enumerate(before.own) if sheets[own].alike(sheets[sheet])]
+        out[here] = ~covered(sided, nodes, step, alike, place[here], found["terms"][here, 0, :-1])
+    return out
 
 
 def _places(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
