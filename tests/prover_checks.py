@@ -154,6 +154,14 @@ def a_step_over_a_pole_is_refused() -> bool:
     return late and end.overlaps(arb(0.25).tan()) and 0 < float(end.rad()) < 1e-9
 
 
+def a_step_over_a_jump_is_refused() -> bool:
+    """The angle of (cos t, sin t) jumps at pi, though its slope does not."""
+    flow, meaning = room("flow"), room("reading")._MEANING
+    arc = pole(lambda graph, x: 1 + meaning["atan2"](graph, graph.do("sin", x), graph.do("cos", x)) * 2.0**-60)
+    before = not refused(lambda: flow.step(arc, [arb(3), arb(1)], None, arb(0), arb(0.125), 12))
+    return before and refused(lambda: flow.step(arc, [arb(3), arb(1)], None, arb(0), arb(0.25), 12))
+
+
 def tangents_are_enclosed() -> bool:
     """Of tan t the tangent is 1/cos^2 t, at every t of the step."""
     flow, arc = room("flow"), pole(lambda graph, x: 1 + x * x)
@@ -279,8 +287,8 @@ def series_agree(orders: int = 14) -> bool:
 
 # The cheapest first: a mutant is caught by the first that it does not meet.
 CHECKS: tuple[Callable[[], bool], ...] = (
-    series_agree, a_step_over_a_pole_is_refused, growth_is_enclosed, tangents_are_enclosed, signs_are_seen,
-    meditch_lands, a_wide_box_is_refused, tangent_is_linear, a_wrong_centre_is_refused, newton_is_quadratic,
+    series_agree, a_step_over_a_pole_is_refused, a_step_over_a_jump_is_refused, growth_is_enclosed,
+    tangents_are_enclosed, signs_are_seen, meditch_lands, a_wide_box_is_refused, tangent_is_linear, a_wrong_centre_is_refused, newton_is_quadratic,
     phases_do_not_matter, conjugate_points_are_seen, efforts_agree,
 )  # fmt: skip
 

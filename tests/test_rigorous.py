@@ -82,6 +82,7 @@ MUTANTS = {
     "quotient without its memory": ("taylor", "(a[k] - sum(map(mul, b[1:]", "(a[k] - sum(map(mul, b[2:]"),
     "root without its memory": ("taylor", "c[1:], c[:0:-1]", "c[2:], c[:0:-1]"),
     "sine with the wrong sign": ("taylor", "cosine.append(-sum(", "cosine.append(sum("),
+    "angle beyond its jump": ("taylor", "if x > 0 or y > 0 or y < 0 else arb.nan()", ""),
     "logarithm's derivative off": ("graph", '"log": lambda: 1 / a,', '"log": lambda: here / a,'),
     "quotient's derivative off": ("graph", "(at[1], -here / b)", "(at[1], here / b)"),
     "adjoint with the wrong sign": ("equations", "*(-slope for slope in slopes)]", "*slopes]"),

@@ -115,8 +115,13 @@ def _value(node: Any, found: dict[int, Ball]) -> Ball:
     if name == "pow":
         return a ** others[0]
     if name == "atan2":
-        return arb.atan2(a, others[0])
+        return _atan2(a, others[0])
     return getattr(a, name)()
+
+
+def _atan2(y: Ball, x: Ball) -> Ball:
+    """The angle where it is smooth; nothing is known of it at its jump by 2 pi, which no recurrence of slopes sees."""
+    return arb.atan2(y, x) if x > 0 or y > 0 or y < 0 else arb.nan()
 
 
 Step = Callable[[int], None]
@@ -263,7 +268,7 @@ def _angle(c: Coefficients, y: Coefficients, x: Coefficients, w: Coefficients) -
 
     def step(k: int) -> None:
         if not k:
-            c.append(arb.atan2(y[0], x[0]))
+            c.append(_atan2(y[0], x[0]))
             return
         turning = sum((j * (y[j] * x[k - j] - x[j] * y[k - j]) for j in range(1, k + 1)), arb(0))
         rate = (turning - sum((rates[j - 1] * w[k - j] for j in range(1, k)), arb(0))) / w[0]
