@@ -87,14 +87,16 @@ class Limits:
         taped = problem.form.expressions.get((k, "path"))
         if taped is not None and phase.path_conditions:
             for c, e in zip(phase.path_conditions, self._read(i, taped), strict=True):
-                yield self._along(i, f"{c.name} > 0 ({where})", e)
+                yield self._along(i, f"{c.name} > 0 ({where})", e, touching=True)
         graph = arc.graph
         for at, state in enumerate(phase.states):
             for limit, sign in ((state.lower, 1), (state.upper, -1)):
                 if isinstance(limit, str) or math.isfinite(limit):
                     value = self._parameter(i, limit) if isinstance(limit, str) else graph.constant(limit)
                     room = sign * (graph.input(("z", at)) - value)
-                    yield self._along(i, f"{state.name} {'>' if sign > 0 else '<'} {limit} ({where})", room)
+                    yield self._along(
+                        i, f"{state.name} {'>' if sign > 0 else '<'} {limit} ({where})", room, touching=True
+                    )
 
     def _read(self, i: int, taped: Any) -> list[Expression]:
         arc = self.boundary.arcs[i]
@@ -127,11 +129,11 @@ class Limits:
             if not scalar.curvature.vanishes():
                 raise Unsupported(f"{name} is on a bound, and H is not linear in it")
 
-    def _along(self, i: int, words: str, of: Expression) -> Statement:
+    def _along(self, i: int, words: str, of: Expression, touching: bool = False) -> Statement:
         quantity = Quantity(self.boundary.arcs[i], of, self.box)
         if of.constant is not None:
             return Statement(words=words, proved=of.constant > 0, least=float(of.constant.p) / float(of.constant.q))
-        seen = positive(quantity, self.steps[i], (self._zeros(i, quantity, -1), self._zeros(i, quantity, 0)))
+        seen = positive(quantity, self.steps[i], (self._zeros(i, quantity, -1), self._zeros(i, quantity, 0)), touching)
         return Statement(words=words, proved=seen.proved, least=seen.least, where=_told(seen), slack=seen.slack)
 
     def _zeros(self, i: int, quantity: Quantity, side: int) -> int:

@@ -77,7 +77,9 @@ class Quantity:
         return self._programs[order].values([*z, *self.unknowns])[0]
 
 
-def positive(quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] = (0, 0)) -> Seen:
+def positive(
+    quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] = (0, 0), touching: bool = False
+) -> Seen:
     """Whether a quantity is positive along an arc.
 
     Parameters
@@ -87,6 +89,8 @@ def positive(quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] =
     zeros
         How many of its derivatives, itself the first, vanish where the arc begins, and where it ends: there it has to
         be positive only inside.
+    touching
+        Whether it may miss 0 by a slack where the arc ends: a limit may, what minimises H may not.
     """
     least, slack = float("inf"), 0.0
     for number, step in enumerate(steps):
@@ -105,7 +109,8 @@ def positive(quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] =
             if b == 1.0 and at_end and (-1) ** at_end * quantity.value(z, at_end) > 0:
                 continue
             if (
-                b == 1.0
+                touching
+                and b == 1.0
                 and number + 1 == len(steps)
                 and not at_end
                 and (lost := _falls(quantity, step, span, z)) is not None
