@@ -92,7 +92,10 @@ class _Proof:
                 else:
                     u[name] = self.limit(c[regime], free)
         jets = [Jet(2, v, {j: arb(1)}) for j, v in enumerate(x)]
-        f = run(tape, self.values(k, jets, u, dict(zip(self.constants[k], jets[n:], strict=True))))
+        moved = dict(zip(self.constants[k], jets[n:], strict=True))  # and what is on a bound that one of them holds
+        held = {c["name"]: self.limit(c[side], moved) for c in controls
+                if (side := regimes.get(c.get("name"), "interior")) != "interior"}  # fmt: skip
+        f = run(tape, self.values(k, jets, u | held, moved))
         rates = [rate.value if isinstance(rate, Jet) and rate.level == 2 else rate for rate in f]
         adjoint = [-dot(lam[:n], [slope(rate, j) for rate in f]) for j in range(half)]
         names = [c["name"] for c in controls if c["kind"] != "direction"]

@@ -163,7 +163,11 @@ class Reader:
         limits = {name: (_put(graph, low, known), _put(graph, high, known)) for name, (low, high) in limits.items()}
         H = sum((z[half + i] * rate for i, rate in enumerate(f)), graph.constant(0))
         control, strengths = _control(graph, phase, H, regimes, limits)
-        slopes = graph.gradient(H, [("z", i) for i in range(half)])
+        # A free parameter moves what is on a bound that it holds; what is not moves by the minimum, without effect.
+        held = {
+            ("u", c.name): control["u", c.name] for _, c in scalars(phase.controls) if regimes[c.name] != "interior"
+        }
+        slopes = graph.gradient(graph.substitute([H], held)[0], [("z", i) for i in range(half)])
         zero = graph.constant(0)
         rates = [*f, *([zero] * len(constants)), *(-slope for slope in slopes)]
         rates = graph.substitute(rates, control)
@@ -242,17 +246,18 @@ def _scalar(
     graph: Graph, phase: Phase, H: Expression, control: Bounded, regime: str,
     limits: tuple[Expression | None, Expression | None],
 ) -> Expression:  # fmt: skip
+    key, free = ("u", control.name), {("u", name) for name in phase.control_names}
+    slope = graph.gradient(H, [key])[0]
     if regime != "interior":
+        if slope.inputs() & (free - {key}):  # then a sign of dH/du of each alone is no minimum of both
+            raise Unsupported(f"the minimum of H over {control.name} of {phase.name} depends on another control")
         found = limits[regime == "upper"]
         if found is None:
             raise Unsupported(f"the control {control.name} has no {regime} bound")
         return found
-    key = ("u", control.name)
-    slope = graph.gradient(H, [key])[0]
     curvature = graph.gradient(slope, [key])[0]
     if curvature.vanishes():
         raise Unsupported(f"the control {control.name} of {phase.name} is singular")
-    free = {("u", name) for name in phase.control_names}
     if curvature.inputs() & free or slope.inputs() & (free - {key}):
         raise Unsupported(f"the control {control.name} of {phase.name} has no formula")
     return -graph.substitute([slope], {key: graph.constant(0)})[0] / curvature
