@@ -164,7 +164,7 @@ def test_a_certificate_is_confirmed_without_the_prover(make: Callable[[], pl.Pro
     assert J.overlaps(arb(told["objective"])) and J.rad() < 1e-25 and len(found) == len(told["unknowns"])
 
 
-@pytest.mark.parametrize("claim", ["place", "J", "problem", "bound", "sign"])
+@pytest.mark.parametrize("claim", ["place", "J", "nothing", "problem", "bound", "range", "sign"])
 def test_a_false_certificate_is_refused(claim: str) -> None:
     told = json.loads(certificate(least_time))
     if claim == "place":  # 1e-9 away, with a radius that says otherwise
@@ -172,6 +172,10 @@ def test_a_false_certificate_is_refused(claim: str) -> None:
         told["unknowns"][2] |= {"centre": exact(place), "enclosure": f"[{place.str(20, radius=False)} +/- 1e-15]"}
     elif claim == "J":
         told["objective"] = "[2.0000000001 +/- 1e-15]"
+    elif claim == "nothing":
+        told["objective"] = "nan"
+    elif claim == "range":
+        told["problem"]["free"][0]["upper"] = "1"
     elif claim == "problem":
         told["problem"]["given"]["distance"] = "1000000001/1000000000"
     elif claim == "bound":

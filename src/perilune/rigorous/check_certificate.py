@@ -175,15 +175,15 @@ class _Proof:
         whole = {**self.given, **free}[self.phases[k]["duration"]]
         return lengths[i] if i in lengths else whole - sum((lengths[j] for j in range(self.first[k], i)), arb(0))
 
-    def residual(self, y: list[Any], ends: list[list[Any]]) -> tuple[list[Any], Any]:
-        """F and J: everything by derivatives of L = J + nu . psi + lambda(0) . x(0)."""
+    def residual(self, y: list[Any], ends: list[list[Any]]) -> tuple[list[Any], Any, list[Any]]:
+        """F, J and what has to be positive beside them: all by derivatives of L = J + nu . psi + lambda(0) . x(0)."""
         lam, plain, nu, _ = self.unpacked(y)
         free = {name: Jet(2, v, {("q", name): arb(1)}) for name, v in plain.items()}
         x = {k: [Jet(2, v, {("x", k, j): arb(1)}) for j, v in enumerate(ends[self.last[k]][: self.sizes[k]])]
              for k in range(len(self.phases))}  # fmt: skip
         final = len(self.phases) - 1
         J = run(self.tape("objective"), self.values(final, x[final], {}, free))[0]
-        L, conditions = J, []
+        L, conditions, asked = J, [], [self.duration(i, y) for i in range(len(self.arcs))]
         for k, phase in enumerate(self.phases):
             L = L + dot(lam[k], self.opening(k, x[k - 1] if k else [], free))
             psi = run(self.tape(f"end {k}"), self.values(k, x[k], {}, free)) if phase["end"] else []
@@ -194,6 +194,10 @@ class _Proof:
                 conditions.append(
                     multiplier if side == "inside" else inner - self.limit(c[side], plain) if side else inner
                 )
+                if side == "inside":
+                    asked += self.room(inner, c, plain)
+                elif side:
+                    asked.append(multiplier if side == "upper" else -multiplier)
         costates = [
             ends[self.last[k]][size + j] - slope(L, ("x", k, j))
             for k, size in enumerate(self.sizes)
@@ -206,10 +210,18 @@ class _Proof:
                 own = self.free.index(phase["duration"])
                 stationary[own] = stationary[own] + dot(end[size:], self.steered(self.last[k], end)[0][:size])
         for f in self.problem["free"]:
-            if side := self.told["on_bounds"]["free"].get(f["name"]):
-                stationary[self.free.index(f["name"])] = plain[f["name"]] - self.limit(f[side], {})
+            side, own = self.told["on_bounds"]["free"].get(f["name"]), self.free.index(f["name"])
+            asked += self.room(plain[f["name"]], {**f, side: None}, {})
+            if side:
+                asked.append(stationary[own] if side == "lower" else -stationary[own])
+                stationary[own] = plain[f["name"]] - self.limit(f[side], {})
         switches = [self.switch(i, ends[i]) for i, arc in enumerate(self.arcs) if arc["switched"]]
-        return [*conditions, *costates, *stationary, *switches], J.value if isinstance(J, Jet) else J
+        return [*conditions, *costates, *stationary, *switches], J.value if isinstance(J, Jet) else J, asked
+
+    def room(self, value: Any, told: dict[str, Any], free: dict[str, Any]) -> list[Any]:
+        """How far a value is above its lower and below its upper bound, where it has them."""
+        signs = (("lower", 1), ("upper", -1))
+        return [(value - self.limit(told[s], free)) * sign for s, sign in signs if told[s] is not None]
 
     def switch(self, i: int, end: list[Any]) -> Any:
         name = self.arcs[i]["switched"]
@@ -265,7 +277,7 @@ class _Proof:
         tell("flight of the box enclosed")
         jets = [Jet(1, v, {("y", j): arb(1)}) for j, v in enumerate(box)]
         z = [[Jet(1, v, {("z", i, j): arb(1)}) for j, v in enumerate(end)] for i, end in enumerate(ends)]
-        rows, _ = self.residual(jets, z)
+        rows, _, _ = self.residual(jets, z)
         slopes = matrix(rows, "y", size)
         for i, end in enumerate(ends):
             slopes = slopes + matrix(rows, ("z", i), len(end)) * by_y[i]
@@ -276,10 +288,12 @@ class _Proof:
         if not all(b.contains_interior(r) for b, r in zip(box, root, strict=True)):
             raise Failed("Krawczyk's operator leaves the box of the certificate")
         for value, told in zip(root, self.told["unknowns"], strict=True):
-            if not arb(told["enclosure"]).overlaps(value):
+            if not (claimed := arb(told["enclosure"])).is_finite() or not claimed.overlaps(value):
                 raise Failed(f"{told['name']} is not where the certificate says")
-        J = self.residual(root, ends)[1]
-        if not arb(self.told["objective"]).overlaps(J):
+        _, J, asked = self.residual(root, ends)
+        if not all(value > 0 for value in asked):
+            raise Failed("a bound is broken, or the extremal would leave the one that it is on")
+        if not (told := arb(self.told["objective"])).is_finite() or not told.overlaps(J):
             raise Failed("J is not what the certificate says")
         for i, steps in enumerate(flown):
             self.limits(i, steps, root)
@@ -306,10 +320,12 @@ class _Proof:
         if phase["path"]:
             found += run(self.tape(f"path {k}"), self.values(k, z, u, free))
         for value, told in zip([*z[: len(phase["states"])]], phase["states"], strict=True):
-            found += [value - self.limit(told["lower"], free)] if told["lower"] is not None else []
-            found += [self.limit(told["upper"], free) - value] if told["upper"] is not None else []
-        for name, regime in self.arcs[i]["regimes"].items():
-            found += [slopes[name] if regime == "lower" else -slopes[name]] if regime != "interior" else []
+            found += self.room(value, told, free)
+        for c in phase["controls"]:
+            if (regime := self.arcs[i]["regimes"].get(c.get("name"))) == "interior":
+                found += self.room(u[c["name"]], c, free)
+            elif regime:
+                found.append(slopes[c["name"]] if regime == "lower" else -slopes[c["name"]])
         return found
 
 
@@ -331,12 +347,12 @@ def confirm(certificate: dict[str, Any], tell: Any = print) -> tuple[list[Any], 
 
 def main() -> int:
     """Check the certificate that is named; the exit code."""
-    with open(sys.argv[1], encoding="utf-8") as file:
-        certificate = json.load(file)
     try:
+        with open(sys.argv[1], encoding="utf-8") as file:
+            certificate = json.load(file)
         root, J = confirm(certificate)
-    except (Failed, ValueError, ArithmeticError, LookupError) as error:
-        print(f"not confirmed: {error}")
+    except (Failed, OSError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as error:
+        print(f"not confirmed: {error if isinstance(error, (Failed, OSError)) else f'no certificate ({error!r})'}")
         return 1
     print(f"confirmed: one extremal of {certificate['problem']['name']} in the box, J = {J.str(30)}")
     for value, told in zip(root, certificate["unknowns"], strict=True):
