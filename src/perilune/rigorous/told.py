@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from decimal import ROUND_CEILING, Context
 from fractions import Fraction
 from typing import Any
 
@@ -28,6 +29,11 @@ def _ball(value: Ball) -> str:
     return str(value.str(_DIGITS))
 
 
+def _at_most(value: float) -> str:
+    """A number in two digits that is no smaller."""
+    return format(Context(prec=2, rounding=ROUND_CEILING).create_decimal_from_float(value), ".2g")
+
+
 def theorem_text(proved: Proved) -> str:
     """What is proved, in one paragraph."""
     boundary, problem = proved.boundary, proved.boundary.problem
@@ -38,9 +44,10 @@ def theorem_text(proved: Proved) -> str:
     around = "in which the verified answer lies" if proved.reached else "around it"
     return (
         f"Theorem. With {_EXACT}, the problem {problem.name} has an extremal: a flight that satisfies Pontryagin's "
-        f"conditions exactly, with {', '.join(told)}.{arcs} Its unknowns are within {proved.distance:.2g} of those of "
-        f"the verified answer, relative to their size, and the only ones in a box {around} (contraction "
-        f"{proved.alone.contraction:.2g}). {_kept(proved.statements)} {_optimum(proved.optimum)}"
+        f"conditions exactly, with {', '.join(told)}.{arcs} Its unknowns are within {_at_most(proved.distance)} of "
+        "those of the verified answer, relative to their size (a millionth of the largest for smaller ones), and the "
+        f"only ones in a box {around} (contraction {_at_most(proved.alone.contraction)}). {_kept(proved)} "
+        f"{_optimum(proved.optimum)}"
     )
 
 
@@ -53,15 +60,17 @@ def _optimum(statement: Statement) -> str:
     return f"That it is a local optimum is not part of the theorem, {statement.where}."
 
 
-def _kept(statements: Sequence[Statement]) -> str:
-    slack = [statement for statement in statements if statement.slack > 0]
+def _kept(proved: Proved) -> str:
+    slack = [statement for statement in proved.statements if statement.slack > 0]
+    idle = any(arc.strengths and any(one.regime == "lower" for one in arc.scalars) for arc in proved.boundary.arcs)
+    but = ", but for a direction while what multiplies it vanishes" if idle else ""
     text = (
         "Along the whole flight every limit is kept strictly, but where an end lies on it by condition; the control "
-        "is the only one that minimises H."
+        f"is the only one that minimises H{but}."
     )
     if not slack:
         return text
-    most = ", ".join(f"{statement.words} to within {statement.slack:.2g}" for statement in slack)
+    most = ", ".join(f"{statement.words} to within {_at_most(statement.slack)}" for statement in slack)
     return f"{text} At an end that touches a limit: {most}."
 
 
