@@ -12,7 +12,7 @@ import perilune as pl
 pytest.importorskip("flint")
 from flint import arb, ctx
 
-from perilune.rigorous.boundary import Piece, boundary_problem
+from perilune.rigorous.boundary import Piece, Sides, boundary_problem
 from perilune.rigorous.limits import Limits
 from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.root import Root, Settings, prove_root, refine
@@ -28,10 +28,12 @@ def problem(phase: pl.Phase, objective: Any, given: dict[str, tuple[float, str]]
     )  # fmt: skip
 
 
-def proved(stated: pl.Problem, regimes: dict[str, str], guess: Sequence[float]) -> tuple[Root, list[str]]:
+def proved(
+    stated: pl.Problem, regimes: dict[str, str], guess: Sequence[float], sides: Sides | None = None
+) -> tuple[Root, list[str]]:
     """The root, and what is not proved of it."""
     with ctx.workprec(ROUGH.bits):
-        boundary = boundary_problem(stated, [Piece(phase=0, regimes=regimes)])
+        boundary = boundary_problem(stated, [Piece(phase=0, regimes=regimes)], sides)
         refined = refine(boundary, [arb(value) for value in guess], ROUGH, lambda _: None)
         root = prove_root(boundary, refined, ROUGH, lambda _: None)
         return root, [statement.words for statement in Limits(boundary, root).all() if not statement.proved]
@@ -74,3 +76,38 @@ def test_a_control_on_the_wrong_bound_is_seen_however_small_its_effect(scale: fl
     stated = problem(phase, lambda x, p, m: p.s * (0.3 * p.T * x.v - x.x), {"T": (1.0, "s"), "s": (scale, "1")})
     _, missing = proved(stated, {"u": "upper"}, [-scale, -0.7 * scale])
     assert missing == ["H is least with u at its upper bound (go)"]
+
+
+@pytest.mark.parametrize(
+    ("side", "holds"),
+    [("lower", (2.0, 7.0)), ("upper", (-2.0, 0.5)), ("inside", (-2.0, 7.0)),
+     ("lower", None), ("upper", None)],
+)  # fmt: skip
+def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
+    side: str, holds: tuple[float, float] | None
+) -> None:
+    """Least u^2/2 + (q - 1)^2 from x = q to a range; the same on the other side, or outside, is no minimum."""
+    lower, upper = holds or (-2.0, 7.0)
+    told = {name: (0.3 if side == "upper" else 1.5) for name in ("lower", "upper") if name == side and not holds}
+    wrong = {"lower": (-2.0, 0.5), "upper": (2.0, 7.0), "inside": (2.0, 7.0)}[side]
+    beyond = {"lower": 0.3, "upper": 1.5}.get(side, 0.0)
+
+    def missing(range_: tuple[float, float], bound: float | None) -> list[str]:
+        phase = pl.Phase(
+            name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
+            controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+            duration="T", end=lambda x, p, m: (x.x,),
+            end_conditions=(pl.Variable(name="place", unit="m", lower=range_[0], upper=range_[1]),),
+        )  # fmt: skip
+        at = {} if bound is None else {side: bound}
+        stated = pl.Problem(
+            name="ranged", phases=(phase,), start=lambda p, m: (p.q, 0.0), objective_unit="m",
+            given={"T": pl.Given(value=1.0, unit="s"), "w": pl.Given(value=1.0, unit="s/m")},
+            objective=lambda x, p, m: p.w * (x.c + (p.q - p.T / p.w) ** 2 / p.T),
+            free=(pl.Free(name="q", unit="m", typical=1.0, **{"lower": -5.0, "upper": 5.0, **at}),),
+        )  # fmt: skip
+        sides = Sides(free={"q": side} if at else {}, ranges={("go", "place"): side if holds else "inside"})
+        return proved(stated, {"u": "interior"}, [0.1, 1.0, 1.0, 0.1], sides)[1]
+
+    assert not missing((lower, upper), told.get(side))
+    assert len(missing(wrong if holds else (lower, upper), beyond if not holds else None)) == 1
