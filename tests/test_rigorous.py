@@ -124,7 +124,7 @@ def test_a_theorem_is_a_level_of_the_verification() -> None:
     assert found.level == 5 and "theorem" in found.title
     assert found.notes[0].startswith("Theorem. ") and "1.42031259904919781546735996764" in found.notes[0]
     certificate = json.loads(json.dumps(found.certificate))
-    assert certificate["problem"]["given"]["c"] == str(Fraction(2.349)) and len(certificate["unknowns"]) == 8
+    assert certificate["problem"]["given"]["c"]["number"] == str(Fraction(2.349)) and len(certificate["unknowns"]) == 8
 
 
 def test_what_is_not_proved_is_named_and_lowers_nothing() -> None:
@@ -177,7 +177,7 @@ def test_a_false_certificate_is_refused(claim: str) -> None:
     elif claim == "range":
         told["problem"]["free"][0]["upper"] = "1"
     elif claim == "problem":
-        told["problem"]["given"]["distance"] = "1000000001/1000000000"
+        told["problem"]["given"]["distance"]["number"] = "1000000001/1000000000"
     elif claim == "bound":
         told["problem"]["phases"][0]["states"][1]["upper"] = "1/2"
     else:

@@ -21,6 +21,7 @@ from perilune.rigorous.jets import (
     Jet,
     dot,
     exact,
+    given,
     horner,
     listed,
     matrix,
@@ -41,7 +42,7 @@ class _Proof:
 
     def __init__(self, certificate: dict[str, Any]) -> None:
         self.told, self.problem, self.order = certificate, certificate["problem"], certificate["order"]
-        self.given = {name: rational(stated) for name, stated in self.problem["given"].items()}
+        self.given = {name: given(stated) for name, stated in self.problem["given"].items()}
         self.free, self.phases = [f["name"] for f in self.problem["free"]], self.problem["phases"]
         self.arcs = certificate["arcs"]
         self.last = {arc["phase"]: i for i, arc in enumerate(self.arcs)}

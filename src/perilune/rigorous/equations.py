@@ -16,6 +16,7 @@ from typing import Any
 from perilune.problem.controls import Bounded, Direction, Settled, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
+from perilune.rigorous.given import exactly
 from perilune.rigorous.graph import Expression, Graph
 from perilune.rigorous.reading import Unsupported, read
 from perilune.rigorous.taylor import Program
@@ -116,7 +117,7 @@ class Reader:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.graph = problem, Graph()
-        self.given = {name: self.graph.constant(g.value) for name, g in problem.given.items()}
+        self.given = {name: exactly(g).expression(self.graph) for name, g in problem.given.items()}
 
     def function(self, key: Any, x: Sequence[Any] = (), u: Sequence[Any] = (), free: Mapping[str, Any] | None = None,
                  phase: Phase | None = None) -> list[Expression]:  # fmt: skip

@@ -176,6 +176,11 @@ def rational(text: str) -> Any:
     return arb(fmpq(*map(int, text.split("/"))) if "/" in text else int(text))
 
 
+def given(told: dict[str, Any]) -> Any:
+    """A given value: a rational number times a power of pi."""
+    return rational(told["number"]) * arb.pi() ** told.get("power_of_pi", 0)
+
+
 def exact(text: str) -> Any:
     """A number written as mantissa*2^exponent."""
     mantissa, exponent = text.split("*2^")

@@ -14,6 +14,7 @@ from typing import Any
 from perilune.problem.controls import Direction
 from perilune.rigorous.boundary import BoundaryProblem
 from perilune.rigorous.equations import Scalar
+from perilune.rigorous.given import exactly
 from perilune.rigorous.graph import Expression
 from perilune.rigorous.reading import Unsupported, read
 from perilune.rigorous.root import Root
@@ -111,7 +112,7 @@ class Limits:
     def _parameter(self, i: int, name: str) -> Expression:
         arc, problem = self.boundary.arcs[i], self.boundary.problem
         if name in problem.given:
-            return arc.graph.constant(problem.given[name].value)
+            return exactly(problem.given[name]).expression(arc.graph)
         if name in arc.constants:
             return arc.graph.input(("z", len(arc.phase.states) + arc.constants.index(name)))
         return arc.graph.input(("y", self.boundary.names.index(name)))

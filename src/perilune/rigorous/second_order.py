@@ -26,6 +26,7 @@ from perilune.rigorous.boundary import BoundaryProblem, Differentiated
 from perilune.rigorous.equations import Arc, Reader
 from perilune.rigorous.flight import Grid
 from perilune.rigorous.flow import NotEnclosed, Step, step
+from perilune.rigorous.given import exactly
 from perilune.rigorous.limits import Statement
 from perilune.rigorous.taylor import Ball, Program
 
@@ -108,7 +109,7 @@ class _Form:
         flat = [e for rows in (hessian, normals) for row in rows for e in row]
         self._end = Program(graph, [*inputs, *(("nu", i) for i in range(len(psi)))], flat)
         self._nu, self._count = nu, len(psi)
-        self.duration = named.get(phase.duration, arb(problem.given[phase.duration].value)
+        self.duration = named.get(phase.duration, exactly(problem.given[phase.duration]).ball()
                                   if phase.duration in problem.given else arb(0))  # fmt: skip
 
     def weights(self, weight: float, sizes: Sequence[float]) -> list[float]:

@@ -9,19 +9,20 @@ from fractions import Fraction
 from typing import Any
 
 from perilune.problem.problem import Problem
+from perilune.rigorous.given import exactly
 from perilune.rigorous.limits import Statement
 from perilune.rigorous.taylor import Ball
 from perilune.rigorous.theorem import Proved
 
-CERTIFICATE = "perilune theorem 1"
+CERTIFICATE = "perilune theorem 2"
 TRUSTED = (
     "FLINT's ball arithmetic (arb), through python-flint",
     "perilune.rigorous: derivatives of expressions, Taylor recurrences, remainder, Krawczyk's operator, signs",
     "perilune.problem.tape: that the recorded operations are those of the functions that state the problem",
+    "perilune.words.units: the exact number of a quantity that is stated in decimals",
     "the interpreter of Python and the machine",
 )
 _DIGITS = 30
-_EXACT = "every number taken as the rational number that its double is"
 
 
 def _ball(value: Ball) -> str:
@@ -43,11 +44,22 @@ def theorem_text(proved: Proved) -> str:
     arcs = f" It consists of {len(boundary.arcs)} arcs." if len(boundary.arcs) > 1 else ""
     around = "in which the verified answer lies" if proved.reached else "around it"
     return (
-        f"Theorem. With {_EXACT}, the problem {problem.name} has an extremal: a flight that satisfies Pontryagin's "
+        f"Theorem. With {_taken(problem)}, the problem {problem.name} has an extremal: a flight that satisfies Pontryagin's "
         f"conditions exactly, with {', '.join(told)}.{arcs} Its unknowns are within {_at_most(proved.distance)} of "
         "those of the verified answer, relative to their size (a millionth of the largest for smaller ones), and the "
         f"only ones in a box {around} (contraction {_at_most(proved.alone.contraction)}). {_kept(proved)} "
         f"{_optimum(proved.optimum)}"
+    )
+
+
+def _taken(problem: Problem) -> str:
+    """Which numbers a theorem is about."""
+    stated = sum(bool(exactly(given).text) for given in problem.given.values())
+    doubles = "number taken as the rational number that its double is"
+    if not stated:
+        return f"every {doubles}"
+    return (
+        f"the decimals of the scenario taken exactly ({stated} of {len(problem.given)} values), every other {doubles}"
     )
 
 
@@ -158,7 +170,7 @@ def problem_document(problem: Problem) -> dict[str, Any]:
         "name": problem.name,
         "digest": problem.form.digest,
         "phases": phases,
-        "given": {name: _rational(given.value) for name, given in problem.given.items()},
+        "given": {name: exactly(given).document() for name, given in problem.given.items()},
         "free": [limits(f) for f in problem.free],
         "tapes": tapes,
     }

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property, lru_cache
 from numbers import Real
 
@@ -89,6 +90,15 @@ def unit(text: str) -> tuple[float, Dimension]:
     if not text or text == "1":
         return 1.0, (0, 0, 0, 0)
     factor, exponents = 1.0, [0.0, 0.0, 0.0, 0.0]
+    for name, power in _powers(text):
+        size, dimension = _UNITS[name]
+        factor *= size**power
+        exponents = [e + power * d for e, d in zip(exponents, (*dimension, 0), strict=False)]
+    return factor, (exponents[0], exponents[1], exponents[2], exponents[3])
+
+
+def _powers(text: str) -> Iterator[tuple[str, float]]:
+    """Each unit of an expression, with its power."""
     parts = re.split(r"([*/])", text.replace("**", "^").replace(" ", ""))
     for operator, part in zip(["*", *parts[1::2]], parts[::2], strict=True):
         match = _FACTOR.fullmatch(part)
@@ -99,11 +109,7 @@ def unit(text: str) -> tuple[float, Dimension]:
                 expected="products and powers of " + ", ".join(u for u in _UNITS if u != "1"),
                 advice='write for example "km", "m/s", "km^3/s^2" or "rad/s"',
             )
-        power = float(match.group(2) or 1) * (1 if operator == "*" else -1)
-        size, dimension = _UNITS[match.group(1)]
-        factor *= size**power
-        exponents = [e + power * d for e, d in zip(exponents, (*dimension, 0), strict=False)]
-    return factor, (exponents[0], exponents[1], exponents[2], exponents[3])
+        yield match.group(1), float(match.group(2) or 1) * (1 if operator == "*" else -1)
 
 
 def dimension_text(dimension: Dimension) -> str:
@@ -175,6 +181,37 @@ def parse_quantity(text: str, expected_unit: str) -> float:
     if not math.isfinite(value):
         raise PeriluneError("the value is not finite", got=repr(text[:60]), expected="a finite number")
     return value
+
+
+def exact_quantity(text: str) -> tuple[Fraction, int] | None:
+    """The value in SI of a quantity with its decimals taken exactly.
+
+    Parameters
+    ----------
+    text
+        What `parse_quantity` reads.
+
+    Returns
+    -------
+    number, power
+        The value is number * pi^power; None where it is no rational number times a whole power of pi, as with the root
+        of a kilometre.
+    """
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        return None
+    number, around = Fraction(match.group(1)), 0.0
+    for name, power in _powers(match.group(2) or "1"):
+        degrees = name == "deg"
+        # Every other factor is a decimal of a few digits, which are those of its double.
+        size = Fraction(1, 180) if degrees else Fraction(repr(_UNITS[name][0]))
+        around += power * degrees
+        if not power.is_integer():
+            size, power = Fraction(math.isqrt(size.numerator), math.isqrt(size.denominator)), 2 * power
+            if degrees or size**2 != Fraction(repr(_UNITS[name][0])):
+                return None
+        number *= size ** int(power)
+    return number, int(around)
 
 
 def _example(unit_text: str) -> str:
