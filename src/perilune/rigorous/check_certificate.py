@@ -356,6 +356,7 @@ def main() -> int:
         print(f"not confirmed: {error if isinstance(error, (Failed, OSError)) else f'no certificate ({error!r})'}")
         return 1
     print(f"confirmed: one extremal of {certificate['problem']['name']} in the box, J = {J.str(30)}")
+    print("not looked at: the words of the theorem, the larger box, convexity of H, the second variation")
     for value, told in zip(root, certificate["unknowns"], strict=True):
         print(f"  {told['name']} = {value.str(30)}")
     return 0

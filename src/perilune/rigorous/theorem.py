@@ -99,6 +99,8 @@ def attempt(solution: Solution, tell: Callable[[str], None], efforts: Sequence[S
                     tell(unsaid)
     except Unsupported as error:
         unsaid = error.what
+    except (ArithmeticError, ValueError) as error:  # of FLINT, where a number has no value
+        unsaid = f"the arithmetic of balls has no value somewhere ({error})"
     return Attempt(proved=None, unsaid=unsaid, seconds=time.monotonic() - began)
 
 

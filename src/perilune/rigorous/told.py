@@ -43,9 +43,10 @@ def theorem_text(proved: Proved) -> str:
     told += [f"{f.name} = {_ball(y[f.name])} {f.unit}".removesuffix(" 1") for f in problem.free]
     arcs = f" It consists of {len(boundary.arcs)} arcs." if len(boundary.arcs) > 1 else ""
     around = "in which the verified answer lies" if proved.reached else "around it"
+    values = ", ".join(told)
     return (
-        f"Theorem. With {_taken(problem)}, the problem {problem.name} has an extremal: a flight that satisfies Pontryagin's "
-        f"conditions exactly, with {', '.join(told)}.{arcs} Its unknowns are within {_at_most(proved.distance)} of "
+        f"Theorem. With {_taken(problem)}, the problem {problem.name} has an extremal: a flight that satisfies "
+        f"Pontryagin's conditions exactly, with {values}.{arcs} Its unknowns are within {_at_most(proved.distance)} of "
         "those of the verified answer, relative to their size (a millionth of the largest for smaller ones), and the "
         f"only ones in a box {around} (contraction {_at_most(proved.alone.contraction)}). {_kept(proved)} "
         f"{_optimum(proved.optimum)}"
