@@ -1,9 +1,11 @@
-"""Which number a given value is in a theorem: the decimal of the scenario, or the double."""
+"""What a theorem is about: the decimals of a scenario or the doubles, and a place where there is a root."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 from types import MappingProxyType
 
 import pytest
@@ -11,16 +13,19 @@ import pytest
 import perilune as pl
 from perilune.problem.variables import Given
 from perilune.words.units import parse_quantity
+from perilune.words.watch import silent
 from problems.landings import meditch
 
 pytest.importorskip("flint")
-from flint import arb
+from flint import arb, ctx
 
 from perilune.rigorous.check_certificate import confirm
 from perilune.rigorous.given import exactly
 from perilune.rigorous.graph import Graph
 from perilune.rigorous.jets import Failed, given as checked
+from perilune.rigorous.root import NotProved, prove_root
 from perilune.rigorous.taylor import Program
+from perilune.rigorous.theorem import Proved, attempt
 from perilune.rigorous.verified import with_theorem
 
 
@@ -72,3 +77,23 @@ def test_a_theorem_says_which_numbers_it_is_about() -> None:
     told["problem"]["given"]["c"]["number"] = str(Fraction(2.349))
     with pytest.raises(Failed):
         confirm(told, lambda _: None)
+
+
+@cache
+def theorem() -> Proved:
+    """A lander that is proved."""
+    found = attempt(pl.solve(meditch(), level=0), silent).proved
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("away", "proved"), [(0.0, True), (1e-9, False)])
+def test_no_root_is_proved_where_there_is_none(away: float, proved: bool) -> None:
+    """A box smaller than its distance from the root, as `benchmarks/rigorous_landers.py` claims it of each theorem."""
+    found = theorem()
+    with ctx.workprec(found.settings.bits):
+        sizes = [max(float(c.abs_upper()), 1e-9) for c in found.refined.y]
+        place = [c + arb(away * size) for c, size in zip(found.refined.y, sizes, strict=True)]
+        radii = [1e-12 * size for size in sizes]
+        with nullcontext() if proved else pytest.raises(NotProved):
+            prove_root(found.boundary, replace(found.refined, y=place), found.settings, silent, radii)

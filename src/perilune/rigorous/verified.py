@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from perilune.problem.solution import Solution
 from perilune.problem.verification import THEOREM, Check, Verification
-from perilune.rigorous.theorem import Proved, attempt
+from perilune.rigorous.theorem import Attempt, Proved, attempt
 from perilune.rigorous.told import certificate, missing_text, theorem_text
 from perilune.words.watch import Watch, silent
 
@@ -25,7 +25,11 @@ def with_theorem(verification: Verification, solution: Solution, watch: Watch | 
     watch
         Is told of every part.
     """
-    found = attempt(solution, watch or silent)
+    return with_attempt(verification, attempt(solution, watch or silent))
+
+
+def with_attempt(verification: Verification, found: Attempt) -> Verification:
+    """The same with what was attempted already."""
     if found.proved is None:
         return _noted(verification, found.unsaid)
     if not found.proved.distance <= _FAR:
