@@ -43,7 +43,7 @@ load_any: Any = load_file
         (lambda: Loose.solve("lander.toml"), ("not a problem to solve", "'lander.toml'", "load_file")),
         (lambda: Loose.solve(LANDING, "direct"), ("not a method", "'direct'", "Pseudospectral()")),
         (lambda: Loose.solve(LANDING, pl.Indirect), ("not a method", "the class Indirect, and not Indirect()")),
-        (lambda: Loose.solve(LANDING, level=9), ("no such level", "9", "0, 1, 2, 3 or 4")),
+        (lambda: Loose.solve(LANDING, level=9), ("no such level", "9", "0, 1, 2, 3, 4 or 5")),
         (lambda: Loose.solve(LANDING, level="3"), ("no such level", "'3'")),
         (lambda: Loose.prove(LANDING, 3), ("not a solution to prove", "Problem", "Solution")),
         (lambda: Loose.verify(None), ("not a solution to verify", "None")),
