@@ -174,9 +174,13 @@ class Brick:
         if not self._left or len(self.lattice.own) >= self.count + _MOST_BRANCHES:
             return None
         sheet, place, y = self._left.pop(0)
-        branch = np.array([self.lattice.another_branch(sheet)])
-        self.lattice.solved(branch, place[None], y[None], np.full(1, np.inf))
-        root = self.lattice.wholes(branch)
+        return self._begun_with(self.lattice.another_branch(sheet), place[None], y[None])
+
+    def _begun_with(self, branch: int, place: Whole, y: Matrix) -> Cells:
+        """The whole brick as a cell of a branch that is known at places inside it alone."""
+        which = np.full(len(place), branch)
+        self.lattice.solved(which, place, y, np.full(len(place), np.inf))
+        root = self.lattice.wholes(which[:1])
         return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
 
     def _passed_over(self, done: Cells) -> list[Extremal]:
@@ -209,9 +213,7 @@ class Brick:
         for sheet, place, y in self._crossings.met(done):
             self._begun(np.full(len(place), sheet), place)
             if sheet not in done.branch:
-                self.lattice.solved(np.full(len(place), sheet), place, y, np.full(len(place), np.inf))
-                root = self.lattice.wholes(np.array([sheet]))
-                first.append(replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT])))
+                first.append(self._begun_with(sheet, place, y))
                 continue
             self._left += zip([sheet] * len(place), place, y, strict=True)
             for branch in self.lattice.alike(sheet):
@@ -223,12 +225,8 @@ class Brick:
         cut = np.unique(np.concatenate(wrong))
         if not first and not len(cut) and len(self._left) == count:
             return None
-        done = joined([done, *first])
-        status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
-        axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
-        child[cut] = len(done) + 2 * np.arange(len(cut))
-        done = replace(done, status=status, axis=axis, child=child)
-        return done, self._halved(some(done, cut), axis[cut])
+        done = _cut_after_all(joined([done, *first]), cut)
+        return done, self._halved(some(done, cut), done.axis[cut])
 
     def _with_beginnings(self, cells: Cells) -> NDArray[np.bool_]:
         """In which cells a sheet began."""
@@ -275,15 +273,12 @@ class Brick:
             self.nodes.within(int(done.branch[i]), done.low[i], done.low[i] + done.size[i], first if before[i] else 0)
             for i in bare
         ]
-        status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
-        known = np.array([len(nodes) > 0 for nodes in within], dtype=bool)
+        status, known = done.status.copy(), np.array([len(nodes) > 0 for nodes in within], dtype=bool)
         status[bare] = np.where(known, Status.ENDS, Status.ABSENT)
         again = known & (done.size[bare].max(axis=1, initial=0) > self.ending)
         cut = bare[again]
-        axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
-        child[cut] = len(done) + 2 * np.arange(len(cut))
-        done = replace(done, status=status, axis=axis, child=child)
-        halves = self.lattice.halves(some(done, cut), axis[cut])
+        done = _cut_after_all(replace(done, status=status), cut)
+        halves = self.lattice.halves(some(done, cut), done.axis[cut])
         # Layers that lie near one another are told apart in small cells alone.
         fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= 2 * self.ending))[0]
         near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
@@ -373,3 +368,11 @@ class Brick:
             known = self.nodes.count
             small = self.lattice.walked_on(small)
         return replace(cells, corners=self.lattice.corners(cells.branch, cells.low, cells.size))
+
+
+def _cut_after_all(done: Cells, cut: Whole) -> Cells:
+    """The same with some cells cut along their longest edges; their halves come behind all that there are."""
+    status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
+    axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
+    child[cut] = len(done) + 2 * np.arange(len(cut))
+    return replace(done, status=status, axis=axis, child=child)
