@@ -106,8 +106,9 @@ class Problem(ShownProblem):
         Name of the result that J is the negative of, or "".
     ranges
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
-        range depends on what is given; it replaces what `free` says. It raises `PeriluneError` for given values that
-        make no sense together.
+        range depends on what is given; it replaces what `free` says. What is typical may be a function
+        without arguments, where that takes long: an atlas asks for bounds alone, at thousands of values. It raises
+        `PeriluneError` for given values that make no sense together.
     declared
         Records (`perilune.words.declared`) that the problem was made of, whose numbers are parameters; each checks new
         values too, whoever gave them. With them `perilune.save` writes what a model is made of again.
@@ -164,7 +165,7 @@ class Problem(ShownProblem):
         if self.ranges is not None:
             found = self.ranges(self.parameters({}), NUMERIC)
             free = (
-                replace(f, lower=r[0], upper=r[1], typical=r[2])
+                replace(f, lower=r[0], upper=r[1], typical=r[2]() if callable(r[2]) else r[2])
                 for f in self.free
                 if (r := found.get(f.name, _range(f)))
             )

@@ -134,7 +134,7 @@ def _refuse_unfit(problem: Problem, days: float) -> None:
 def _entry(problem: Problem, p: Any) -> tuple[float, float]:
     """Time [s] of a typical fall through the air, and the angle swept [rad] in axes that do not turn."""
     assert problem.ranges is not None and problem.rough_flight is not None
-    times = {name: typical for name, (_, _, typical) in problem.ranges(p, NUMERIC).items()}
+    times = {name: typical() for name, (_, _, typical) in problem.ranges(p, NUMERIC).items()}
     rows = problem.rough_flight(problem.parameters(times))[problem.duration_names.index("entry_time")]
     place = rows[:, :3] / np.linalg.norm(rows[:, :3], axis=1)[:, None]
     first, last, turned = place[0], place[-1], p.body_rotation_rate * times["entry_time"]

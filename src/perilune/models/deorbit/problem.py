@@ -9,8 +9,8 @@ below it. `flight_time` counts from ignition; a coast before it has a time of it
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
 from perilune.models.deorbit.along import rough_air
+from perilune.models.deorbit.fall import fall
 from perilune.models.deorbit.passes import extremes
 from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
@@ -193,7 +194,7 @@ def _left(name: str, limits: Limits) -> Variable:
 
 def _ranges(
     p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
-) -> dict[str, tuple[float, float, float]]:
+) -> dict[str, tuple[float, float, Callable[[], float]]]:
     """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
     highest = math.asin(math.sin(p.orbit_inclination))
     low, _ = extremes(p)
@@ -216,23 +217,26 @@ def _ranges(
             expected=f"less than {math.degrees(highest):g} deg, which the inclination allows",
             advice="a lower manoeuvre.latitude, or another orbit.inclination",
         )
-    typical = times.typical_times(p, angles, air, coasts="coast" in names, drifts="drift" in names)
     burnt = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * times.exhaust_speed(p) / p.vehicle_thrust
     if hasattr(p, "throttle_lower"):
         burnt = burnt / p.throttle_lower if p.throttle_lower > 0 else math.inf
-    longest = {
-        "coast_time": getattr(p, "orbit_longest_coast", math.inf),
-        "burn_time": burnt,
-        "drift_time": getattr(p, "transition_longest_coast", math.inf),
-        "entry_time": 10 * typical.get("entry_time", 0.0),
-        "parachute_time": 10 * typical.get("parachute_time", 0.0),
-    }
+    longest = {"burn_time": burnt}
+    if coasts := "coast" in names:
+        longest["coast_time"] = getattr(p, "orbit_longest_coast", math.inf)
+    if drifts := "drift" in names:
+        longest["drift_time"] = getattr(p, "transition_longest_coast", math.inf)
+    if air is not None:
+        longest["entry_time"] = 10 * fall(p, air).time
+        if hasattr(p, "parachute_altitude"):
+            longest["parachute_time"] = 10 * parachutes.typical_time(p, air)
     least = {"coast_time": SHORTEST, "drift_time": SHORTEST}
     inside = {"coast_time": 0.98}  # of its longest: by how late it begins a flight knows its site
-    return {
-        name: (least.get(name, 0.0), longest[name], min(value, inside.get(name, 0.9) * longest[name]))
-        for name, value in typical.items()
-    }
+    typical = cache(partial(times.typical_times, p, angles, air, coasts=coasts, drifts=drifts))
+
+    def likely(name: str) -> float:
+        return min(typical()[name], inside.get(name, 0.9) * longest[name])
+
+    return {name: (least.get(name, 0.0), most, partial(likely, name)) for name, most in longest.items()}
 
 
 def deorbit_entry(
