@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 import perilune as pl
 from perilune import PeriluneError
@@ -26,7 +27,7 @@ WHERE, WIDE = 0.31, 0.02  # of the window
 OUT, IN = (0.97, 0.05), (1.05, -0.12)  # the better well beside it, and how far it moves there
 
 
-def priced(price: Callable[[Any, Any], Any]) -> pl.Problem:
+def priced(price: Callable[[Any, Any], Any], more: tuple[str, ...] = ()) -> pl.Problem:
     """x(1) = q with the least int u^2/2, which is taken off again, and a price of q."""
     phase = pl.Phase(
         name="way",
@@ -44,7 +45,7 @@ def priced(price: Callable[[Any, Any], Any]) -> pl.Problem:
         phases=(phase,),
         start=lambda p, m: (0.0 * p.a, 0.0 * p.a / p.one),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
-        free=(pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5),),
+        free=tuple(pl.Free(name=name, unit="1", lower=0.0, upper=1.0, typical=0.5) for name in ("q", *more)),
         objective=lambda x, p, m: p.one * x.c - 0.5 * p.q * p.q + price(p, m),
         objective_unit="1",
     )
@@ -179,3 +180,27 @@ def test_of_what_enters_a_brick_the_layer_that_its_first_cell_passes_over_is_map
     found = open_atlas(store, lambda _: problem).query_many(points)
     assert found.good.mean() > 0.95 and (found.free["q"] > 0.7).sum() > 60
     assert found.objective[found.good] == pytest.approx(least_over_q(price, points)[found.good], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("width", "late", "tied"),
+    [(0.4, 0.04, 0.6), (0.4, 0.04, -0.9), (0.4, 0.0, 0.0)],
+    ids=["one after the other", "a way to each", "both at one place"],
+)
+def test_two_bounds_are_crossed_inside_a_brick(tmp_path: Path, width: float, late: float, tied: float) -> None:
+    """What holds both was not foretold, nor found where it begins and what holds one of them is no answer anywhere."""
+
+    def price(p: Any, m: Any) -> Any:
+        q = p.q - 0.8 - width * m.exp(-(((p.a - 0.4) / 0.05) ** 2))
+        r = p.r - 0.8 - width * m.exp(-(((p.a - 0.4 - late) / 0.05) ** 2))
+        return q * q + r * r + 2.0 * tied * q * r
+
+    def least(a: float) -> float:
+        far = minimize(lambda x: price(SimpleNamespace(q=x[0], r=x[1], a=a), few), (0.9, 0.9), bounds=[(0.0, 1.0)] * 2)
+        return float(far.fun)
+
+    problem, few = priced(price, ("r",)), SimpleNamespace(exp=np.exp)
+    points = np.append(np.random.default_rng(5).uniform(0.25, 0.6, 99), 0.42)[:, None]
+    found = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem).query_many(points)
+    assert found.good.all() and (found.free["q"] + found.free["r"] == 2.0).any()
+    assert found.objective == pytest.approx([least(a) for a in points[:, 0].tolist()], abs=1e-7)

@@ -8,7 +8,9 @@ side of folds on which J curves upwards along what is held or let go; and it is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,45 +23,85 @@ from perilune.atlas.sheets import Borders, Sheet
 from perilune.problem.extremal import Nature
 from perilune.words.types import Matrix, Vector
 
+_MOST = 32  # sheets that may go on where one crosses bounds, if they are more than one bound away
+
 
 def beside(borders: Borders, sheet: Sheet, values: Vector, y: Vector) -> Iterator[Sheet]:
-    """The sheets that go on where one crosses bounds; `values` and `y` are an extremal of it, canonical."""
-    chart, limits = borders.chart, borders.at(values[None])
+    """The sheets that may go on where one crosses bounds, and where these cross others in their turn, nearest first.
+
+    Parameters
+    ----------
+    borders, sheet
+        Which sheet.
+    values, y
+        An extremal of it, canonical.
+
+    Yields
+    ------
+    sheet
+        What holds other bounds of one parameter or range of the user's, or of several, as long as these are few.
+    """
+    users, limits = np.nonzero(borders.users)[0].tolist(), borders.at(values[None])
+    sides = {
+        k: ["", *(side for side, bound in zip(("lower", "upper"), limits, strict=True) if np.isfinite(bound[0, k]))]
+        for k in users
+    }
     first = borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None])
-    choice = chart.choice(values[None], first)
-    for k in np.nonzero(borders.users)[0].tolist():
-        name = borders.names[k]
-        if name in sheet.holds:
-            sides, holds = [""], {other: side for other, side in sheet.holds.items() if other != name}
-        else:
-            bounds = zip(("lower", "upper"), limits, strict=True)
-            sides, holds = [side for side, bound in bounds if np.isfinite(bound[0, k])], dict(sheet.holds)
-        if not sides:
-            continue
-        free, fixed = _orientations(chart, values, y, choice, k)
-        nature = Nature.LOCAL_OPTIMUM_AT_BOUND if holds or any(sides) else Nature.LOCAL_OPTIMUM
-        if sheet.nature is Nature.UNPROVED:
-            nature = Nature.UNPROVED
-        for side in sides:
-            more = {**holds, name: side} if side else holds
-            yield Sheet(holds=more, orientation=fixed if side else free, nature=nature)
+    choice = borders.chart.choice(values[None], first)
+    told = 0
+    for far in range(1, len(users) + 1):
+        ways = [
+            dict(zip(changed, way, strict=True))
+            for changed in combinations(users, far)
+            for way in product(*([s for s in sides[k] if s != sheet.holds.get(borders.names[k], "")] for k in changed))
+        ]
+        told += len(ways)
+        if far > 1 and told > _MOST:
+            return
+        for way in ways:
+            both = {**sheet.holds, **{borders.names[k]: side for k, side in way.items()}}
+            holds = {name: side for name, side in both.items() if side}
+            nature = Nature.LOCAL_OPTIMUM_AT_BOUND if holds else Nature.LOCAL_OPTIMUM
+            if sheet.nature is Nature.UNPROVED:
+                nature = Nature.UNPROVED
+            held, let_go = [k for k, side in way.items() if side], [k for k, side in way.items() if not side]
+            orientation = _orientation(borders.chart, values, y, choice, held, let_go)
+            yield Sheet(holds=holds, orientation=orientation, nature=nature)
 
 
-def _orientations(chart: Chart, values: Vector, y: Vector, choice: Matrix, k: int) -> tuple[float, float]:
-    """Sign of det(dh/dy) where what can be held is free, on the side on which J curves upwards along it, and held."""
-    shooting, plan = chart.shooting, chart.shooting.plan
-    values, Y = values[None].repeat(2, axis=0), chart.whole(values[None], y[None]).repeat(2, axis=0)
-    both = choice.repeat(2, axis=0)
-    both[:, k] = 0.0, 1.0
-    both[1, plan.held + k] = shooting.held_values(shooting.at(Y[:1], chart.p, choice))[0][0, k]
-    roots = shooting.at(Y, chart.p, both)
-    if k < plan.free:
-        curvature = shooting.curvature(roots[0], k)
-    else:  # dJ/d(value) = -nu
-        nu = chart.conditions.ranges[k - plan.free][1]
-        curvature = -roots[1].inverse[plan.active.searchsorted(nu), plan.held_rows[k]]
-    free, fixed = chart.told_of(values, roots).orientation.tolist()
-    return free * float(np.sign(curvature)), fixed
+def _orientation(chart: Chart, values: Vector, y: Vector, choice: Matrix, held: list[int], let_go: list[int]) -> float:
+    """Sign of det(dh/dy) where more is held, and less: on the side on which J curves upwards along what is let go.
+
+    Along all of that it does where the determinant of J's second derivatives has the sign of a minimum; this is the
+    product of the curvatures as one after the other is let go.
+    """
+    shooting, plan, lanes = chart.shooting, chart.shooting.plan, 1 + len(let_go)
+    values, Y = values[None].repeat(lanes, axis=0), chart.whole(values[None], y[None]).repeat(lanes, axis=0)
+    each, at = choice.repeat(lanes, axis=0), shooting.held_values(shooting.at(Y[:1], chart.p, choice))[0][0]
+    each[:, held] = 1.0
+    each[:, [plan.held + k for k in held]] = at[held]
+    for number, k in enumerate(let_go, 1):
+        each[number:, k] = 0.0
+    roots = shooting.at(Y, chart.p, each)
+    sign = float(chart.told_of(values, roots).orientation[-1])
+    for number, k in enumerate(let_go, 1):
+        if k < plan.free:
+            curvature = shooting.curvature(roots[number], k)
+        else:  # dJ/d(value) = -nu
+            nu = chart.conditions.ranges[k - plan.free][1]
+            curvature = -roots[number - 1].inverse[plan.active.searchsorted(nu), plan.held_rows[k]]
+        sign *= float(np.sign(curvature))
+    return sign
+
+
+class _Reached(NamedTuple):
+    """Places beyond bounds: of which sheet, its unknowns, bounds that it crossed, and sheets that were there before."""
+
+    sheet: Whole
+    place: Whole
+    y: Matrix
+    crossed: NDArray[np.bool_]
+    been: NDArray[np.bool_]
 
 
 class Crossings:
@@ -74,7 +116,7 @@ class Crossings:
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
         self._bounds = lattice.borders.bounds
-        self._seen = np.zeros(0, dtype=bool)  # nodes that were looked at
+        self._seen = np.empty(0, dtype=np.int64)  # ways that were looked at, from nodes to others
         self._lost = set[tuple[int, int]]()  # sheets and bounds behind which Newton's method led to nothing
         self._others = {
             (number, column): list(self._going_on(sheet, name, side))
@@ -105,23 +147,29 @@ class Crossings:
         sheet, place, y
             Its number, and where it has which unknowns.
         """
-        cell, inside, outside = self._borders(done)
-        if not len(cell):
-            return
-        place, y, crossed = self._crossing(done, cell, inside, outside)
-        own = np.array(self._lattice.own)[done.branch[cell]]
-        for (sheet, column), others in self._others.items():
-            here = np.nonzero(crossed[:, column] & (own == sheet))[0]
-            if not len(here):
-                continue
-            found = np.zeros(len(here), dtype=bool)
-            for other in others:
-                root, good, answers = self._solved(other, place[here], y[here])
-                found |= good
-                if answers.any():
-                    yield other, place[here[answers]], root.y[answers]
-            if not found.all():
-                self._lost.add((sheet, column))
+        sheets, borders = self._lattice.all_sheets, self._lattice.borders
+        reached = self._reached(done, *self._borders(done))
+        while reached is not None:
+            onward = list[_Reached]()
+            for (sheet, column), others in self._others.items():
+                if not len(here := np.nonzero(reached.crossed[:, column] & (reached.sheet == sheet))[0]):
+                    continue
+                found = np.zeros(len(here), dtype=bool)
+                for other in others:
+                    root, good, answers = self._solved(other, reached.place[here], reached.y[here])
+                    found |= good
+                    if answers.any():
+                        yield other, reached.place[here[answers]], root.y[answers]
+                    # Where two bounds are crossed at one place what holds one of them lies beyond the other.
+                    if len(on := np.nonzero(good & ~answers & ~reached.been[here, other])[0]):
+                        which, at = np.full(len(on), other), here[on]
+                        crossed = borders.crossed(sheets, which, root.of(on))
+                        been = reached.been[at] | (np.arange(len(sheets)) == other)
+                        onward.append(_Reached(which, reached.place[at], root.y[on], crossed, been))
+                if not found.all():
+                    self._lost.add((sheet, column))
+            rows = zip(*onward, strict=True)
+            reached = _Reached(*(np.concatenate(parts) for parts in rows)) if onward else None
 
     def _borders(self, done: Cells) -> tuple[Whole, Whole, Whole]:
         """Cells across a border, and of each a corner within it and one beyond, of those that were not looked at."""
@@ -134,39 +182,48 @@ class Crossings:
         row, outside = np.nonzero(beyond & within.any(axis=1, keepdims=True))
         away = (bits(self._lattice.d)[outside][:, None] != bits(self._lattice.d)).sum(axis=2)
         inside = np.where(within[row], away, corners.shape[1]).argmin(axis=1)
-        self._seen = np.append(self._seen, np.zeros(nodes.count - len(self._seen), dtype=bool))
-        new = np.nonzero(~self._seen[corners[row, outside]])[0]
-        new = new[np.unique(corners[row, outside][new], return_index=True)[1]]
-        self._seen[corners[row, outside][new]] = True
+        way, new = np.unique((corners[row, inside] << 32) + corners[row, outside], return_index=True)
+        new = new[~np.isin(way, self._seen)]
+        self._seen = np.union1d(self._seen, way)
         return cells[row[new]], inside[new], outside[new]
 
-    def _crossing(
-        self, done: Cells, cell: Whole, inside: Whole, outside: Whole
-    ) -> tuple[Whole, Matrix, NDArray[np.bool_]]:
-        """The first places beyond bounds on the ways from corners of cells to others, what there is, and which bounds.
+    def _reached(self, done: Cells, cell: Whole, inside: Whole, outside: Whole) -> _Reached | None:
+        """What there is at the first places beyond bounds on the ways from corners of cells to others.
 
-        By halves: what a cell gives is as near its sheet as no step of the lattice is long.
+        By halves of what cells give there; where Newton's method makes something else of that, of what it makes.
         """
-        lattice, nodes = self._lattice, self._lattice.nodes
-        first = done.corners[cell, inside]
-        near, far = nodes.rows("place", first), nodes.rows("place", done.corners[cell, outside])
-        whole, branch = (done.corners[cell] >= 0).all(axis=1), done.branch[cell]
+        lattice, nodes, borders = self._lattice, self._lattice.nodes, self._lattice.borders
+        first, branch = done.corners[cell, inside], done.branch[cell]
+        whole: NDArray[np.bool_] = np.all(done.corners[cell] >= 0, axis=1)
 
-        def at(place: Whole) -> tuple[Matrix, NDArray[np.bool_]]:
-            y, _ = nodes.along_slopes(first, place, lattice.step)
-            if whole.any():
-                y[whole] = nodes.guesses(done, cell[whole], place[whole], lattice.step)[0]
+        def given(ways: Whole, place: Whole) -> tuple[Matrix, NDArray[np.bool_]]:
+            y, _ = nodes.along_slopes(first[ways], place, lattice.step)
+            if (full := whole[ways]).any():
+                y[full] = nodes.guesses(done, cell[ways[full]], place[full], lattice.step)[0]
             values = lattice.values(place)
-            here = lattice.chart.at(values, y, lattice.borders.holds(lattice.sheets, branch, values))
-            return y, lattice.borders.crossed(lattice.sheets, branch, here)
+            here = lattice.chart.at(values, y, borders.holds(lattice.sheets, branch[ways], values))
+            return y, borders.crossed(lattice.sheets, branch[ways], here)
 
-        ends = at(far)[1].any(axis=1)  # or another border is crossed
-        while (apart := ends & (np.abs(far - near).max(axis=1) > 1)).any():
-            middle = np.where(apart[:, None], (near + far) // 2, far)
-            crossed = at(middle)[1].any(axis=1)
-            far = np.where((apart & crossed)[:, None], middle, far)
-            near = np.where((apart & ~crossed)[:, None], middle, near)
-        return far, *at(far)
+        def met(ways: Whole, place: Whole) -> tuple[Matrix, NDArray[np.bool_]]:
+            y, crossed = given(ways, place)
+            root, good = lattice.led(branch[ways], place, y, np.full(len(ways), np.inf))
+            beyond = borders.crossed(lattice.sheets, branch[ways], root)
+            return np.where(good[:, None], root.y, y), np.where(good[:, None], beyond, crossed)
+
+        near, far = nodes.rows("place", first), nodes.rows("place", done.corners[cell, outside])
+        ways = np.arange(len(cell))
+        if len(ways):
+            ways = np.nonzero(given(ways, far)[1].any(axis=1))[0]  # or another border is crossed
+        if not len(ways):
+            return None
+        begin, end = near[ways], far[ways]
+        before, beyond = _halved(given, ways, begin, end)
+        early, (y, crossed) = met(ways, before)[1].any(axis=1), met(ways, beyond)
+        if len(again := np.nonzero(early | ~crossed.any(axis=1))[0]):
+            _, beyond[again] = _halved(met, ways[again], begin[again], end[again])
+            y[again], crossed[again] = met(ways[again], beyond[again])
+        own = np.array(lattice.own)[branch[ways]]
+        return _Reached(own, beyond, y, crossed, own[:, None] == np.arange(len(lattice.all_sheets)))
 
     def _solved(self, sheet: int, place: Whole, y: Matrix) -> tuple[Extremals, NDArray[np.bool_], NDArray[np.bool_]]:
         """What there is of a sheet at places, from extremals of others, whether it is of it, and may be an answer."""
@@ -182,3 +239,15 @@ class Crossings:
         cells = np.nonzero(done.status == Status.NO_ANSWER)[0]
         lost = [sheet for sheet, _ in self._lost]
         return cells[np.isin(np.array(self._lattice.own)[done.branch[cells]], lost)]
+
+
+def _halved(
+    at: Callable[[Whole, Whole], tuple[Matrix, NDArray[np.bool_]]], lanes: Whole, near: Whole, far: Whole
+) -> tuple[Whole, Whole]:
+    """The last places before bounds, and the first beyond, between places before and beyond."""
+    while (apart := np.abs(far - near).max(axis=1, initial=0) > 1).any():
+        middle = np.where(apart[:, None], (near + far) // 2, far)
+        crossed = at(lanes, middle)[1].any(axis=1)
+        far = np.where((apart & crossed)[:, None], middle, far)
+        near = np.where((apart & ~crossed)[:, None], middle, near)
+    return near, far
