@@ -7,6 +7,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from types import MappingProxyType
+from typing import Any
 
 import pytest
 
@@ -19,11 +20,12 @@ from problems.landings import meditch
 pytest.importorskip("flint")
 from flint import arb, ctx
 
+from perilune.rigorous import flight, root
 from perilune.rigorous.check_certificate import confirm
 from perilune.rigorous.given import exactly
 from perilune.rigorous.graph import Graph
 from perilune.rigorous.jets import Failed, given as checked
-from perilune.rigorous.root import NotProved, prove_root
+from perilune.rigorous.root import NotProved, prove_root, refine
 from perilune.rigorous.taylor import Program
 from perilune.rigorous.theorem import Proved, attempt
 from perilune.rigorous.verified import with_theorem
@@ -97,3 +99,18 @@ def test_no_root_is_proved_where_there_is_none(away: float, proved: bool) -> Non
         radii = [1e-12 * size for size in sizes]
         with nullcontext() if proved else pytest.raises(NotProved):
             prove_root(found.boundary, replace(found.refined, y=place), found.settings, silent, radii)
+
+
+@pytest.mark.parametrize(("off", "refused"), [(0.0, False), (1e-5, True)])
+def test_newton_has_to_be_quadratic(off: float, refused: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With derivatives that are a little off it still converges, linearly: the sign of a function that is cut off."""
+    found = theorem()
+
+    def slopes(*arguments: Any) -> tuple[Any, Any]:
+        values, J = flight.slopes(*arguments)
+        return values, J * arb(1 + off)
+
+    monkeypatch.setattr(root, "slopes", slopes)
+    told = pytest.raises(NotProved, match="quadratically") if refused else nullcontext()
+    with ctx.workprec(found.settings.bits), told:
+        refine(found.boundary, [c * arb(1 + 1e-9) for c in found.refined.y], found.settings, silent)

@@ -107,26 +107,25 @@ def plainly(
         z, D = _start(boundary, i, y, z, D, True)
         V = matrix(boundary.columns[i], D)
         (duration,), (by_y,) = boundary.durations[i].slopes(y)
-        begin, begins, nodes, sizes = 0.0, list[float](), [z], [0.0] * len(z)
+        begins, nodes, sizes = list[float](), [z], [0.0] * len(z)
         known = None if grid is None else grid[i]
-        while known is None or len(begins) < len(known):
+        following: float | None = 0.0
+        while following is not None:
+            begin = following
+            begins.append(begin)
             c, tangents = coefficients(arc, middle(z), V.mid(), order)
             left = duration - arb(begin)
-            begins.append(begin)
             if known is not None:
-                last = len(begins) == len(known)
-                length = left if last else arb(known[len(begins)]) - arb(begin)
+                following = known[len(begins)] if len(begins) < len(known) else None
             else:
-                sizes = [max(a, *(abs(float(b)) for b in own[:1])) for a, own in zip(sizes, c, strict=True)]
-                most = _length(c, sizes, tolerance)
-                last = float(left) <= most
-                length = left if last else arb(_round(float(left) / -(-float(left) // most)))
+                sizes = [max(a, abs(float(own[0]))) for a, own in zip(sizes, c, strict=True)]
+                parts = -(-float(left) // _length(c, sizes, tolerance))
+                following = begin + float(left) / parts if parts > 1 else None
+            # Up to the very number at which the next begins: else the first flight is that of another duration.
+            length = left if following is None else arb(following) - arb(begin)
             z = middle([horner(own, length) for own in c])
             V = horner(tangents, length).mid()
-            begin = float(arb(begin) + length)
             nodes.append(z)
-            if last:
-                break
         chosen.append(begins)
         found.ends.append(z)
         found.tangents.append(_at_end(boundary, i, V, z, by_y))
@@ -136,16 +135,11 @@ def plainly(
     return found, chosen
 
 
-def _round(length: float) -> float:
-    """A length with few digits, so that the times of a grid are exact sums."""
-    return float(f"{length:.3g}")
-
-
 def _length(c: Sequence[Sequence[Ball]], sizes: Sequence[float], tolerance: float) -> float:
     """How long a step may be for its last coefficients to be below the tolerance."""
     most = float("inf")
     for own, size in zip(c, sizes, strict=True):
-        reference = max(size, 1e-3 * abs(float(own[1])) * 1.0)
+        reference = max(size, 1e-3 * abs(float(own[1])))
         for k in (len(own) - 1, len(own) - 2):
             last = abs(float(own[k]))
             if last > 0 and reference > 0:

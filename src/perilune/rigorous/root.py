@@ -25,6 +25,8 @@ from perilune.words.outcome import PeriluneError
 _ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
 _CONTRACTS = 0.1  # by so much a large box should contract
 _FARTHEST, _SMALLER = 1e-3, 3  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
+_QUADRATIC = 1e4  # a step of Newton's method, beside the square of the one before; 210 at most on answered problems
+_ENOUGH = 1e6  # times the tolerance is a step after which there is nothing more to gain
 _ROOM = 4.0  # times the defect is the radius of a box
 _LEAST = 1e-60  # radius of a box, SI
 Tell = Callable[[str], None]
@@ -98,7 +100,7 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
     NotProved
         If it does not converge, or not quadratically.
     """
-    grid, moved, y = None, list[float](), middle(y)
+    grid, moved, y, enough = None, list[float](), middle(y), settings.tolerance * _ENOUGH
     inverse = arb_mat(0, 0)
     for number in range(settings.newton):
         flown, chosen = plainly(boundary, y, settings.order, settings.tolerance, grid)
@@ -111,10 +113,13 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
         moved.append(largest)
         y = middle([a - b for a, b in zip(y, change, strict=True)])
         tell(f"Newton's method in {settings.bits} bits: step {largest:.2g}, {sum(map(len, chosen))} steps of the flow")
-        if largest < settings.tolerance * 1e6:
+        # What converges only linearly is not the function that its derivatives are of: one of the two is cut off.
+        if number and largest > max(enough, _QUADRATIC * moved[-2] ** 2):
+            raise NotProved("Newton's method in many digits does not converge quadratically", got=f"steps {moved}")
+        if largest < enough:
             break
-        if number > 1 and largest > 1e-3 * moved[-2]:
-            raise NotProved("Newton's method in many digits does not converge", got=f"steps {moved}")
+    else:
+        raise NotProved("Newton's method in many digits does not converge", got=f"steps {moved}")
     assert grid is not None
     return Refined(y=y, inverse=inverse, grid=grid, steps=moved)
 
