@@ -111,3 +111,20 @@ def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
 
     assert not missing((lower, upper), told.get(side))
     assert len(missing(wrong if holds else (lower, upper), beyond if not holds else None)) == 1
+
+
+def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:
+    """x = 1 - 6 t + 6 t^2 - t^3 is at 0 in the end, which no linear condition says, and comes there from below."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="v", unit="m/s"),
+                           pl.Variable(name="cost", unit="m^2/s^3")),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),), dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T", end=lambda x, p, m: (m.sin(x.x / p.l), x.v - 3 * p.l / p.T),
+        end_conditions=(pl.Variable(name="place"), pl.Variable(name="speed", unit="m/s")),
+    )  # fmt: skip
+    stated = pl.Problem(
+        name="dipping", phases=(phase,), start=lambda p, m: (p.l, -6 * p.l / p.T, 0.0), objective_unit="m^2/s^3",
+        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")}, objective=lambda x, p, m: x.cost,
+    )  # fmt: skip
+    _, missing = proved(stated, {"u": "interior"}, [-6.0, -12.0, 1.0, -6.0, -6.0])
+    assert missing == ["x > 0.0 (go)"]

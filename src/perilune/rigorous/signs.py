@@ -21,7 +21,7 @@ from perilune.rigorous.graph import Expression, Graph
 from perilune.rigorous.taylor import Ball, Program
 
 _DEEPEST = 12  # halvings of a step
-_SLACK = 1e-12  # SI: an enclosure of what vanishes at an end is narrower
+_SLACK = 1e-12  # SI: by less may be missed what vanishes at an end
 _HIGHEST = 4  # derivative that is looked at
 
 Affine = dict[Any, Any]  # input key (None: the constant) -> rational
@@ -133,12 +133,12 @@ def _falls(quantity: Quantity, step: Step, span: Ball, z: Sequence[Ball]) -> flo
     here = quantity.value(end)
     if not -_SLACK < here < _SLACK:
         return None
-    lost = float(here.abs_upper())
-    if quantity.value(z, 1) < 0:
-        return lost
-    if quantity.value(z, 2) > 0:
-        return lost + float(quantity.value(end, 1).abs_upper() * span.abs_upper())
-    return None
+    lost = here.abs_upper()
+    if not quantity.value(z, 1) < 0:
+        if not quantity.value(z, 2) > 0:
+            return None
+        lost += quantity.value(end, 1).abs_upper() * span.abs_upper()
+    return float(lost.upper()) if lost < _SLACK else None
 
 
 def vanishing(quantity: Quantity, known: Sequence[Expression], at: Mapping[Any, Expression]) -> int:
