@@ -204,3 +204,19 @@ def test_two_bounds_are_crossed_inside_a_brick(tmp_path: Path, width: float, lat
     found = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem).query_many(points)
     assert found.good.all() and (found.free["q"] + found.free["r"] == 2.0).any()
     assert found.objective == pytest.approx([least(a) for a in points[:, 0].tolist()], abs=1e-7)
+
+
+def test_where_two_branches_change_places_in_one_cell_none_of_their_layers_is_passed_over(tmp_path: Path) -> None:
+    """A window turns the wells by half a turn on the way to one side; of both branches a cell is torn, at one place."""
+
+    def price(p: Any, m: Any) -> Any:
+        turned = 8.05 * p.q + 5.61 - 2.0 * m.exp(-(((p.a - 0.947) / 0.064) ** 2))
+        return m.sin(turned) * (1.0 + 0.48 * m.exp(-(((p.a - 0.81) / 0.076) ** 2)))
+
+    problem, points = priced(price), np.linspace(0.0, 1.0, 400)[:, None]
+    store = build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1)
+    found = open_atlas(store, lambda _: problem).query_many(points)
+    assert found.good.mean() > 0.95 and (found.good | (found.answered == Answered.ENDS)).all()
+    few = SimpleNamespace(exp=np.exp, sin=np.sin)
+    least = [price(SimpleNamespace(q=np.linspace(0.0, 1.0, 20_001), a=a), few).min() for a in points[:, 0].tolist()]
+    assert found.objective[found.good] == pytest.approx(np.array(least)[found.good], abs=1e-7)

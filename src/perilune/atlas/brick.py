@@ -113,12 +113,24 @@ class Brick:
         status, corners = done.status.copy(), done.corners.copy()
         status[self._crossings.untold(done)] = Status.ONE_STEP
         for i in np.nonzero(status == Status.TORN)[0].tolist():
-            layers = self._ending[done.box(i)] | bool(self._left)
+            layers = self._ending[done.box(i)] | bool(self._left) | self._given_by_none(done, i)
             status[i] = Status.ENDS if layers.any() else Status.ABSENT
             corners[i] = np.where(layers, corners[i], -1) if layers.any() else corners[i]
         done = replace(done, status=status, corners=corners)
         nodes = {name: np.concatenate(rows) for name, rows in self.nodes.parts.items()}
         return Cut(nodes=nodes, cells=done, own=tuple(self.lattice.own))
+
+    def _given_by_none(self, done: Cells, number: int) -> NDArray[np.bool_]:
+        """At which corners of a torn cell there are answers that no other branch gives in it.
+
+        Two branches that change places on their layers in one cell know all that is around it, and are torn both.
+        """
+        corners, low, high = done.corners[number], done.low[number], done.low[number] + done.size[number]
+        answers = (corners >= 0) & (self.nodes.rows("margin", corners) >= 0)
+        here = ((done.low < high) & (done.low + done.size > low)).all(axis=1)
+        places, y = self.nodes.rows("place", corners), self.nodes.rows("terms", corners)[:, 0, :-1]
+        others = self.lattice.alike(self.lattice.own[int(done.branch[number])])
+        return answers & ~covered(some(done, here), self.nodes, self.step, others, places, y)
 
     # -- branches -------------------------------------------------------------------------------------------------
 
