@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,7 @@ from scipy.optimize import minimize
 
 import perilune as pl
 from perilune import PeriluneError
-from perilune.atlas import building, extend
+from perilune.atlas import building, extend, read
 from perilune.atlas.many import Answered
 from perilune.atlas.query import open_atlas
 from perilune.problem.variables import Given, Variable
@@ -220,3 +221,23 @@ def test_where_two_branches_change_places_in_one_cell_none_of_their_layers_is_pa
     few = SimpleNamespace(exp=np.exp, sin=np.sin)
     least = [price(SimpleNamespace(q=np.linspace(0.0, 1.0, 20_001), a=a), few).min() for a in points[:, 0].tolist()]
     assert found.objective[found.good] == pytest.approx(np.array(least)[found.good], abs=1e-7)
+
+
+def test_a_bound_that_goes_and_comes_back_inside_a_cell_is_where_it_is_at_the_point(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """J has a maximum between both bounds; the upper one is the better where it is far away, which no corner knows."""
+
+    def upper(p: Any, m: Any) -> Any:
+        return 0.7 + 0.3 * m.exp(-(((p.a - 0.3) / 0.04) ** 2))
+
+    base = priced(lambda p, m: 0.5 * p.q * (0.8 - p.q) + 0.0 * p.a)
+    problem = replace(base, ranges=lambda p, m: {"q": (0.0, upper(p, m), 0.5)})
+    monkeypatch.setattr(building, "refuse_moving_ranges", lambda *_: None)  # a model's are kept with its records
+    monkeypatch.setattr(read, "read_problem", lambda *_: problem)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1))
+    a = np.linspace(0.2, 0.4, 60)
+    found, most = atlas.query_many(a[:, None]), upper(SimpleNamespace(a=a), np)
+    assert found.good.all() and 20 < (found.free["q"] > 0.7).sum() < 40
+    assert found.objective == pytest.approx(np.minimum(0.0, 0.5 * most * (0.8 - most)), abs=1e-9)
+    assert atlas.query(a=0.3).objective == pytest.approx(-0.1, abs=1e-9)

@@ -154,7 +154,7 @@ class _Work:
             here = cost[chosen, np.arange(len(some))]
             best = self.cost[some]
             with np.errstate(invalid="ignore"):
-                going &= np.isfinite(here) & ~clearly_worse(here, best)
+                going &= (here < np.inf) & ~clearly_worse(here, best)
             for number, offer in enumerate(offers):
                 lanes = np.nonzero(going & (chosen == number))[0]
                 ends, breaks = np.isnan(offer.y[lanes, 0]), offer.breaks[lanes]
@@ -163,6 +163,8 @@ class _Work:
                     least[which] = np.minimum(least[which], here[which])
                 if len(lanes := lanes[~ends]):
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
+                    sound = polished.reached & np.isfinite(polished.cost)
+                    here[lanes] = cost[number, lanes] = np.where(sound, polished.cost, here[lanes])
                     for bound in offer.charted.sheets[offer.sheet].holds.items():
                         held.setdefault(bound, np.zeros(len(some), dtype=bool))[lanes[polished.answers]] = True
                     gaining = polished.gains & ~polished.beyond.any(axis=1)
@@ -235,6 +237,11 @@ class _Work:
                     met[sheet] += 1
                     offer = offers.setdefault((sheet, met[sheet]), _no_offer(charted, sheet, first, count))
                     _fill(offer, brick, root, lanes, inside, (high - low) / WHOLE / charted.chart.scale)
+            for offer in offers.values():
+                given = np.nonzero(np.isfinite(offer.y[:, 0]))[0]
+                values = self.points[some[given]] / charted.chart.scale
+                offer.y[given], missed = charted.at_bounds(offer.sheet, values, offer.y[given])
+                offer.cost[given[missed]] = -np.inf  # it is polished in any case
             found += offers.values()
             first += len(charted.sheets)
         return found

@@ -198,6 +198,8 @@ class Atlas(Reader):
                 continue
             canonical = (at / offer.charted.chart.scale)[None]
             polished = offer.polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
+            if polished.reached[0] and np.isfinite(polished.cost[0]):
+                offer.cost = float(polished.cost[0])
             if polished.breaking[0]:
                 breaking.append(offer)
             elif polished.doubtful[0]:
@@ -205,10 +207,8 @@ class Atlas(Reader):
             elif polished.beyond[0].any():
                 outside.append(offer)
             elif polished.gains[0]:
-                offer.cost = float(polished.cost[0])
                 gaining.append(offer)
             elif polished.answers[0]:
-                offer.cost = float(polished.cost[0])
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
@@ -285,8 +285,10 @@ class Atlas(Reader):
                 if brick.status[cell] in SERVING:
                     corner, size, terms = brick.cell(cell)
                     share, length = (inside - corner) / size, size * (high - low) / WHOLE / charted.chart.scale
-                    given = interpolated(terms, share[None], length[None])[0]
-                    offers.append(_Offer(charted, sheet, given[:-1], float(given[-1]), size * part))
+                    given = interpolated(terms, share[None], length[None])
+                    y, missed = charted.at_bounds(sheet, (at / charted.chart.scale)[None], given[:, :-1])
+                    cost = -np.inf if missed[0] else float(given[0, -1])  # then it is polished in any case
+                    offers.append(_Offer(charted, sheet, y[0], cost, size * part))
                 elif brick.status[cell] == Status.BREAKS:
                     least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
                     offers.append(_Offer(charted, sheet, None, least, low, breaks=True))

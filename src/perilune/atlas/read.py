@@ -163,6 +163,13 @@ class Charted:
         """What tells each sheet, in words."""
         return ["; ".join(filter(None, (self.chart.course.text, sheet.label))) for sheet in self.sheets]
 
+    def at_bounds(self, number: int, values: Matrix, y: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
+        """What cells of a sheet give, and where that misses a bound: there a step of Newton's method behind it."""
+        if (missed := self.borders.missed(self.sheets[number], values, y)).any():
+            holds = self.borders.holds(self.sheets, np.full(len(y), number), values)
+            y = np.where(missed[:, None], self.chart.at(values, y, holds).stepped, y)
+        return y, missed
+
     def free(self, y: Matrix) -> Matrix:
         """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
         chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]

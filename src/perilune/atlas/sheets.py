@@ -29,6 +29,7 @@ from perilune.words.types import Matrix, Vector
 
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
 _DIFFERENCE = 1e-4  # of the range of a parameter: where differences of bounds are taken
+_MISSED = 1e-4  # of 1 + its size: a cell that gives a bound by so much wrong gives J so that it tells nothing
 _SLACK = 1e-9  # canonical, by which a bound may be missed or a multiplier be on the wrong side
 
 
@@ -181,6 +182,19 @@ class Borders:
         beside = np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.diag(step)  # (4, axes, d)
         bounds = self.at((values[:, None, None] + beside).reshape(-1, d))[upper][:, i].reshape(-1, 4, d)
         return np.einsum("k,lkd->ld", np.array([1.0, -8.0, 8.0, -1.0]) / 12.0, bounds) / step
+
+    def missed(self, sheet: Sheet, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
+        """Where what cells give of free parameters that a sheet holds is not at the bound, which moves, (lanes,).
+
+        A bound that goes and comes back between the corners and the middle of a cell moves nothing that it knows.
+        """
+        found, free = np.zeros(len(values), dtype=bool), self.chart.shooting.plan.free
+        held = [(self.names.index(name), int(side == "upper")) for name, side in sheet.holds.items()]
+        if moving := [(i, upper) for i, upper in held if i < free and (i, upper) in self._moving]:
+            given, limits = self.chart.whole(values, y)[:, self.chart.conditions.free_at], self.at(values)
+            for i, upper in moving:
+                found |= ~(np.abs(given[:, i] - limits[upper][:, i]) <= _MISSED * (1.0 + np.abs(given[:, i])))
+        return found
 
     @cached_property
     def bounds(self) -> list[tuple[str, str]]:
