@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from command_line import HYBRID, ORDINARY, read_json, snapshot
+from command_line import HYBRID, ORDINARY, ROOT, read_json, snapshot
 from perilune.cli import run
 from perilune.families.continued import Continuation
 from perilune.families.family import Family, FamilyPoint
@@ -363,6 +364,22 @@ def test_new_writes_a_scenario_that_may_be_solved(
     assert "no kind of this name" in capsys.readouterr().err
 
 
+def test_new_hands_out_the_examples(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["new", "examples", "--json"]) == 0
+    files = read_json(capsys.readouterr().out)["files"]
+    assert {"hybrid_lander.toml", "maps/build.py", "own_kind/hop.toml"} <= set(files)
+    assert all((ROOT / "examples" / name).read_bytes() == (tmp_path / "examples" / name).read_bytes() for name in files)
+    assert run(["check", "examples/hybrid_lander.toml"]) == 0
+    (tmp_path / "examples/hybrid_lander.toml").write_text("mine")
+    assert run(["new", "examples"]) == 2 and "the directory is there already" in capsys.readouterr().err
+    assert (tmp_path / "examples/hybrid_lander.toml").read_text() == "mine"
+    assert run(["new", "examples", "--force"]) == 0 and run(["check", "examples/hybrid_lander.toml"]) == 0
+    assert run(["new", "examples", "there"]) == 0 and Path("there/own_problem.py").is_file()
+
+
 @pytest.mark.parametrize("kind", ["hybrid_landing", "powered_descent", "precision_landing"])
 def test_new_knows_every_kind(kind: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
@@ -380,7 +397,10 @@ def test_version_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--version"]) == 0
     assert capsys.readouterr().out == f"perilune {__version__}\n"
     assert run(["doctor", "--json"]) == 0
-    assert {"python", "numpy", "casadi"} <= read_json(capsys.readouterr().out)["versions"].keys()
+    told = read_json(capsys.readouterr().out)
+    assert {"python", "numpy", "casadi"} <= told["versions"].keys()
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    assert told["parts"].keys() == declared.keys() - {"docs", "test"}
 
 
 def test_ctrl_c_before_the_work_has_begun(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -81,9 +81,11 @@ def run_python(page: Path) -> None:
 
 def run_console(page: Path, directory: Path) -> None:
     """Run a page's console blocks; the exit code must be 0 unless ``$ echo $?`` below shows another."""
-    shutil.copytree(ROOT / "examples", directory / "examples")
+    consoles = [text for language, text in blocks(page) if language == "console"]
+    if not any("$ perilune new examples\n" in text for text in consoles):
+        shutil.copytree(ROOT / "examples", directory / "examples")
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "120"}
-    for text in (text for language, text in blocks(page) if language == "console"):
+    for text in consoles:
         pairs = list(commands(text))
         for (command, shown), (after, code) in zip(pairs, [*pairs[1:], ("", "")], strict=True):
             if command == "echo $?":

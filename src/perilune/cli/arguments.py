@@ -242,13 +242,14 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         FORCE,
         NO_CACHE,
     )
-    kinds = "hybrid_landing (unless given), powered_descent, precision_landing or deorbit_entry."
+    kinds = "hybrid_landing (unless given), powered_descent, precision_landing, deorbit_entry; or examples."
+    place = "Where to write; if left out, a template to stdout, the examples of the manual to examples."
     command(
         "new",
-        "Write a commented scenario to start from.",
+        "Write a commented scenario to start from, or the examples of the manual.",
         option("kind", metavar="KIND", nargs="?", help=kinds),
-        option("place", metavar="FILE", nargs="?", type=Path, help="Where to write; to stdout if left out."),
-        switch("--force", "Replace the file."),
+        option("place", metavar="FILE", nargs="?", type=Path, help=place),
+        switch("--force", "Replace what is there."),
     )
     command(
         "doctor",

@@ -14,7 +14,7 @@ from perilune.cli.answer import Answer, aside, deliver, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
-from perilune.words.outcome import InfeasibleError, PeriluneError, unknown_name
+from perilune.words.outcome import InfeasibleError, PeriluneError
 
 if TYPE_CHECKING:
     from perilune.problem.solution import Solution
@@ -202,24 +202,9 @@ def _reproduce(typed: Namespace) -> Answer:
 
 
 def _new(typed: Namespace) -> Answer:
-    from perilune.scenario import KINDS, kind_names, template
+    from perilune.cli.beginning import new_answer
 
-    kind, file = typed.kind, typed.place
-    if kind is not None and kind not in KINDS and file is None and kind not in (known := kind_names()):
-        if Path(kind).name == kind and not Path(kind).suffix:  # else it is `perilune new FILE`
-            raise unknown_name("kind", kind, known)
-        kind, file = None, Path(kind)
-    text = template(kind or "hybrid_landing")
-    if file is None:
-        return Answer(text=text, document={"template": text})
-    try:
-        with file.open("w" if typed.force else "x", encoding="utf-8") as opened:
-            opened.write(text)
-    except FileExistsError:
-        raise PeriluneError(
-            "the file is there already", got=str(file), advice="choose another name, or pass --force"
-        ) from None
-    return Answer(text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)})
+    return new_answer(typed)
 
 
 def _explore(typed: Namespace) -> Answer:

@@ -1,10 +1,19 @@
-"""``perilune doctor``: versions, whether arcs run as machine code, and what of it is kept on disk."""
+"""``perilune doctor``: versions, optional parts, whether arcs run as machine code, and what of it is kept on disk."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from perilune.cli.answer import Answer
+
+# What `pip install 'perilune[PART]'` brings: the modules without which that part says it is missing.
+PARTS = {
+    "msis": ("pymsis",),
+    "cluster": ("distributed",),
+    "export": ("pandas", "pyarrow", "xarray"),
+    "explore": ("starlette", "uvicorn", "websockets"),
+    "rigorous": ("flint",),
+}
 
 
 def diagnosis(clear_cache: bool) -> Answer:
@@ -17,9 +26,11 @@ def diagnosis(clear_cache: bool) -> Answer:
 
     removed = cache.clear() if clear_cache else None
     kept, compiles = cache.report(), find_spec("llvmlite") is not None
+    parts = {part: all(map(find_spec, modules)) for part, modules in PARTS.items()}
     document: dict[str, Any] = {
         "versions": versions(),
         "platform": f"{platform.system()} {platform.machine()}",
+        "parts": parts,
         "machine_code": compiles,
         "cache": {
             "path": None if kept.path is None else str(kept.path),
@@ -30,6 +41,9 @@ def diagnosis(clear_cache: bool) -> Answer:
     }
     lines = [f"{name:10} {version}" for name, version in document["versions"].items()]
     lines += [f"{'platform':10} {document['platform']}"]
+    lines += [f"{'parts':10} " + ", ".join(f"{part}: {'yes' if there else 'no'}" for part, there in parts.items())]
+    if not all(parts.values()):
+        lines += [f"  add one: pip install 'perilune[{min(parts, key=parts.__getitem__)}]'"]
     lines += ["machine code for arcs: " + ("yes" if compiles else "no, llvmlite is not installed: slower")]
     lines += ["machine code on disk: " + _shown(kept)]
     if removed is not None:

@@ -1,0 +1,51 @@
+"""What there is to begin with: the template of a kind, or the examples of the manual."""
+
+from __future__ import annotations
+
+import shutil
+from argparse import Namespace
+from pathlib import Path
+
+from perilune.cli.answer import Answer
+from perilune.words.outcome import PeriluneError, unknown_name
+
+EXAMPLES = "examples"  # beside the kinds, as a word of `perilune new`
+
+
+def new_answer(typed: Namespace) -> Answer:
+    """Write what was asked for, without replacing anything unless that was asked for too."""
+    from perilune.scenario import KINDS, kind_names, template
+
+    kind, file = typed.kind, typed.place
+    if kind == EXAMPLES:
+        return _examples(file or Path(EXAMPLES), typed.force)
+    if kind is not None and kind not in KINDS and file is None and kind not in (known := kind_names()):
+        if Path(kind).name == kind and not Path(kind).suffix:  # else it is `perilune new FILE`
+            raise unknown_name("kind", kind, [*known, EXAMPLES])
+        kind, file = None, Path(kind)
+    text = template(kind or "hybrid_landing")
+    if file is None:
+        return Answer(text=text, document={"template": text})
+    try:
+        with file.open("w" if typed.force else "x", encoding="utf-8") as opened:
+            opened.write(text)
+    except FileExistsError:
+        raise _there_already(file) from None
+    return Answer(text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)})
+
+
+def _examples(directory: Path, force: bool) -> Answer:
+    """Copy all of them. A package has them beside its rooms, the source archive in a folder of its own."""
+    here = Path(__file__).parents[1]
+    source = next(place for place in (here / EXAMPLES, here.parents[1] / EXAMPLES) if place.is_dir())
+    if not force and directory.exists():
+        raise _there_already(directory)
+    shutil.copytree(source, directory, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"), dirs_exist_ok=force)
+    files = sorted(path.relative_to(directory).as_posix() for path in directory.rglob("*") if path.is_file())
+    text = f"written to {directory}: {', '.join(files)}"
+    return Answer(text=text, document={"written": str(directory), "files": files})
+
+
+def _there_already(place: Path) -> PeriluneError:
+    what = "directory" if place.is_dir() else "file"
+    return PeriluneError(f"the {what} is there already", got=str(place), advice="choose another name, or pass --force")
