@@ -55,6 +55,20 @@ def test_a_site_below_the_datum_is_in_the_picture(below: Solution, ordinary: Sol
     save(path, tmp_path, "path")
 
 
+def test_a_switch_is_drawn_as_a_step() -> None:
+    """Both its values at one time, and nothing between them; so is the costate that jumps where a slope is touched."""
+    solution = solve(load_file(EXAMPLES / "mars_pinpoint.toml").problem, level=0)
+    figures = solution_figures(solution)
+    throttle = next(axes for axes in figures["steering"].axes if axes.get_ylabel().startswith("throttle"))
+    costate = next(axes for axes in figures["costates"].axes if "mathrm{east}" in axes.get_ylabel())
+    for axes, values, jumps in ((throttle, (0.3, 0.8), 2), (costate, (0.0362, 0.0321), 1)):
+        (line,) = [line for line in axes.lines if len(np.asarray(line.get_xdata())) > 600]
+        time, shown = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
+        assert np.abs(shown[:, None] - values).min(axis=1).max() < 1e-3
+        there = np.flatnonzero(np.abs(np.diff(shown)) > 1e-3)
+        assert len(there) == jumps and np.diff(time)[there].max() < 1e-12
+
+
 @pytest.mark.parametrize(
     ("name", "drawn"),
     [

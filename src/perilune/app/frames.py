@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from perilune.io.columns import columns
+from perilune.io.columns import columns, seen_at
 from perilune.io.export import extremals_document, solution_document
 from perilune.io.files import finite
-from perilune.problem.solution import Solution, Trajectory, full
+from perilune.problem.solution import Solution, full
 from perilune.problem.verification import Verification
 from perilune.report.limb import plane_of_flight
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -31,7 +31,7 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
     plane = plane_of_flight(solution) if over_limb else None
     for k, (phase, duration) in enumerate(zip(solution.problem.phases, lasting, strict=True)):
         count = max(_LEAST, round(points * duration / max(sum(lasting), 1e-300)))
-        t = _times(solution.trajectories[k], count)
+        t = seen_at(solution.trajectories[k], count)
         shown = {
             name: {"unit": column.unit, "values": drawn(column.values)}
             for name, column in columns(solution, k, t).items()
@@ -54,14 +54,6 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
         "proof": proof(solution.verification),
         "views": _views(solution),
     }
-
-
-def _times(trajectory: Trajectory, count: int) -> Vector:
-    """Even times of a phase, and both sides of every switch, so that no line is drawn across it."""
-    curves = (trajectory.state, trajectory.control, *filter(None, (trajectory.costate,)))
-    switches = np.concatenate([curve.time[1:][np.diff(curve.time) == 0] for curve in curves])
-    even = np.linspace(0.0, trajectory.duration, count)
-    return np.union1d(even, (np.nextafter(switches, 0.0), switches))
 
 
 def extremals(solution: Solution) -> dict[str, Any]:

@@ -106,6 +106,13 @@ def nodes(trajectory: Trajectory) -> Vector:
     return t
 
 
+def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
+    """So many even times, and both sides of every switch: what jumps there is seen as a step, and not as a ramp."""
+    curves = (trajectory.state, trajectory.control, *filter(None, (trajectory.costate,)))
+    switches = np.concatenate([curve.time[1:][np.diff(curve.time) == 0] for curve in curves])
+    return np.union1d(np.linspace(0.0, trajectory.duration, count), (np.nextafter(switches, 0.0), switches))
+
+
 def costate_unit(objective_unit: str, state_unit: str) -> str:
     """Write the unit of a costate: objective per unit of its state."""
     if state_unit == "1":
@@ -116,10 +123,10 @@ def costate_unit(objective_unit: str, state_unit: str) -> str:
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
-    """(time from the first ignition [s], column) for each phase that has the column, finely sampled."""
+    """(time from the first ignition [s], column) for each phase that has the column, as `seen_at`."""
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
-        t = np.linspace(0.0, trajectory.duration, 601)
+        t = seen_at(trajectory)
         table = columns(solution, k, t)
         if name in table:
             found.append((begin + t, table[name]))

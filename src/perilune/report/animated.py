@@ -87,11 +87,7 @@ def _way(solution: Solution, frames: int) -> _Way:
     if all(phase.inertial is not None for phase in problem.phases) and problem.views.radius:
         return _in_space(solution, time)
     if all(phase.track is not None for phase in problem.phases):
-        sampled = path(solution)
-        each = sampled.shape[1] // len(solution.trajectories)
-        lengths = [np.linspace(0.0, t.duration, each) for t in solution.trajectories]
-        begins = np.cumsum([0.0, *(t.duration for t in solution.trajectories[:-1])])
-        at = np.concatenate([begin + length for begin, length in zip(begins, lengths, strict=True)])
+        at, sampled = path(solution)
         rows = np.array([np.interp(time, at, sampled[k]) for k in (0, 2)]) / 1e3
         return _Way(time=time, places=rows, exhaust=np.zeros((2, len(time))), labels=("downrange (km)", "height (km)"))
     name = problem.views.histories[0].quantities[0] if problem.views.histories else problem.phases[0].state_names[0]

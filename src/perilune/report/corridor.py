@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import columns
+from perilune.io.columns import columns, seen_at
 from perilune.problem.solution import Solution
 from perilune.problem.views import Corridor
 from perilune.report.histories import axis_text
@@ -32,7 +32,7 @@ def corridor(solution: Solution, shown: Corridor) -> Figure:
         names = [v.name for v in solution.problem.phases[k].output_variables]
         if not {shown.height, shown.speed, *shown.equal} <= set(names):
             continue
-        t = np.linspace(0.0, trajectory.duration, 601)
+        t = seen_at(trajectory)
         table = columns(solution, k, t)
         height, speed = table[shown.height].values / 1e3, table[shown.speed].values / 1e3
         ax.plot(speed, height, color=BLUE, label=solution.problem.phases[k].name.replace("_", " "))

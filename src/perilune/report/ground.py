@@ -12,7 +12,7 @@ from importlib.resources import files
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import columns
+from perilune.io.columns import columns, seen_at
 from perilune.problem.solution import Solution
 from perilune.problem.views import Ground
 from perilune.report.style import BLUE, GREEN, GREY, PURPLE, VERMILION, legend_above, new_figure, styled
@@ -30,7 +30,7 @@ def ground_track(solution: Solution, shown: Ground) -> Figure:
         ax.plot(*line.T, color=GREY, linewidth=0.5, label="_")
     tracks = []
     for k, trajectory in enumerate(solution.trajectories):
-        table = columns(solution, k, np.linspace(0.0, trajectory.duration, 601))
+        table = columns(solution, k, seen_at(trajectory))
         if shown.longitude in table and shown.latitude in table:
             values = [table[name].values for name in (shown.longitude, shown.latitude)]
             tracks.append((solution.problem.phases[k].name.replace("_", " "), *values))

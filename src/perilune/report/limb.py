@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune.io.columns import seen_at
 from perilune.problem.solution import Solution
 from perilune.report.style import GREY, LOOKS, new_figure, styled
 from perilune.words.types import Matrix, Vector
@@ -91,7 +92,7 @@ def plane_of_flight(solution: Solution) -> Matrix:
 
 def _path(solution: Solution, plane: Matrix, radius: float) -> tuple[Vector, Vector]:
     """Angle from ignition [rad] and height above the body's radius [m] along the flight."""
-    times = [np.linspace(0.0, trajectory.duration, 601) for trajectory in solution.trajectories]
+    times = map(seen_at, solution.trajectories)
     r = np.concatenate([solution.inertial(k, t)[0] for k, t in enumerate(times)], axis=1)
     above, ahead = plane @ r
     return np.unwrap(np.arctan2(ahead, above)), np.linalg.norm(r, axis=0) - radius

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import hamiltonian, hamiltonian_terms, required_hamiltonian
+from perilune.io.columns import hamiltonian, hamiltonian_terms, required_hamiltonian, seen_at
 from perilune.problem.controls import directions
 from perilune.problem.solution import Solution
 from perilune.report.style import BLUE, GREEN, VERMILION, new_figure, styled, time_text
@@ -25,7 +25,7 @@ def optimality(solution: Solution) -> Figure:
     worst = 0.0
     for k, trajectory in enumerate(solution.trajectories):
         # Without the ends, where coordinates may be singular (a start over the pole).
-        t = np.linspace(0.0, trajectory.duration, 603)[1:-1]
+        t = seen_at(trajectory)[1:-1]
         H = hamiltonian(solution, k, t)
         # Of a phase whose duration is given only the change along it is known to vanish.
         free = phases[k].duration in solution.problem.free_names

@@ -7,16 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune.io.columns import seen_at
 from perilune.problem.solution import Solution, full
 from perilune.report.style import GREY, LOOKS, legend_above, new_figure, styled
-from perilune.words.types import Matrix
+from perilune.words.types import Matrix, Vector
 
 
 @styled
 def track(flights: Mapping[str, Solution]) -> Figure:
     """Height and cross-range over downrange: the path from the side and from above."""
     figure, (side, top) = new_figure(height=3.2, rows=2)
-    ways = {who: path(solution) / 1e3 for who, solution in flights.items()}
+    ways = {who: path(solution)[1] / 1e3 for who, solution in flights.items()}
     for (who, (along, across, height, *_)), (colour, dash) in zip(ways.items(), LOOKS, strict=False):
         side.plot(along, height, dash, color=colour, label=who)
         top.plot(along, across, dash, color=colour)
@@ -35,11 +36,13 @@ def track(flights: Mapping[str, Solution]) -> Figure:
     return figure
 
 
-def path(solution: Solution) -> Matrix:
-    """Values of `Phase.track` along the flight [m], shape (3 or 4, n)."""
-    parts = []
+def path(solution: Solution) -> tuple[Vector, Matrix]:
+    """Times from the first ignition [s], shape (n,), and values of `Phase.track` then [m], shape (3 or 4, n)."""
+    times, parts, begin = [], [], 0.0
     for k, (phase, trajectory) in enumerate(zip(solution.problem.phases, solution.trajectories, strict=True)):
-        t = np.linspace(0.0, trajectory.duration, 601)
+        t = seen_at(trajectory)
         x, u = solution.flown(k, t)
+        times.append(begin + t)
         parts.append(np.array([full(value, t) for value in phase.evaluate("track", x, u, solution.parameters)]))
-    return np.concatenate(parts, axis=1)
+        begin += trajectory.duration
+    return np.concatenate(times), np.concatenate(parts, axis=1)
