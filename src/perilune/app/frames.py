@@ -14,7 +14,7 @@ from perilune.io.files import finite
 from perilune.problem.solution import Solution, full
 from perilune.problem.verification import Verification
 from perilune.report.limb import plane_of_flight
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.outcome import CANNOT_BE_FLOWN, InfeasibleError, PeriluneError
 from perilune.words.types import Matrix, Vector
 
 POINTS = 96  # of a flight, shared among its phases by their durations
@@ -103,7 +103,7 @@ def refusal(error: PeriluneError) -> dict[str, Any]:
         "expected": error.expected,
         "try": error.advice,
         "reason": reason,
-        "impossible": isinstance(error, InfeasibleError),
+        "impossible": reason == CANNOT_BE_FLOWN,
     }
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # Most iterations of the first attempt and of a search for the least miss; what ends well takes 10 to 60 and 10 to 130.
 BRIEF, PATIENT = 60, 150
-# Starts that all end at a least miss that is not zero, before the problem is said to have no flight.
+# Starts that all end at a least miss that is not zero, before nothing more is tried.
 CONVINCED = 2
 # Of its typical duration: what a phase has left that has shrunk to nothing.
 VANISHED = 1e-3
@@ -101,7 +101,7 @@ class FirstMesh:
         counted = sum(start.counts for start in starts)
         self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
-            self.refuse(*min(misses, key=_violation), len(misses))
+            self.tell_least_miss(*min(misses, key=_violation), len(misses))
         if not misses:
             for start in starts:
                 tries.append((start.program, self.attempt(start)))
@@ -163,10 +163,13 @@ class FirstMesh:
         durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
         return any(values[f.name] < VANISHED * f.typical for f in durations)
 
-    def refuse(self, program: Program, best: Answer, count: int) -> None:
-        """InfeasibleError with what the best of so many misses, if that is more than the error of the mesh."""
+    def tell_least_miss(self, program: Program, best: Answer, count: int) -> None:
+        """Not converged, with what the best of so many misses, if that is more than the error of the mesh.
+
+        Each is the least of its surroundings alone, so no number of them shows that nothing flies.
+        """
         from perilune.direct.contradictions import missed_conditions
-        from perilune.words.outcome import BEST_MISSES, InfeasibleError
+        from perilune.words.outcome import NotConvergedError
 
         errors = zip(self.problem.phases, self.run.looked_at(program, best).relative, strict=True)
         error = max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
@@ -174,13 +177,13 @@ class FirstMesh:
         if best.violation > error:
             missed = missed_conditions(program, best, MISSED)
             told = [f"{name} is missed by {much}" for name, much in missed]
-            raise InfeasibleError(
+            raise NotConvergedError(
                 f"the best of {count} found misses {missed[0][0]} by {missed[0][1]}",
-                got="; ".join(told[:4]),
+                got="; ".join(told[1:4]),
                 expected="every condition met",
-                advice="relax the condition named first",
-                reason=BEST_MISSES,
+                advice="relax the condition named first, or give a guess (a solution of a nearby problem)",
                 partial=self.partial(best, told),
+                flight=self.run.missing(program, best),
             )
 
     def partial(self, answer: Answer, missed: list[str]) -> dict[str, Any]:

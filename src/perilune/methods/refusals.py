@@ -20,7 +20,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.continuum import nearly_open
 from perilune.shooting.function import Root
-from perilune.words.outcome import BEST_MISSES, CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.outcome import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.units import told
 
 _BROKEN = "every extremal breaks a condition"
@@ -30,10 +30,11 @@ NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the 
 def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
     """Why every extremal that was found is no answer; None where none was found, and nothing else says why."""
     direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
-    if isinstance(direct, InfeasibleError) and (direct.reason == CANNOT_BE_FLOWN or not bounds):
+    all_missed = getattr(direct, "partial", {}).get("all_missed")
+    if isinstance(direct, InfeasibleError) or (isinstance(direct, NotConvergedError) and all_missed and not breaches):
         direct.partial["tried"] = list(coarse.tried)
         return direct
-    if bounds and getattr(direct, "partial", {}).get("all_missed"):
+    if bounds and all_missed:
         return best_misses(coarse.problem, bounds, len(breaches), direct, coarse.tried)
     flight = coarse.flight
     if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
