@@ -7,6 +7,8 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from perilune.words.face import listed
+
 __version__ = "0.2.0"
 
 # name: module. Loaded on first use, so that `import perilune` costs nothing.
@@ -176,8 +178,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, also those that are loaded on first use; nothing that happens to be imported here."""
-    return sorted({*__all__, "__all__", "__doc__", "__version__"})
+    return listed((*__all__, "__version__"))
 
 
 def _method(name: str) -> Callable[..., Any]:

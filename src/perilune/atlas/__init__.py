@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from perilune.words.face import listed
+
 if TYPE_CHECKING:
     from perilune.atlas.building import build
     from perilune.atlas.exporting import export
@@ -59,5 +61,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, also those that are loaded on first use; no room inside."""
-    return sorted(__all__)
+    return listed(__all__)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from perilune.words.face import listed
+
 if TYPE_CHECKING:
     from perilune.models.atmosphere import Air
     from perilune.models.bodies import BODIES, CERES, EARTH, EUROPA, MARS, MERCURY, MOON, Body, Planet, UniformGravity
@@ -106,4 +108,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return listed(__all__)

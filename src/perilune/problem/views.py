@@ -10,7 +10,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from string import Formatter
 
+from perilune.words.face import listed
 from perilune.words.outcome import unknown_name
+
+__all__ = ["Beside", "Corridor", "Dispersion", "Disturbance", "Ground", "History", "Space", "Views"]
+
+
+def __dir__() -> list[str]:
+    return listed(__all__)
 
 
 @dataclass(frozen=True, kw_only=True)

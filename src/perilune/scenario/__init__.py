@@ -25,6 +25,7 @@ from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
 from perilune.words.asked import demand, demand_path
 from perilune.words.declared import Quantity
+from perilune.words.face import listed
 
 __all__ = [
     "KINDS",
@@ -96,5 +97,4 @@ def load_text(text: str) -> Problem:
 
 
 def __dir__() -> list[str]:
-    """The public names; nothing that happens to be imported here."""
-    return sorted(__all__)
+    return listed(__all__)

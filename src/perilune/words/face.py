@@ -1,12 +1,18 @@
-"""What methods of records do by rooms above theirs: the package's face knows where, and is asked when one is called.
+"""What a module shows of itself, and what methods of records do by rooms above theirs.
 
-So a solution draws itself, and its room knows none of those that draw; nothing is loaded before it is used.
+The package's face knows where a method is done, and is asked when one is called. So a solution draws itself, and its
+room knows none of those that draw; nothing is loaded before it is used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
+
+
+def listed(public: Iterable[str]) -> list[str]:
+    """What ``dir`` shows of a module: its public names, loaded or not yet, and nothing that happens to be imported."""
+    return sorted({*public, "__all__", "__doc__"})
 
 
 def method(name: str) -> Callable[..., Any]:
