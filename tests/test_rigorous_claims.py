@@ -124,7 +124,8 @@ def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:
     )  # fmt: skip
     stated = pl.Problem(
         name="dipping", phases=(phase,), start=lambda p, m: (p.l, -6 * p.l / p.T, 0.0), objective_unit="m^2/s^3",
-        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")}, objective=lambda x, p, m: x.cost,
+        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")},
+        objective=lambda x, p, m: x.cost,
     )  # fmt: skip
     _, missing = proved(stated, {"u": "interior"}, [-6.0, -12.0, 1.0, -6.0, -6.0])
     assert missing == ["x > 0.0 (go)"]
