@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
 from perilune.methods.smoothing import Smoothing
 from perilune.methods.trials import Trials
+from perilune.problem.extremal import Nature
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.function import Roots, Shooting
 from perilune.words.types import Matrix
@@ -108,3 +111,45 @@ def test_a_root_beside_which_nothing_is_known_ends_no_solve() -> None:
     """J^-1 of what one of the starts leads to is not finite: the flight that keeps the limit is found by others."""
     found = pl.solve(speed_limit(25.0).with_given(g=2.2), level=0)
     assert -found.objective == pytest.approx(speed_limit_truth(25.0, g=2.2)[2], rel=1e-10)
+
+
+def wells(tied: float) -> pl.Problem:
+    """x(1) = q at least int u^2/2, which is taken off again, with two wells of J along q and two along r."""
+
+    def price(q: Any, r: Any) -> Any:
+        along_q = 8.0 * (q - 0.2) ** 2 * (q - 0.97) ** 2 - 0.3 * q
+        return along_q + 8.0 * (r - 0.3) ** 2 * (r - 0.95) ** 2 - 0.2 * r + tied * q * r
+
+    phase = pl.Phase(
+        name="way",
+        states=(pl.Variable(name="x", unit="1"), pl.Variable(name="c", unit="1/s")),
+        controls=(pl.Bounded(name="u", unit="1/s"),),
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=lambda x, p, m: (x.x - p.q,),
+        end_conditions=(pl.Variable(name="there", unit="1"),),
+    )
+    return pl.Problem(
+        name="wells",
+        phases=(phase,),
+        start=lambda p, m: (0.0 * p.one / p.T, 0.0 / p.T),
+        given={"T": pl.Given(value=1.0, unit="s"), "one": pl.Given(value=1.0, unit="s")},
+        free=tuple(pl.Free(name=name, unit="1", lower=0.0, upper=1.0, typical=0.5) for name in "qr"),
+        objective=lambda x, p, m: p.one * x.c - 0.5 * p.q * p.q + price(p.q, p.r),
+        objective_unit="1",
+    )
+
+
+@pytest.mark.parametrize("tied", [0.3, 0.0, -0.3])
+def test_of_several_parameters_between_bounds_each_is_looked_along_from_every_extremal(tied: float) -> None:
+    """Along q alone r stayed in its well; where its well ended the corner, which is the best, was not found at all."""
+    found = pl.solve(wells(tied), level=3)
+    q, r = np.meshgrid(*2 * (np.linspace(0.0, 1.0, 501),), indexing="ij")
+    J = 8.0 * ((q - 0.2) * (q - 0.97)) ** 2 - 0.3 * q + 8.0 * ((r - 0.3) * (r - 0.95)) ** 2 - 0.2 * r + tied * q * r
+    assert found.outcome is pl.Outcome.PROVED and found.objective == pytest.approx(J.min(), abs=1e-4)
+    least = np.pad(J, 1, constant_values=np.inf)
+    around = [np.roll(least, shift, (0, 1))[1:-1, 1:-1] for shift in product((-1, 0, 1), repeat=2) if any(shift)]
+    at = np.nonzero(np.all([J <= other for other in around], axis=0))
+    optima = [e.free for e in found.extremals if e.nature is not Nature.WORST]
+    truth = sorted(zip(J[at].tolist(), q[at].tolist(), r[at].tolist(), strict=True))
+    assert [(e["q"], e["r"]) for e in optima] == [pytest.approx(there, abs=3e-3) for _, *there in truth]

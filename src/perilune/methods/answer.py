@@ -98,7 +98,7 @@ def _told(conditions: Conditions, found: Found) -> Vector:
 def _nature(found: Found, free: int, *, best: bool, guessed: bool) -> Nature:
     """What a root is; the one that a guess leads to was compared with no other."""
     bound = bool(found.root.choice[:free].any())
-    if not found.minimum and not bound:
+    if not found.minimum:
         return Nature.WORST
     if guessed:
         return Nature.NEAR_GUESS_AT_BOUND if bound else Nature.NEAR_GUESS

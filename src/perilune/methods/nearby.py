@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from perilune.conditions.canonical import extremal_parameters
 from perilune.methods.answer import Curves, composed
-from perilune.methods.trials import found_at, scanned_parameter
+from perilune.methods.trials import found_at
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.active import limits_of, settle
@@ -107,7 +107,7 @@ class Nearby:
         problem = self.solution.problem.with_given(**values)
         own = problem if self.arcs is None else renumbered(self.problem, problem, self.arcs.structure)
         statistics = Statistics(rung="guess", iterations=len(root.history))
-        extremal = found_at(self.shooting, scanned_parameter(own), root)
+        extremal = found_at(self.shooting, own, root)
         found = composed(self.solution.method, own, self.shooting.conditions, [extremal], statistics)
         if self.arcs is None:
             return found

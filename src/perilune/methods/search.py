@@ -40,6 +40,7 @@ from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Vector
 from perilune.words.watch import Watch
 
+_MOST_FOLLOWED = 24  # extremals from which families along other parameters are followed
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
 
 
@@ -59,6 +60,7 @@ class Search:
         self.keepable: tuple[str, ...] = tuple(n for n in keepable_conditions(self.problem) if n not in self.keep)
         self.judge: Judge = Judge(self.problem, self.trials.conditions, self.trials.p)
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
+        self.followed: list[Found] = []  # along all parameters between bounds, where there are several
         self.base: Member | None = None
         self.rung: str = ""
         # By extremals met with the scanned parameter held, and these; which search answered; whether it was outdone.
@@ -89,12 +91,8 @@ class Search:
         trials = search.trials
         if not family or trials.scanned is None:
             return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
-        root, place = found[0].root, trials.conditions.free_at.start + trials.scanned
-        value, choice = float(root.y[place]), root.choice.copy()
-        trials.shooting.plan.hold(choice, trials.scanned, value)
-        held = trials.settled(root.y[None], choice, limits=trials.others)[0]
-        if held.converged:
-            others = search._all_extremals(Member(value=value, root=held))[0]
+        if (member := search._held_at(found[0].root, trials.scanned)) is not None:
+            others = search._all_extremals(member)[0]
             found += new_among([f for f in others if search.judge.breach(f.root) is None], found)
         found = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
         return search._compose(found, "family"), lambda: search.judge.breach(found[0].root)
@@ -179,19 +177,57 @@ class Search:
         return search
 
     def _all_extremals(self, first: Member) -> tuple[list[Found], list[Member]]:
-        trials = self.trials
+        trials, shooting = self.trials, self.trials.shooting
         if trials.scanned is None:
             return self._over_ranges(first.root), [first]
-        free = self.problem.free[trials.scanned]
+        found, members = self._along(trials.scanned, first)
+        if len(trials.bounded) > 1:
+            found += self._along_others(found)
+        down = (
+            bool(shooting.curving_down(f.root, trials.p)) or not shooting.curved_upwards(f.root, trials.bounded)
+            for f in found
+        )
+        return [replace(f, minimum=f.minimum and not is_down) for f, is_down in zip(found, down, strict=True)], members
+
+    def _along_others(self, found: list[Found]) -> list[Found]:
+        """More extremals: along one parameter the others stay in the wells in which they are, and at their bounds."""
+        trials, more = self.trials, list[Found]()
+        left = [(f, trials.scanned) for f in new_among(found, self.followed)]
+        while left:
+            if len(self.followed) >= _MOST_FOLLOWED:
+                self.tried.append(f"{len(left)} more extremals, from which no other family was followed")
+                break
+            one, along = left.pop(0)
+            self.followed.append(one)
+            for index in trials.bounded:
+                if index != along and (here := self._held_at(one.root, index)) is not None:
+                    new = new_among(self._along(index, here)[0], [*found, *more, *self.followed])
+                    more += new
+                    left += [(f, index) for f in new]
+        return more
+
+    def _along(self, index: int, first: Member) -> tuple[list[Found], list[Member]]:
+        """The extremals of the family through a member along one free parameter, and the members that were visited."""
+        trials, free = self.trials, self.problem.free[index]
         self.watch(f"following the family of extremals along {free.name}")
-        found, members = scan(self._family(), first, trials.bounds(trials.scanned), self.settings.scan_points)
-        curved = (bool(trials.shooting.curving_down(f.root, trials.p)) for f in found)
-        found = [replace(f, minimum=f.minimum and not down) for f, down in zip(found, curved, strict=True)]
-        scale = free_scales(self.problem.free, self.problem)[trials.scanned]
+        family = HeldFamily(
+            shooting=trials.shooting, p=trials.p, index=index, limits=trials.limits.without(index), watch=self.watch,
+            keeps=lambda root: trials.outside(root) is None,
+        )  # fmt: skip
+        found, members = scan(family, first, trials.bounds(index), self.settings.scan_points)
+        scale = free_scales(self.problem.free, self.problem)[index]
         low, high = (members[end].value * scale for end in (0, -1))
         count = _extremals(len(found))
         self.tried.append(f"a family along {free.name} from {low:.6g} to {high:.6g} {free.unit}: {count}")
         return found, members
+
+    def _held_at(self, root: Root, index: int) -> Member | None:
+        """An extremal as a member of the family along a free parameter; None where Newton's method loses it."""
+        trials = self.trials
+        value, choice = float(root.y[trials.conditions.free_at.start + index]), root.choice.copy()
+        trials.shooting.plan.hold(choice, index, value)
+        held = trials.settled(root.y[None], choice, limits=trials.limits.without(index))[0]
+        return Member(value=value, root=held) if held.converged else None
 
     def _over_ranges(self, root: Root) -> list[Found]:
         """An extremal; where J is at a maximum over a range at an end, those at the limits of that beside it."""
@@ -208,14 +244,6 @@ class Search:
                     minimum = not shooting.curving_down(held, trials.p)
                     found += new_among([Found(root=held, minimum=minimum)], found)
         return found
-
-    def _family(self) -> HeldFamily:
-        trials = self.trials
-        assert trials.scanned is not None
-        return HeldFamily(
-            shooting=trials.shooting, p=trials.p, index=trials.scanned, limits=trials.others, watch=self.watch,
-            keeps=lambda root: trials.outside(root) is None,
-        )  # fmt: skip
 
     def _walked_through(self, member: Member) -> bool:
         return any(same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
@@ -252,7 +280,7 @@ class Search:
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
             root = trials.shooting.met(root) if is_neighbour(self.problem) else root
-            return [found_at(trials.shooting, trials.scanned, root)]
+            return [found_at(trials.shooting, self.problem, root)]
         if name is not None:
             raise NotConvergedError(
                 f"from this guess the extremal lies outside the bounds of {name}",

@@ -33,7 +33,9 @@ class Trials:
     conditions, p, shooting, limits
         Of the problem with a control that keeps conditions `keep` of the path.
     scanned
-        Index of the first free parameter between finite bounds that is no duration; None where there is none.
+        Index of the first of those, None where there is none.
+    bounded
+        Indices of the free parameters between finite bounds that are no durations.
     history
         Iterations of all runs of single lanes.
     best_failure
@@ -47,7 +49,8 @@ class Trials:
         self.p: Vector = extremal_parameters(problem)
         self.shooting: Shooting = Shooting(self.conditions)
         self.limits: Limits = limits_of(problem, self.conditions)
-        self.scanned: int | None = scanned_parameter(problem)
+        self.bounded: tuple[int, ...] = bounded_parameters(problem)
+        self.scanned: int | None = next(iter(self.bounded), None)
         self.history: list[Iteration] = []
         self.best_failure: Root | None = None
 
@@ -114,15 +117,15 @@ class Trials:
         return None
 
 
-def found_at(shooting: Shooting, scanned: int | None, root: Root) -> Found:
-    """A root and whether J is least there along the parameter that is scanned, if any."""
-    held = scanned is None or root.choice[scanned] > 0
-    return Found(root=root, minimum=held or shooting.curvature(root, scanned or 0) > 0)
+def found_at(shooting: Shooting, problem: Problem, root: Root) -> Found:
+    """A root and whether J is least there along the free parameters that are scanned, if any."""
+    return Found(root=root, minimum=shooting.curved_upwards(root, bounded_parameters(problem)))
 
 
-def scanned_parameter(problem: Problem) -> int | None:
-    """Index of the first free parameter between finite bounds that is no duration."""
-    for i, f in enumerate(problem.free):
-        if math.isfinite(f.upper - f.lower) and f.name not in problem.duration_names:
-            return i
-    return None
+def bounded_parameters(problem: Problem) -> tuple[int, ...]:
+    """Indices of the free parameters between finite bounds that are no durations."""
+    return tuple(
+        i
+        for i, f in enumerate(problem.free)
+        if math.isfinite(f.upper - f.lower) and f.name not in problem.duration_names
+    )

@@ -7,7 +7,7 @@ With several segments to a phase, the states at the joints are further unknowns 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -247,6 +247,16 @@ class Shooting:
         """
         at = int(self.plan.active.searchsorted(self.conditions.free_at.start + index))
         return 1.0 / float(root.inverse[at, self.plan.held_rows[index]])
+
+    def curved_upwards(self, root: Root, indices: Iterable[int]) -> bool:
+        """Whether J is least over several free parameters, but for those that a root holds.
+
+        As for one of them, the block of J^-1 in their columns and rows is the inverse of the second derivatives of J.
+        """
+        free = np.array([i for i in indices if root.choice[i] == 0.0], dtype=np.int64)
+        at = self.plan.active.searchsorted(self.conditions.free_at.start + free)
+        block = root.inverse[np.ix_(at, self.plan.held_rows[free])]
+        return bool(np.isfinite(block).all() and (np.linalg.eigvalsh(block + block.T) > 0.0).all())
 
     def curving_down(self, root: Root, p: Vector) -> list[int]:
         """Numbers of the ranges at ends that a root does not hold, and along which J has a maximum there.
