@@ -1,21 +1,29 @@
 """What a sound prover of level 5 shows, and a faulty one does not: closed forms, overlaps, refusals.
 
-Every check imports the prover when it is called, so that it can be run on a mutant of it. `complaints` runs them all.
+Every check imports the prover when it is called, so that it can be run on a mutant of it.
 """
 
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
 from functools import cache
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
-from flint import arb, arb_mat, arb_series, ctx
+import pytest
+from flint import arb, arb_mat, arb_series, ctx, fmpq
 
 import perilune as pl
+from perilune.problem.variables import Given
+from perilune.problem.verification import Verification
+from perilune.words.units import parse_quantity
 from problems.ascents import tangent_steering
+from problems.integrators import least_time
 from problems.landings import meditch
 
 BITS, DIGITS = 160, 1e-25
@@ -170,6 +178,39 @@ def tangents_are_enclosed() -> bool:
     return along and V[0, 0].overlaps(1 / arb(0.25).cos() ** 2) and 0 < float(V[0, 0].rad()) < 1e-3
 
 
+def a_step_that_tangents_outgrow_is_refused() -> bool:
+    """x' = 50 x stays at 0, which is enclosed; its tangent e^(50 h) not, at (50 h)^12/12! = 0.995."""
+    flow, arc = room("flow"), pole(lambda graph, x: 50 * x)
+
+    def enclosed(share: float, V: Any) -> bool:
+        length = arb((share * math.factorial(12)) ** (1 / 12) / 50)
+        return not refused(lambda: flow.step(arc, [arb(0), arb(1)], V, arb(0), length, 12))
+
+    beside = arb_mat([[1], [0]])
+    return enclosed(0.995, None) and enclosed(0.1, beside) and not enclosed(0.995, beside)
+
+
+def flights_stay_in_their_enclosures() -> bool:
+    """Flights in many digits from the ends of a box lie in its enclosure at every node; their differences in dz/dy."""
+    flight, effort = room("flight"), settings()
+    boundary, refined, root = proved(solved(meditch))
+    for k in (0, boundary.names.index("t_f"), len(boundary.names) - 1):
+        away = arb(1e-9 * max(1.0, abs(float(refined.y[k]))))
+        box = [c + arb(0, away) if j == k else c for j, c in enumerate(refined.y)]
+        whole = flight.enclosed(boundary, box, refined.grid, effort.order, root.centre)
+        for sign in (1, -1):
+            y = [c + sign * away if j == k else c for j, c in enumerate(refined.y)]
+            flown, _ = flight.plainly(boundary, y, effort.order, effort.tolerance, refined.grid)
+            for balls, points in zip(chain(*whole.nodes), chain(*flown.nodes), strict=True):
+                if not all((a + arb(0, 1e-38)).contains(b) for a, b in zip(balls, points, strict=True)):
+                    return False
+            for D, end, centre in zip(whole.tangents, flown.ends, root.centre.ends, strict=True):
+                slopes = [(z - near) / (sign * away) for z, near in zip(end, centre, strict=True)]
+                if not all(D[row, k].overlaps(slope) for row, slope in enumerate(slopes)):
+                    return False
+    return True
+
+
 def growth_is_enclosed() -> bool:
     """x' = x: the remainder is no larger than it has to be, so that a part of it would not do."""
     flow, arc = room("flow"), pole(lambda graph, x: 1 * x)
@@ -221,7 +262,7 @@ def swinging(duration: float, free: bool) -> pl.Problem:
     )
 
 
-def a_minimum(duration: float, free: bool = False) -> bool:
+def a_minimum(duration: float, free: bool = False, arcs: int = 1) -> bool:
     """Whether the extremal sin(t)/sin(T), or 0 with a free end, is proved to be one."""
     boundary = room("boundary").boundary_problem(
         swinging(duration, free), [room("boundary").Piece(phase=0, regimes={"u": "interior"})]
@@ -231,14 +272,19 @@ def a_minimum(duration: float, free: bool = False) -> bool:
     guess = [arb(0), arb(1)] if free else [arb(slope), arb(1), arb(float(slope * np.cos(duration)))]
     refined = room("root").refine(boundary, guess, rough, lambda _: None)
     root = room("root").prove_root(boundary, refined, rough, lambda _: None)
+    several = replace(boundary, arcs=boundary.arcs * arcs)
     return room("second_order").local_optimum(
-        boundary, root.y, refined.grid, rough.order, [1.0, 1.0], lambda _: None
+        several, root.y, refined.grid, rough.order, [1.0, 1.0], lambda _: None
     ).proved  # fmt: skip
 
 
 def conjugate_points_are_seen() -> bool:
     ends = a_minimum(1.5, True) and not a_minimum(1.65, True)
     return ends and a_minimum(3.0) and not a_minimum(4.0)
+
+
+def several_arcs_are_no_minimum_yet() -> bool:
+    return not a_minimum(1.5, True, arcs=2)
 
 
 def operations() -> list[tuple[str, Callable[[Any, Any], Any], Callable[[Any], Any]]]:
@@ -272,8 +318,8 @@ def series_agree(orders: int = 14) -> bool:
             moved, (found,) = room("taylor").Program(graph, ["x"], [e]).flow([arb("0.3")], orders)
             truth = series(arb_series(moved[0][:orders], orders)).coeffs()
             truth += [arb(0)] * (orders - len(truth))
-            if not all(
-                a.overlaps(b) and float(a.rad()) < 1e-30 * max(1, abs(float(b)))
+            if len(found) != orders or not all(
+                arb(a).overlaps(b) and float(a.rad()) < 1e-30 * max(1, abs(float(b)))
                 for a, b in zip(found, truth, strict=True)
             ):
                 return False
@@ -285,23 +331,65 @@ def series_agree(orders: int = 14) -> bool:
         ctx.cap = before
 
 
-# The cheapest first: a mutant is caught by the first that it does not meet.
+def forms_are_positive() -> bool:
+    definite = room("second_order").positive_definite
+    return definite(arb_mat([[2, 1], [1, 2]])) and not definite(arb_mat([[1, 2], [2, 1]]))
+
+
+def J_is_that_of_the_root() -> bool:
+    """Least time of the double integrator is 2 s; no step of it has a remainder, and its centre is a little off."""
+    boundary, guess = stated(solved(least_time), 1e-4)
+    found = room("theorem")._proved(boundary, guess, settings(24, 1e-15), lambda _: None)
+    y = found.root.y
+    far = room("theorem")._distance(boundary, found.root, [2 * y[0], *y[1:]])
+    return found.objective.contains(arb(2)) and not found.refined.y[2] == 2 and far == pytest.approx(0.5)
+
+
+def what_is_missing_is_no_theorem() -> bool:
+    theorem, verified, before = room("theorem"), room("verified"), Verification(checks=())
+    found = theorem.attempt(solved(least_time), lambda _: None)
+    held = room("limits").Statement(words="it holds", proved=False)
+    broken = replace(found, proved=replace(found.proved, statements=(*found.proved.statements, held)))
+    whole, less = (verified.with_attempt(before, one) for one in (found, broken))
+    honest = "strict local optimum" not in whole.notes[0]
+    return honest and whole.certificate is not None and less.certificate is None and not less.checks
+
+
+def numbers_are_exact() -> bool:
+    """What a value is taken for: its decimal, if that is what was flown, or else the double."""
+    exactly, graph, program = room("given").exactly, room("graph"), room("taylor").Program
+    for stated, unit, number, power in (
+        ("4902.7779 km^3/s^2", "m^3/s^2", "4902777900000", 0), ("0.1", "1", "1/10", 0),
+        ("12 deg", "rad", "1/15", 1), ("90 s/deg", "s/rad", "16200", -1), ("3 cm^0.5", "m^0.5", "3/10", 0),
+    ):  # fmt: skip
+        value = parse_quantity(stated, unit)
+        found, own = exactly(Given(value=value, unit=unit, stated=stated)), graph.Graph()
+        truth = arb(fmpq(*Fraction(number).as_integer_ratio())) * arb.pi() ** power
+        (read,) = program(own, [], [found.expression(own)]).values([])
+        told = found.document()
+        written = room("jets").given(told)
+        if not all(ball.overlaps(truth) and ball.rad() < 1e-30 * truth for ball in (found.ball(), read, written)):
+            return False
+        if (Fraction(number), power) != (found.rational, found.power) or told["taken"] != "text":
+            return False
+    for value, stated in ((0.1, ""), (0.2, "0.1"), (0.1, "about a tenth")):
+        told = exactly(Given(value=value, unit="1", stated=stated)).document()
+        if told != {"taken": "double", "text": "", "number": str(Fraction(value))}:
+            return False
+    return True
+
+
 CHECKS: tuple[Callable[[], bool], ...] = (
     series_agree, a_step_over_a_pole_is_refused, a_step_over_a_jump_is_refused, growth_is_enclosed,
-    tangents_are_enclosed, signs_are_seen, meditch_lands, a_wide_box_is_refused, tangent_is_linear,
-    a_wrong_centre_is_refused, newton_is_quadratic, phases_do_not_matter, conjugate_points_are_seen, efforts_agree,
+    tangents_are_enclosed, a_step_that_tangents_outgrow_is_refused, signs_are_seen, forms_are_positive,
+    numbers_are_exact, J_is_that_of_the_root, what_is_missing_is_no_theorem, meditch_lands,
+    flights_stay_in_their_enclosures, a_wide_box_is_refused, tangent_is_linear, a_wrong_centre_is_refused,
+    newton_is_quadratic, phases_do_not_matter, several_arcs_are_no_minimum_yet, conjugate_points_are_seen,
+    efforts_agree,
 )  # fmt: skip
 
 
-def holds(check: Callable[[], bool]) -> bool:
-    """Whether a check is met; a prover that fails in it is caught as well."""
+def holds(check: Callable[[], Any]) -> Any:
+    """What a check says."""
     with ctx.workprec(BITS):
-        try:
-            return check()
-        except Exception:  # of a mutant, whatever it is
-            return False
-
-
-def complaint() -> str:
-    """The first check that a prover does not meet, or ""."""
-    return next((check.__name__ for check in CHECKS if not holds(check)), "")
+        return check()

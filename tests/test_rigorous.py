@@ -1,16 +1,13 @@
-"""Level 5: the prover by closed forms, and by mutants of it, each of which has to be caught."""
+"""Level 5: the prover by closed forms, what it says, and its certificates."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from pathlib import Path
 
 import pytest
 
@@ -29,93 +26,10 @@ from perilune.rigorous.jets import Failed
 from perilune.rigorous.told import exact
 from perilune.rigorous.verified import with_theorem
 
-ROOM = Path(__file__).parent.parent / "src" / "perilune" / "rigorous"
-
 
 @pytest.mark.parametrize("check", prover_checks.CHECKS, ids=lambda check: check.__name__)
 def test_the_prover(check: Callable[[], bool]) -> None:
     assert prover_checks.holds(check)
-
-
-@contextmanager
-def mutated(name: str, old: str, new: str) -> Iterator[None]:
-    """The prover with one file changed."""
-    path = ROOM / f"{name}.py"
-    source = path.read_text(encoding="utf-8")
-    assert source.count(old) == 1, f"{source.count(old)} places in {name}: {old}"
-    kept = {key: module for key, module in sys.modules.items() if key.startswith("perilune.rigorous")}
-    for key in kept:
-        del sys.modules[key]
-    full = f"perilune.rigorous.{name}"
-    spec = importlib.util.spec_from_file_location(full, path)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[full] = module
-    try:
-        exec(compile(source.replace(old, new), str(path), "exec"), module.__dict__)
-        yield
-    finally:
-        for key in [key for key in sys.modules if key.startswith("perilune.rigorous")]:
-            del sys.modules[key]
-        sys.modules.update(kept)
-
-
-# What is wrong: (file, a place in it, what stands there then).
-MUTANTS = {
-    "remainder dropped": ("flow", "length) + r * length**order", "length)"),
-    "remainder halved": ("flow", "length) + r * length**order", "length) + r * length**order / 2"),
-    "remainder of tangents dropped": ("flow", "+ tangents_over[order] * length**order", ""),
-    "remainder along a step dropped": ("flow", "_over(c, since) + last * since**order", "_over(c, since)"),
-    "remainder at the start alone": (
-        "flow",
-        "Z = [r if s else r + arb(0, w)",
-        "Z = [z[0] + r - r.mid() - arb(0, r.rad())",
-    ),
-    "inclusion unchecked": ("flow", "if all(inside) and all(tangent_inside):", "if all(tangent_inside):"),
-    "order of the remainder off by one": ("flow", "[c[order] for c in over]", "[c[order - 1] for c in over]"),
-    "series cut off": ("taylor", "in range(orders):\n            for step", "in range(2):\n            for step"),
-    "tangents off by a factor": ("flow", "total * (1 / arb(k + 1))", "total * (2 / arb(k + 1))"),
-    "tangents by the transposed slopes": ("flow", "A[place] = c[k]", "A[place[::-1]] = c[k]"),
-    "rates off by a factor": ("taylor", "following / (k + 1)", "following / (k + 2)"),
-    "product without its last term": ("taylor", "sum(map(mul, a, b[::-1]))),", "sum(map(mul, a[:-1], b[::-1]))),"),
-    "square without its middle term": ("taylor", "half + a[k // 2] * a[k // 2]", "half"),
-    "quotient without its memory": ("taylor", "(a[k] - sum(map(mul, b[1:]", "(a[k] - sum(map(mul, b[2:]"),
-    "root without its memory": ("taylor", "c[1:], c[:0:-1]", "c[2:], c[:0:-1]"),
-    "sine with the wrong sign": ("taylor", "cosine.append(-sum(", "cosine.append(sum("),
-    "angle beyond its jump": ("taylor", "if x > 0 or y > 0 or y < 0 else arb.nan()", ""),
-    "logarithm's derivative off": ("graph", '"log": lambda: 1 / a,', '"log": lambda: here / a,'),
-    "quotient's derivative off": ("graph", "(at[1], -here / b)", "(at[1], here / b)"),
-    "adjoint with the wrong sign": ("equations", "*(-slope for slope in slopes)]", "*slopes]"),
-    "direction with the wrong sign": ("equations", "-g / strength", "g / strength"),
-    "duration without the rate at its end": ("flight", "D = rates * by_y", "D = rates * by_y * 0"),
-    "link without its derivative": ("flight", "by_y + by_before * D if i else by_y", "by_y"),
-    "Krawczyk unchecked": ("root", "all(b.contains_interior(k)", "all(b.overlaps(k)"),
-    "defect left out": ("root", "[c - d + e for", "[c + e for"),
-    "contraction left out": ("root", "[c - d + e for", "[c - d for"),
-    "derivative at the centre alone": ("root", "refined.inverse * J\n", "refined.inverse * J.mid()\n"),
-    "sign at the end ignored": ("signs", "(-1) ** at_end * ", ""),
-    "sign at the deepest halving taken": ("signs", "Seen(proved=False", "Seen(proved=True"),
-    "sign at one point": ("signs", "z = step.at(span)", "z = step.at(span.mid())"),
-    "half of a step unseen": ("signs", ", (middle, b, depth + 1)]", "]"),
-    "Riccati's equation past a conjugate point": (
-        "second_order",
-        "return float((proved.begin + span).mid())",
-        "continue",
-    ),
-    "form at the end unseen": ("second_order", "kernel.transpose() * form * kernel", "kernel.transpose() * kernel"),
-    "second variation with the wrong sign": ("second_order", "W = M * -1", "W = M"),
-    "constants rounded": (
-        "graph",
-        "fmpq(*float(value).as_integer_ratio())",
-        "fmpq(round(float(value) * 1e12), 10**12)",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", MUTANTS)
-def test_mutants_of_the_prover_are_caught(name: str) -> None:
-    with mutated(*MUTANTS[name]):
-        assert prover_checks.complaint(), f"nobody noticed: {name}"
 
 
 def test_a_theorem_is_a_level_of_the_verification() -> None:

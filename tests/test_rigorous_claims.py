@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pytest
 
 import perilune as pl
@@ -12,12 +13,9 @@ import perilune as pl
 pytest.importorskip("flint")
 from flint import arb, ctx
 
-from perilune.rigorous.boundary import Piece, Sides, boundary_problem
-from perilune.rigorous.limits import Limits
-from perilune.rigorous.reading import Unsupported
-from perilune.rigorous.root import Root, Settings, prove_root, refine
+from prover_checks import room, settings
 
-ROUGH = Settings(bits=160, order=24, tolerance=1e-36)
+FREE = {"u": "interior", "v": "interior"}
 
 
 def problem(phase: pl.Phase, objective: Any, given: dict[str, tuple[float, str]], **options: Any) -> pl.Problem:
@@ -29,14 +27,19 @@ def problem(phase: pl.Phase, objective: Any, given: dict[str, tuple[float, str]]
 
 
 def proved(
-    stated: pl.Problem, regimes: dict[str, str], guess: Sequence[float], sides: Sides | None = None
-) -> tuple[Root, list[str]]:
-    """The root, and what is not proved of it."""
-    with ctx.workprec(ROUGH.bits):
-        boundary = boundary_problem(stated, [Piece(phase=0, regimes=regimes)], sides)
-        refined = refine(boundary, [arb(value) for value in guess], ROUGH, lambda _: None)
-        root = prove_root(boundary, refined, ROUGH, lambda _: None)
-        return root, [statement.words for statement in Limits(boundary, root).all() if not statement.proved]
+    stated: pl.Problem, pieces: dict[str, str] | Sequence[Any], guess: Sequence[float], sides: Any = None
+) -> tuple[Any, list[str]]:
+    """The root, and what is not proved of it; of one arc in these regimes, or of these pieces."""
+    rough, root = settings(24, 1e-36), room("root")
+    one = room("boundary").Piece
+    with ctx.workprec(rough.bits):
+        boundary = room("boundary").boundary_problem(
+            stated, [one(phase=0, regimes=pieces)] if isinstance(pieces, dict) else pieces, sides
+        )
+        refined = root.refine(boundary, [arb(value) for value in guess], rough, lambda _: None)
+        found = root.prove_root(boundary, refined, rough, lambda _: None)
+        statements = room("limits").Limits(boundary, found).all()
+        return found, [statement.words for statement in statements if not statement.proved]
 
 
 def test_a_corner_that_each_control_alone_would_keep_is_no_minimum() -> None:
@@ -47,7 +50,7 @@ def test_a_corner_that_each_control_alone_would_keep_is_no_minimum() -> None:
         dynamics=lambda x, u, p, m: (p.w * (-u.u - u.v - 3 * u.u * u.v),), duration="T",
     )  # fmt: skip
     stated = problem(phase, lambda x, p, m: x.x, {"T": (1.0, "s"), "w": (1.0, "m/s")})
-    with pytest.raises(Unsupported, match="depends on another control"):
+    with pytest.raises(room("reading").Unsupported, match="depends on another control"):
         proved(stated, {"u": "lower", "v": "lower"}, [1.0])
 
 
@@ -106,7 +109,9 @@ def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
             objective=lambda x, p, m: p.w * (x.c + (p.q - p.T / p.w) ** 2 / p.T),
             free=(pl.Free(name="q", unit="m", typical=1.0, **{"lower": -5.0, "upper": 5.0, **at}),),
         )  # fmt: skip
-        sides = Sides(free={"q": side} if at else {}, ranges={("go", "place"): side if holds else "inside"})
+        sides = room("boundary").Sides(
+            free={"q": side} if at else {}, ranges={("go", "place"): side if holds else "inside"}
+        )
         return proved(stated, {"u": "interior"}, [0.1, 1.0, 1.0, 0.1], sides)[1]
 
     assert not missing((lower, upper), told.get(side))
@@ -129,3 +134,103 @@ def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:
     )  # fmt: skip
     _, missing = proved(stated, {"u": "interior"}, [-6.0, -12.0, 1.0, -6.0, -6.0])
     assert missing == ["x > 0.0 (go)"]
+
+
+@pytest.mark.parametrize(("by", "missing"), [(0.0, []), (1e-6, ["x > 0.0 (go)"])])
+def test_a_limit_that_is_missed_at_the_end_is_named(by: float, missing: list[str]) -> None:
+    """x = 1 - (1 + by) t."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="c", unit="m^2/s")),
+        controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        duration="T", end=lambda x, p, m: (m.sin(x.x / p.l + by),), end_conditions=(pl.Variable(name="place"),),
+    )  # fmt: skip
+    stated = pl.Problem(
+        name="falling", phases=(phase,), start=lambda p, m: (p.l, 0.0), objective=lambda x, p, m: x.c,
+        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")}, objective_unit="m^2/s",
+    )  # fmt: skip
+    assert proved(stated, {"u": "interior"}, [1.0, 1.0, 1.0])[1] == missing
+
+
+def test_every_limit_that_is_broken_is_named_and_no_other() -> None:
+    """x = t, u = 1 is where -u^2/2 is stationary: the greatest, not the least; and q = 2."""
+    states = (pl.Variable(name="x", unit="m", lower=0.2, upper=0.8), pl.Variable(name="c", unit="m^2/s", lower=-3.0))
+    phase = pl.Phase(
+        name="go", states=states, controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=0.5),),
+        dynamics=lambda x, u, p, m: (u.u, -0.5 * u.u * u.u), duration="T",
+        end=lambda x, p, m: (x.x - p.l,), end_conditions=(pl.Variable(name="place", unit="m"),),
+        path=lambda x, u, p, m: (x.x - 0.9 * p.l, 2 * p.l - x.x),
+        path_conditions=(pl.Variable(name="high", unit="m"), pl.Variable(name="low", unit="m")),
+    )  # fmt: skip
+    free = (pl.Free(name="q", unit="m", lower=-5.0, upper=1.0, typical=1.0),)
+    stated = problem(phase, lambda x, p, m: x.c / (p.l / p.T) + (p.q - 2 * p.l) ** 2 / p.l,
+                     {"T": (1.0, "s"), "l": (1.0, "m")}, free=free)  # fmt: skip
+    _, missing = proved(stated, {"u": "interior"}, [1.0, 1.0, 2.0, 1.0])
+    broken = ["x > 0.2", "x < 0.8", "high > 0", "H is strictly convex in u", "u is inside its upper bound"]
+    assert sorted(missing) == sorted(["q < 1", *(f"{words} (go)" for words in broken)])
+
+
+def test_an_arc_of_negative_length_is_seen() -> None:
+    """x'' = 1 for -1/4 s, then x'' = -1 for 3/4 s."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="v", unit="m/s")),
+        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (x.v + p.w, u.u), duration="t_f",
+        end=lambda x, p, m: (x.x - p.d, x.v + p.w),
+        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="speed", unit="m/s")),
+    )  # fmt: skip
+    stated = problem(phase, lambda x, p, m: p.w * p.t_f, {"w": (1.0, "m/s"), "d": (0.0625, "m")},
+                     free=(pl.Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=1.0),))  # fmt: skip
+    one = room("boundary").Piece
+    pieces = [one(phase=0, regimes={"u": "upper"}, switched="u"), one(phase=0, regimes={"u": "lower"})]
+    _, missing = proved(stated, pieces, [-4 / 3, 1 / 3, 0.5, -4 / 3, 1.0, -0.25])
+    assert "arc 1 lasts longer than 0 s" in missing and "arc 2 lasts longer than 0 s" not in missing
+
+
+@pytest.mark.parametrize(("weight", "sign", "missing"), [(2.0, 1, []), (0.5, 1, ["least"]), (2.0, -1, ["convex"])])
+def test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it(
+    weight: float, sign: int, missing: list[str]
+) -> None:
+    """Least integral of sign u^2/2, less a multiple of x(1), u <= 1."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
+        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (u.u, sign * 0.5 * u.u * u.u), duration="T",
+    )  # fmt: skip
+    stated = problem(phase, lambda x, p, m: p.k * x.c - weight * x.x, {"T": (1.0, "s"), "k": (1.0, "s/m")})
+    found = proved(stated, {"u": "upper"}, [-weight, 1.0])[1]
+    assert len(found) == len(missing) and all(word in told for word, told in zip(missing, found, strict=True))
+
+
+@pytest.mark.parametrize(("at_start", "half_turns"), [(True, 0), (True, 1), (False, 0), (False, 1)])
+def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_start: bool, half_turns: int) -> None:
+    """Least integral of |u|^2/2 between (1/2, 0) and the unit circle, where the flight begins or ends."""
+
+    def inside(p: Any) -> tuple[Any, Any]:
+        return (0.5 * p.l, 0 * p.l)
+
+    phase = pl.Phase(
+        name="go", states=tuple(pl.Variable(name=n, unit=u) for n, u in (("x", "m"), ("y", "m"), ("c", "m^2/s"))),
+        controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="v", unit="m/s")),
+        dynamics=lambda x, u, p, m: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v)), duration="T",
+        end=(lambda x, p, m: (x.x - inside(p)[0], x.y)) if at_start else (
+            lambda x, p, m: ((x.x * x.x + x.y * x.y) / p.l - p.l,)),
+        end_conditions=tuple(pl.Variable(name=n, unit="m") for n in ("one", "two")[: 2 if at_start else 1]),
+    )  # fmt: skip
+    stated = pl.Problem(
+        name="circle", phases=(phase,), objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+        start=lambda p, m: (p.l * m.cos(p.q), p.l * m.sin(p.q), 0.0) if at_start else (*inside(p), 0.0),
+        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")},
+        free=(pl.Free(name="q", typical=1.0),) if at_start else (),
+    )  # fmt: skip
+    side = 1 - 2 * half_turns
+    speed = (0.5 - side) * (1 if at_start else -1)
+    told = [np.pi * half_turns, -speed, 0.0] if at_start else [-speed / (2 * side)]
+    rough, root = settings(24, 1e-36), room("root")
+    with ctx.workprec(rough.bits):
+        boundary = room("boundary").boundary_problem(stated, [room("boundary").Piece(phase=0, regimes=FREE)])
+        refined = root.refine(boundary, [arb(v) for v in (-speed, 0.0, 1.0, *told)], rough, lambda _: None)
+        y = root.prove_root(boundary, refined, rough, lambda _: None).y
+        statement = room("second_order").local_optimum(
+            boundary, y, refined.grid, rough.order, [1.0] * 3, lambda _: None
+        )
+    assert statement.proved == (not half_turns)

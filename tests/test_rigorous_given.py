@@ -12,8 +12,6 @@ from typing import Any
 import pytest
 
 import perilune as pl
-from perilune.problem.variables import Given
-from perilune.words.units import parse_quantity
 from perilune.words.watch import silent
 from problems.landings import meditch
 
@@ -22,46 +20,10 @@ from flint import arb, ctx
 
 from perilune.rigorous import flight, root
 from perilune.rigorous.check_certificate import confirm
-from perilune.rigorous.given import exactly
-from perilune.rigorous.graph import Graph
-from perilune.rigorous.jets import Failed, given as checked
+from perilune.rigorous.jets import Failed
 from perilune.rigorous.root import NotProved, prove_root, refine
-from perilune.rigorous.taylor import Program
 from perilune.rigorous.theorem import Proved, attempt
 from perilune.rigorous.verified import with_theorem
-
-
-@pytest.mark.parametrize(
-    ("text", "unit", "number", "power"),
-    [
-        ("4902.7779 km^3/s^2", "m^3/s^2", "4902777900000", 0),
-        ("0.1", "1", "1/10", 0),
-        ("12 deg", "rad", "1/15", 1),
-        ("0.1 deg/s^2", "rad/s^2", "1/1800", 1),
-        ("90 s/deg", "s/rad", "16200", -1),
-        ("1 lbf", "N", "4.4482216152605", 0),
-        ("1.74e-4 kg^0.5/m", "kg^0.5/m", "1.74e-4", 0),
-        ("3 cm^0.5", "m^0.5", "3/10", 0),
-    ],
-)
-def test_a_decimal_is_taken_as_it_was_stated(text: str, unit: str, number: str, power: int) -> None:
-    value = parse_quantity(text, unit)
-    found = exactly(Given(value=value, unit=unit, stated=text))
-    assert (found.rational, found.power, found.text) == (Fraction(number), power, text)
-    graph = Graph()
-    read = Program(graph, [], [found.expression(graph)]).values([])[0]
-    for ball in (found.ball(), checked(found.document())):
-        assert ball.overlaps(read) and abs(float(ball) - value) <= 2e-16 * value
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.1, ""), (0.2, "0.1"), (parse_quantity("0.1 km^0.5", "m^0.5"), "0.1 km^0.5"), (0.1, "about a tenth")],
-)
-def test_a_double_is_itself(value: float, text: str) -> None:
-    unit = "m^0.5" if "km" in text else "1"
-    found = exactly(Given(value=value, unit=unit, stated=text))
-    assert found.document() == {"taken": "double", "text": "", "number": str(Fraction(value))}
 
 
 def test_a_theorem_says_which_numbers_it_is_about() -> None:

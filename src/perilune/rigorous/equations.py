@@ -249,16 +249,16 @@ def _scalar(
 ) -> Expression:  # fmt: skip
     key, free = ("u", control.name), {("u", name) for name in phase.control_names}
     slope = graph.gradient(H, [key])[0]
+    curvature = graph.gradient(slope, [key])[0]
+    if curvature.inputs() & free:
+        raise Unsupported(f"the control {control.name} of {phase.name} has no formula")
+    if slope.inputs() & (free - {key}):  # then what is least for each alone is no minimum of both
+        raise Unsupported(f"the minimum of H over {control.name} of {phase.name} depends on another control")
     if regime != "interior":
-        if slope.inputs() & (free - {key}):  # then a sign of dH/du of each alone is no minimum of both
-            raise Unsupported(f"the minimum of H over {control.name} of {phase.name} depends on another control")
         found = limits[regime == "upper"]
         if found is None:
             raise Unsupported(f"the control {control.name} has no {regime} bound")
         return found
-    curvature = graph.gradient(slope, [key])[0]
     if curvature.vanishes():
         raise Unsupported(f"the control {control.name} of {phase.name} is singular")
-    if curvature.inputs() & free or slope.inputs() & (free - {key}):
-        raise Unsupported(f"the control {control.name} of {phase.name} has no formula")
     return -graph.substitute([slope], {key: graph.constant(0)})[0] / curvature

@@ -52,15 +52,6 @@ class Step:
     remainder: list[Ball]
     tangents: list[Any]
 
-    def tangents_at(self, since: Ball) -> tuple[Any, list[tuple[Any, Ball]]]:
-        """V in the middle of an interval of times since the step began, and how far it is from that in all of it.
-
-        They are apart, so that what multiplies V finds the changes of its entries still together.
-        """
-        middle, order = since.mid(), len(self.tangents) - 1
-        slope = horner([own * arb(k) for k, own in enumerate(self.tangents[:-1])][1:], since)
-        return horner(self.tangents[:-1], middle), [(slope, since - middle), (self.tangents[-1], since**order)]
-
     def at(self, since: Ball) -> list[Ball]:
         """z at a time, or over an interval of times, since the step began."""
         order = len(self.polynomial[0])

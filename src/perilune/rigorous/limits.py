@@ -16,7 +16,7 @@ from perilune.rigorous.boundary import BoundaryProblem
 from perilune.rigorous.equations import Scalar
 from perilune.rigorous.given import exactly
 from perilune.rigorous.graph import Expression
-from perilune.rigorous.reading import Unsupported, read
+from perilune.rigorous.reading import read
 from perilune.rigorous.root import Root
 from perilune.rigorous.signs import Quantity, Seen, positive, vanishing
 
@@ -119,16 +119,15 @@ class Limits:
 
     def _scalar(self, i: int, where: str, scalar: Scalar) -> Iterator[Statement]:
         name = scalar.control.name
-        if scalar.regime == "interior":
+        if not (scalar.regime != "interior" and scalar.curvature.vanishes()):
             yield self._along(i, f"H is strictly convex in {name} ({where})", scalar.curvature)
+        if scalar.regime == "interior":
             for limit, sign, told in zip(scalar.limits, (1, -1), ("lower", "upper"), strict=True):
                 if limit is not None:
                     yield self._along(i, f"{name} is inside its {told} bound ({where})", sign * (scalar.value - limit))
         else:
             sign, told = (1, "lower") if scalar.regime == "lower" else (-1, "upper")
             yield self._along(i, f"H is least with {name} at its {told} bound ({where})", sign * scalar.slope)
-            if not scalar.curvature.vanishes():
-                raise Unsupported(f"{name} is on a bound, and H is not linear in it")
 
     def _along(self, i: int, words: str, of: Expression, touching: bool = False) -> Statement:
         quantity = Quantity(self.boundary.arcs[i], of, self.box)

@@ -137,7 +137,7 @@ def _falls(quantity: Quantity, step: Step, span: Ball, z: Sequence[Ball]) -> flo
     if not quantity.value(z, 1) < 0:
         if not quantity.value(z, 2) > 0:
             return None
-        lost += quantity.value(end, 1).abs_upper() * span.abs_upper()
+        lost += quantity.value(end, 1).abs_upper() * 2 * span.rad()
     return float(lost.upper()) if lost < _SLACK else None
 
 

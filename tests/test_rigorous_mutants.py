@@ -1,0 +1,250 @@
+"""Level 5: mutants of the prover, each caught by the check that is there for what is wrong with it.
+
+Caught is a mutant whose check sees a wrong enclosure or statement, or that the prover then refuses (`PeriluneError`);
+one that breaks down in any other way is not. A mutant shows that its check looks, and a check is none without one.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+import perilune as pl
+
+pytest.importorskip("flint")
+
+import prover_checks as checks
+import test_rigorous_claims as claims
+
+ROOM = Path(__file__).parent.parent / "src" / "perilune" / "rigorous"
+
+
+@contextmanager
+def mutated(name: str, old: str, new: str) -> Iterator[None]:
+    """The prover with one file changed."""
+    path = ROOM / f"{name}.py"
+    source = path.read_text(encoding="utf-8")
+    assert source.count(old) == 1, f"{source.count(old)} places in {name}: {old}"
+    kept = {key: module for key, module in sys.modules.items() if key.startswith("perilune.rigorous")}
+    for key in kept:
+        del sys.modules[key]
+    full = f"perilune.rigorous.{name}"
+    spec = importlib.util.spec_from_file_location(full, path)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[full] = module
+    try:
+        exec(compile(source.replace(old, new), str(path), "exec"), module.__dict__)
+        yield
+    finally:
+        for key in [key for key in sys.modules if key.startswith("perilune.rigorous")]:
+            del sys.modules[key]
+        sys.modules.update(kept)
+
+
+Mutant = tuple[str, str, str]  # a file, a place in it, what stands there then
+_side = claims.test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond
+_convex = claims.test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it
+_circle = claims.test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none
+_small = partial(claims.test_a_control_on_the_wrong_bound_is_seen_however_small_its_effect, 1e-13)
+_touched = claims.test_a_limit_that_is_touched_at_the_end_is_not_broken_before
+_limits = claims.test_every_limit_that_is_broken_is_named_and_no_other
+MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
+    name: (mutant, check)
+    for check, own in (
+        (checks.series_agree, {
+            "series cut off":
+                ("taylor", "in range(orders):\n            for step", "in range(2):\n            for step"),
+            "product without its last term":
+                ("taylor", "sum(map(mul, a, b[::-1]))),", "sum(map(mul, a[:-1], b[::-1]))),"),
+            "square without its middle term": ("taylor", "half + a[k // 2] * a[k // 2]", "half"),
+            "quotient without its memory": ("taylor", "(a[k] - sum(map(mul, b[1:]", "(a[k] - sum(map(mul, b[2:]"),
+            "root without its memory": ("taylor", "c[1:], c[:0:-1]", "c[2:], c[:0:-1]"),
+            "sine with the wrong sign": ("taylor", "cosine.append(-sum(", "cosine.append(sum("),
+            "logarithm's derivative off": ("graph", '"log": lambda: 1 / a,', '"log": lambda: here / a,'),
+            "quotient's derivative off": ("graph", "(at[1], -here / b)", "(at[1], here / b)"),
+        }),
+        (checks.growth_is_enclosed, {
+            "remainder dropped": ("flow", "length) + r * length**order", "length)"),
+            "remainder halved": ("flow", "length) + r * length**order", "length) + r * length**order / 2"),
+            "remainder of tangents dropped": ("flow", "+ tangents_over[order] * length**order", ""),
+            "order of the remainder off by one": ("flow", "[c[order] for c in over]", "[c[order - 1] for c in over]"),
+            "tangents off by a factor": ("flow", "total * (1 / arb(k + 1))", "total * (2 / arb(k + 1))"),
+            "rates off by a factor": ("taylor", "following / (k + 1)", "following / (k + 2)"),
+        }),
+        (checks.tangents_are_enclosed, {
+            "remainder along a step dropped": ("flow", "_over(c, since) + last * since**order", "_over(c, since)"),
+        }),
+        (checks.a_step_over_a_pole_is_refused, {
+            "inclusion unchecked": ("flow", "if all(inside) and all(tangent_inside):", "if all(tangent_inside):"),
+            "every component taken for a constant": ("flow", "[rate.vanishes() for rate in", "[True for rate in"),
+            "range of the end alone": ("flow", "span = arb(0).union(length)", "span = length"),
+        }),
+        (checks.a_step_that_tangents_outgrow_is_refused, {
+            "inclusion of tangents unchecked": ("flow", "if all(inside) and all(tangent_inside):", "if all(inside):"),
+        }),
+        (checks.a_step_over_a_jump_is_refused, {
+            "angle beyond its jump": ("taylor", "if x > 0 or y > 0 or y < 0 else arb.nan()", ""),
+            "constants rounded":
+                ("graph", "fmpq(*float(value).as_integer_ratio())", "fmpq(round(float(value) * 1e12), 10**12)"),
+        }),
+        (checks.flights_stay_in_their_enclosures, {
+            "remainder at the start alone":
+                ("flow", "Z = [r if s else r + arb(0, w)", "Z = [z[0] + r - r.mid() - arb(0, r.rad())"),
+            "tangents by the transposed slopes": ("flow", "A[place] = c[k]", "A[place[::-1]] = c[k]"),
+            "mean value about the centre alone": ("flight", "a.intersection(b + c)", "a.intersection(b + c * 0)"),
+            "mean value over half of the box":
+                ("flight", "aside = [value - value.mid()", "aside = [(value - value.mid()) / 2"),
+            "mean value over half of the box at the end":
+                ("flight", "[[a] for a in aside]", "[[a / 2] for a in aside]"),
+            "mean value over half of the box before it": ("flight", "[[aside[j]] for j in", "[[aside[j] / 2] for j in"),
+            "duration without the rate at its end": ("flight", "D = rates * by_y", "D = rates * by_y * 0"),
+            "arc without the derivative of the one before": ("flight", "by_y + by_before * D if i else by_y", "by_y"),
+        }),
+        (checks.meditch_lands, {
+            "defect left out": ("root", "[c - d + e for", "[c + e for"),
+            "no H in what a duration costs": ("boundary", "if phase.duration in problem.free_names:", "if False:"),
+        }),
+        (checks.a_wide_box_is_refused, {
+            "Krawczyk unchecked": ("root", "all(b.contains_interior(k)", "all(b.overlaps(k)"),
+            "contraction left out": ("root", "[c - d + e for", "[c - d for"),
+            "derivative at the centre alone": ("root", "refined.inverse * J\n", "refined.inverse * J.mid()\n"),
+        }),
+        (checks.tangent_is_linear, {
+            "adjoint with the wrong sign": ("equations", "*(-slope for slope in slopes)]", "*slopes]"),
+            "direction with the wrong sign": ("equations", "-g / strength", "g / strength"),
+        }),
+        (checks.newton_is_quadratic, {
+            "derivatives off by a millionth": ("flight", "total += by_end * D", "total += by_end * D * (1 + 2**-20)"),
+        }),
+        (checks.J_is_that_of_the_root, {
+            "J at the centre":
+                ("theorem", "objective.values(root.y, root.flight.ends",
+                 "objective.values(refined.y, root.centre.ends"),
+            "the least distance": ("theorem", "max(far, default", "min(far, default"),
+        }),
+        (checks.what_is_missing_is_no_theorem, {
+            "what is missing ignored": ("verified", "if found.proved.missing:", "if False:"),
+            "a local optimum in words alone":
+                ("told", "if statement.proved:\n        return (", "if True:\n        return ("),
+        }),
+        (checks.numbers_are_exact, {
+            "a text that is another number": ("given", "given.unit) == given.value", "given.unit) != 0"),
+            "pi left out of an expression": ("given", "graph.power(graph.pi(), self.power)", "1"),
+            "pi left out of a ball": ("given", "arb.pi() ** self.power", "1"),
+            "pi left out of a certificate": ("given", "if self.power else {}", "if self.power > 0 else {}"),
+            "a decimal taken as its double": ("given", "rational=found[0],", "rational=Fraction(given.value),"),
+        }),
+        (checks.signs_are_seen, {
+            "sign at the end ignored": ("signs", "(-1) ** at_end * ", ""),
+            "sign at the deepest halving taken": ("signs", "Seen(proved=False", "Seen(proved=True"),
+            "sign at one point": ("signs", "z = step.at(span)", "z = step.at(span.mid())"),
+            "half of a step unseen": ("signs", ", (middle, b, depth + 1)]", "]"),
+        }),
+        (checks.forms_are_positive, {
+            "diagonal alone": ("second_order", "[a - factor * b for a, b", "[a for a, b"),
+        }),
+        (checks.conjugate_points_are_seen, {
+            "Riccati's equation past a conjugate point":
+                ("second_order", "return float((proved.begin + middle).mid())", "continue"),
+            "tangents of higher order unseen": ("second_order", "own * inverse * away**k", "own * inverse * 0"),
+            "form at the end unseen":
+                ("second_order", "kernel.transpose() * form * kernel", "kernel.transpose() * kernel"),
+            "second variation with the wrong sign": ("second_order", "W = M * -1", "W = M"),
+            "second variation from nothing": ("second_order", "W = _above(W, weights)", "W = _above(W * 0, weights)"),
+            "end conditions left out":
+                ("second_order", " if self._count else None, weights)", " if False else None, weights)"),
+            "duration left out of time":
+                ("equations", "if whole else graph.constant(1)", "if False else graph.constant(1)"),
+        }),
+        (checks.several_arcs_are_no_minimum_yet, {
+            "several arcs": ("second_order", "if len(boundary.arcs) > 1 or any(", "if any("),
+        }),
+        (partial(_circle, True, 1), {
+            "curvature of the start left out": ("second_order", "* self.moved + self.curved", "* self.moved"),
+        }),
+        (partial(_circle, False, 1), {
+            "curvature of the end left out":
+                ("second_order", 'graph.input(("nu", i)) * value', 'graph.input(("nu", i)) * value * 0'),
+        }),
+        (_small, {
+            "any quantity taken to vanish":
+                ("signs", "            return order\n    return 0", "            return max(order, 1)\n    return 0"),
+            "slack for all": ("signs", "touching\n                and b == 1.0", "b == 1.0"),
+        }),
+        (partial(claims.test_a_limit_that_is_missed_at_the_end_is_named, 1e-06, ["x > 0.0 (go)"]), {
+            "slack wide": ("signs", "_SLACK = 1e-12", "_SLACK = 1e-2"),
+        }),
+        (_touched, {
+            "slack of any size": ("signs", "if lost < _SLACK else None", ""),
+        }),
+        (_limits, {
+            "convexity unseen":
+                ("limits", 'in {name} ({where})", scalar.curvature)', 'in {name} ({where})", scalar.curvature * -1)'),
+            "bounds of a control unseen": ("limits", "if limit is not None:", "if False:"),
+            "upper bounds of states unseen": ("limits", "((state.lower, 1), (state.upper, -1))", "((state.lower, 1),)"),
+            "conditions of the path unseen": ("limits", "if taped is not None and phase.path_conditions:", "if False:"),
+            "range of a free parameter unseen": ("limits", "proved=bool(room > 0)", "proved=True"),
+        }),
+        (claims.test_an_arc_of_negative_length_is_seen, {
+            "length of an arc unseen": ("limits", "proved=bool(length > 0)", "proved=True"),
+        }),
+        (partial(_convex, 2.0, 1, []), {
+            "transversality with the wrong sign": ("boundary", "end[half + i] - slope", "end[half + i] + slope"),
+            "wrong sign of dH/du":
+                ("limits", 'bound ({where})", sign * scalar.slope', 'bound ({where})", -sign * scalar.slope'),
+        }),
+        (partial(_convex, 2.0, -1, ["convex"]), {
+            "convexity on a bound unseen":
+                ("limits", 'scalar.regime != "interior" and scalar.curvature.vanishes()',
+                 'scalar.regime != "interior"'),
+        }),
+        (partial(_convex, 0.5, 1, ["least"]), {
+            "sign on a bound unseen":
+                ("limits", 'bound ({where})", sign * scalar.slope',
+                 'bound ({where})", sign**2 * self.boundary.graph.constant(1)'),
+        }),
+        (partial(_side, "lower", (2.0, 7.0)), {
+            "wrong sign of a multiplier":
+                ("boundary", 'nu if side == "upper" else -nu', '-nu if side == "upper" else nu'),
+        }),
+        (partial(_side, "inside", (-2.0, 7.0)), {
+            "wrong sign inside a range":
+                ("boundary", 'is above its lower bound"] = value - lower',
+                 'is above its lower bound"] = lower - value'),
+        }),
+        (partial(_side, "lower", None), {
+            "wrong sign of a slope":
+                ("boundary", 'slopes[i] if side == "lower" else -slopes[i]',
+                 '-slopes[i] if side == "lower" else slopes[i]'),
+        }),
+        (claims.test_a_corner_that_each_control_alone_would_keep_is_no_minimum, {
+            "corner": ("equations", "if slope.inputs() & (free - {key}):", "if False:"),
+        }),
+        (claims.test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds, {
+            "bound without its derivative": ("equations", "graph.substitute([H], held)[0]", "H"),
+        }),
+    )
+    for name, mutant in own.items()
+}  # fmt: skip
+
+
+def caught(check: Callable[[], object]) -> bool:
+    """Whether a check is not met, or refused."""
+    try:
+        return checks.holds(check) is False
+    except (AssertionError, pl.PeriluneError, pytest.fail.Exception):
+        return True
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutants_of_the_prover_are_caught(name: str) -> None:
+    mutant, check = MUTANTS[name]
+    with mutated(*mutant):
+        assert caught(check), f"nobody noticed: {name}"
