@@ -66,11 +66,31 @@ def judge(seed: int, number: int, limit: float) -> dict[str, Any]:
     return row | {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
 
 
+def weak(row: dict[str, Any]) -> bool:
+    """Whether its thrust is less than half of its weight on the mean ground."""
+    given = row["given"]
+    weight = given["vehicle_mass"] * given["body_gravitational_parameter"] / given["body_radius"] ** 2
+    return given["vehicle_thrust"] < 0.5 * weight
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, ...]]:
+    """How many ended in which way, over bodies from small to large and over all, those of little thrust apart."""
+    yield "body", "thrust over weight", "drawn", "refused", PROVED, "lower level", "no answer"
+    for name, radius in (*((body.name, body.radius) for body in NINE), ("all", None)):
+        for little, words in ((False, "at least 0.5"), (True, "less")):
+            of = [row for row in rows if radius in (None, row["given"]["body_radius"]) and weak(row) is little]
+            ends = Counter(row["class"] if row["class"] in (PROVED, "refused") else row["class"][:5] for row in of)
+            shown = (ends["refused"], ends[PROVED], ends["level"])
+            if of:
+                yield name.capitalize(), words, *map(str, (len(of), *shown, len(of) - sum(shown)))
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     """What became of all, each that is neither proved nor refused, and the reasons of refusals."""
     for row in rows:
         if row["class"] not in (PROVED, "refused"):
             yield f"{row['number']:5d} {row['class']} ({row['cpu']:.1f} s): {row['why'][:300]}"
+    yield from (" | ".join(line) for line in table(rows))
     yield f"{dict(Counter(row['class'] for row in rows))}"
     yield f"refused: {dict(Counter(row['why'].partition(':')[0] for row in rows if row['class'] == 'refused'))}"
     flown = [row for row in rows if row["class"] != "refused"]

@@ -35,14 +35,20 @@ ATLAS = (
 NAMES = (*(f"{scenario}_{figure}" for scenario, figure, _ in SOLVED), "atlas_cost", "explorer")
 HEAD = """# Gallery
 
-Each picture, and the command that makes it. `python docs/make_gallery.py` wrote this page and drew them all.
+Each picture, and the command that makes it; `perilune new examples` writes the scenarios.
+`python docs/make_gallery.py` wrote this page and drew them all.
 """
 
 
 def pictures() -> Iterator[tuple[str, str, str]]:
     """Caption, name and command of each picture."""
+    known = set[str]()
     for scenario, figure, caption in SOLVED:
-        command = f"perilune solve examples/{scenario}.toml --out out   # out/figures/{figure}.png"
+        if scenario in known:
+            yield caption, f"{scenario}_{figure}", f"# of the same command: {scenario}/figures/{figure}.png"
+            continue
+        known.add(scenario)
+        command = f"perilune solve examples/{scenario}.toml --out {scenario}   # {scenario}/figures/{figure}.png"
         yield caption, f"{scenario}_{figure}", command
     built = " ".join(f'"{part}"' if " " in part else part for part in ATLAS)
     built = f"perilune atlas build {built} --out map\nperilune atlas plot map --out maps   # maps/objective.png"
@@ -81,7 +87,8 @@ def small(source: Path, target: Path) -> None:
 
     picture = Image.open(source).convert("RGB")
     picture.thumbnail((1000, 1000))
-    picture.quantize(64).save(target, optimize=True)
+    # Median cut, which is the rule, gives a thin line of one colour to its grey neighbours.
+    picture.quantize(64, method=Image.Quantize.FASTOCTREE).save(target, optimize=True)
 
 
 def screenshot(atlas: Path, target: Path) -> None:

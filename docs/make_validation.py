@@ -1,12 +1,15 @@
-"""Write the page of answered problems, ``docs/validation.md``: ``python docs/make_validation.py``; some minutes.
+"""Write the page of answered problems, ``docs/validation.md``: ``python docs/make_validation.py [ROWS]``; some minutes.
 
 Every problem of ``tests/problems``, and some that are too slow to be swept with these, is solved from nothing by each
 method that claims it and proved to level 3. Rows that miss their reference, or are not proved, are in the table like
-all others. ``tests/test_docs_made.py`` computes some rows again and compares what stands beside all of them.
+all others. ROWS is what ``benchmarks/random_landers.py --out`` wrote; without it what the page says of random landers
+stays as it is. ``tests/test_docs_made.py`` computes some rows again and compares what stands beside all of them.
 """
 
 from __future__ import annotations
 
+import json
+import statistics
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -26,9 +29,19 @@ HEAD = """# Validation: problems with a known answer
 Each problem of the library of answered problems (`tests/problems`), solved from nothing by each method that claims
 it and proved as far as level 3. *Known* is from the [source](#sources) below, whose uncertainty is half a unit of
 its last digit; *error* is ours less that, in bold where it is more than this and more than the method's tolerance.
-A level below 3 is in bold. Times are of one processor, the proof with them. `python docs/make_validation.py` wrote
-this page; the same problems are tests. The papers' own numbers stand in the [README](../README.md) and in the
-reports of `perilune reproduce`.
+A level below 3 is in bold. Times are of one processor, the proof with them, the machine code of an earlier run on
+disk. `python docs/make_validation.py` wrote this page; the same problems are tests. The papers' own numbers stand in
+the [README](../README.md) and in the reports of `perilune reproduce`.
+"""
+LANDERS = """## Landers drawn at random
+
+Nobody knows their answers, but each can be proved. `python benchmarks/random_landers.py --seed {seed}` drew {count}
+over nine bodies, with a seed that nothing was mended with, and solved each from nothing: {proved} of {flown} that were
+not refused are proved to level 3, in {median:.2f} s of a processor in the median, at most {longest:.1f} s. *Refused* is
+what physics says of an orbit that meets the ground before its site. *No answer* is exit code 4, all but once of a
+lander whose thrust does not hold half its weight: its best path rides along the ground, for a good part of an orbit.
+Two rows were computed once more, after a refusal of them had turned out to be wrong; they have no answer now.
+
 """
 COLUMNS = ("problem", "method", "known", "uncertainty", "ours", "error", "level", "CPU s")
 
@@ -124,6 +137,20 @@ def sources() -> str:
     return "## Sources\n\n" + table(("problem", "source"), ((a.name, a.source) for a in answered_problems()))
 
 
+def landers(text: str) -> str:
+    """What became of the landers of a file of rows."""
+    from random_landers import PROVED, table as ends
+
+    rows = [json.loads(line) for line in text.splitlines()]
+    took, refused = [row["cpu"] for row in rows], sum(row["class"] == "refused" for row in rows)
+    told = LANDERS.format(
+        seed=rows[0]["seed"], count=len(rows), proved=sum(row["class"] == PROVED for row in rows),
+        flown=len(rows) - refused, median=statistics.median(took), longest=max(took),
+    )  # fmt: skip
+    head, *body = ends(rows)
+    return told + table(head, body)
+
+
 def summary(rows: list[dict[str, str]]) -> str:
     """How many of the rows are good."""
     hit, proved = (sum("**" not in row[name] for row in rows) for name in ("error", "level"))
@@ -138,10 +165,13 @@ def short(rows: list[dict[str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT / "tests"))
+    sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
+    before = PAGE.read_text(encoding="utf-8").partition("## Landers")
+    drawn = landers(Path(sys.argv[1]).read_text(encoding="utf-8")) if sys.argv[1:] else "".join(before[1:])
+    drawn = drawn.partition("## Sources")[0].rstrip() + "\n"
     rows = list[dict[str, str]]()
     for claim in claims():
         rows.append(known(*claim) | solved(*claim))
         print(line(rows[-1].values()), flush=True)
     results = table(COLUMNS, ([row[column] for column in COLUMNS] for row in rows))
-    PAGE.write_text("\n".join([HEAD, summary(rows), "", results, short(rows), sources()]), encoding="utf-8")
+    PAGE.write_text("\n".join([HEAD, summary(rows), "", results, short(rows), drawn, sources()]), encoding="utf-8")

@@ -111,6 +111,8 @@ def test_figures_have_colours_where_there_is_an_answer_and_name_what_they_show(j
     assert set(drawn) == {"objective", "free_retro_delta_v", "free_flight_time", "sheets", "nodes", "errors"}
     panel, bar = drawn["free_retro_delta_v"].axes
     assert bar.get_ylabel() == "retro delta v (m/s)" and panel.get_ylabel() == "retro specific impulse (s)"
+    best = drawn["objective"].axes[1]
+    assert best.get_ylabel() == "landed mass (kg)" and best.get_ylim()[0] > 0.0  # J is minus that
     rows = colours(panel)
     np.testing.assert_allclose(rows.T.ravel(), shown.answers.free["retro_delta_v"])
     below = solve(cho_landing().with_given(vehicle_thrust=440.0, retro_specific_impulse=270.0), level=0)

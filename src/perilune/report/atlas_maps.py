@@ -50,7 +50,9 @@ def atlas_maps(shown: Slice) -> dict[str, Figure]:
             expected="a slice on which some points have an answer",
         )  # fmt: skip
     problem, answers = shown.problem, shown.answers
-    made = {"objective": _quantity(shown, answers.objective, f"J ({problem.objective_unit})".removesuffix(" (1)"))}
+    best, sign = (problem.maximised, -1.0) if problem.maximised else ("J", 1.0)
+    factor, text = _told(best, problem.objective_unit, answers.objective)
+    made = {"objective": _quantity(shown, sign * factor * answers.objective, text)}
     for name, values in answers.free.items():
         if name not in (axis.name for axis in shown.axes) and name not in shown.at:
             factor, text = _told(name, problem.unit_of(name), values)
