@@ -14,7 +14,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, THEOREM, Verification
-from perilune.words.asked import demand, demand_callable, demand_level, keywords_by_name, refused
+from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, refused
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.watch import Watch
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from perilune.proof.resolved import Resolve
 
 
-@keywords_by_name
+@called_in_words
 def solve(
     problem: Problem,
     method: Method | None = None,
@@ -115,7 +115,7 @@ def demand_tolerance(tolerance: Tolerance | None) -> None:
         demand(tolerance, Tolerance, "a tolerance of the proof", "Tolerance(position=0.001), numbers in SI")
 
 
-@keywords_by_name
+@called_in_words
 def prove(
     solution: Solution, level: int = 3, tolerance: Tolerance | None = None, watch: Watch | None = None
 ) -> Solution:
@@ -180,7 +180,7 @@ def _found_again(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
     return replace(solution, extremals=extremals, listed=()), notes
 
 
-@keywords_by_name
+@called_in_words
 def verify(
     solution: Solution,
     level: int = 3,

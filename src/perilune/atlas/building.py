@@ -29,7 +29,7 @@ from perilune.families.elsewhere import Call, Submits, answers, here, told_of_lo
 from perilune.io.export import problem_document, versions
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
-from perilune.words.asked import demand, demand_callable, demand_path, keywords_by_name
+from perilune.words.asked import called_in_words, demand, demand_callable, demand_path
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
 
@@ -40,7 +40,7 @@ _PATIENCE = 0.2  # seconds between looks at what another builder does
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
 
-@keywords_by_name
+@called_in_words
 def build(
     problem: Problem,
     axes: Mapping[str, Any],

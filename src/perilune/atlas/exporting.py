@@ -16,13 +16,13 @@ import numpy as np
 from perilune.atlas.query import Atlas
 from perilune.atlas.table import Table
 from perilune.io.files import fresh_file, new_file
-from perilune.words.asked import demand, keywords_by_name
+from perilune.words.asked import called_in_words, demand
 from perilune.words.outcome import PeriluneError, unknown_name
 
 _LARGEST = 2**31 - 8  # bytes of a variable of a classic NetCDF file, as SciPy writes it
 
 
-@keywords_by_name
+@called_in_words
 def export(atlas: Atlas, file: str | Path, form: str, *, force: bool = False) -> Path:
     """Write all nodes of an atlas into one file.
 

@@ -41,12 +41,12 @@ from perilune.families.elsewhere import Submits
 from perilune.io.reload import read_problem
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
-from perilune.words.asked import demand_callable, demand_path, keywords_by_name
+from perilune.words.asked import called_in_words, demand_callable, demand_path
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
 
 
-@keywords_by_name
+@called_in_words
 def extend(
     store: str | Path,
     axes: Mapping[str, tuple[float, float]],

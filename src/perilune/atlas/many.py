@@ -16,6 +16,7 @@ from perilune.atlas.hermite import interpolated
 from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Brick, Charted, Reader
 from perilune.problem.preflight import possible, preflight
+from perilune.words.asked import demand_numbers
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -87,8 +88,7 @@ class Answers:
 
 def answers(atlas: Reader, points: Matrix) -> Answers:
     """Answers of an atlas at points [SI], (points, d)."""
-    points = np.asarray(points, dtype=float)
-    d = len(atlas.region.axes)
+    points, d = np.asarray(demand_numbers(points, "points of an atlas")), len(atlas.region.axes)
     if points.ndim != 2 or points.shape[1] != d:
         raise PeriluneError(
             "points are rows of the values of all axes", got=f"shape {points.shape}", expected=f"(points, {d})"

@@ -36,7 +36,7 @@ from perilune.atlas.store import HEADER, Store, clear
 from perilune.io.export import versions
 from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
-from perilune.words.asked import demand_path, keywords_by_name
+from perilune.words.asked import called_in_words, demand_path
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import told
 from perilune.words.watch import Watch, silent
@@ -88,7 +88,7 @@ class _Part:
         return found
 
 
-@keywords_by_name
+@called_in_words
 def merge(
     first: str | Path,
     second: str | Path,

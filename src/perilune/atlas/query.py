@@ -28,7 +28,7 @@ from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.extremals import Found
-from perilune.words.asked import demand_path, keywords_by_name
+from perilune.words.asked import called_in_words, demand_path
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
@@ -161,6 +161,7 @@ class _Offer:
 class Atlas(Reader):
     """An atlas that answers. Use `perilune.atlas.open`."""
 
+    @called_in_words
     def query(self, **values: float) -> Mapped:
         """The answer at values of the axes.
 
@@ -227,6 +228,7 @@ class Atlas(Reader):
             raise self._nothing(at, doubt)
         return self._answer(at, best, sorted(tried, key=lambda one: one.cost), offers, began)
 
+    @called_in_words
     def query_many(self, points: Matrix) -> Answers:
         """Answers at many points at once, in lanes.
 
@@ -362,7 +364,7 @@ class Atlas(Reader):
         return self.region.told(near[good][0].tolist()) if good.any() else ""
 
 
-@keywords_by_name
+@called_in_words
 def open_atlas(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Atlas:
     """Read an atlas.
 

@@ -20,7 +20,7 @@ from perilune.atlas.region import Axis
 from perilune.models.kinds import key_of
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
-from perilune.words.asked import keywords_by_name
+from perilune.words.asked import called_in_words
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
@@ -95,7 +95,7 @@ class Slice:
         return {text: count for text, count in found.items() if count}
 
 
-@keywords_by_name
+@called_in_words
 def sliced(
     atlas: Atlas, axes: Sequence[str] = (), at: Mapping[str, float] | None = None, *, points: int = POINTS
 ) -> Slice:

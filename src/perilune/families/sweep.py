@@ -13,11 +13,11 @@ from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS
 from perilune.solve import demand_tolerance, usable
-from perilune.words.asked import demand, demand_callable, demand_level, demand_path, keywords_by_name, refused
+from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, demand_path, refused
 from perilune.words.watch import Watch, silent
 
 
-@keywords_by_name
+@called_in_words
 def sweep(
     problem: Problem,
     over: Over,

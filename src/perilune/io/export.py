@@ -30,7 +30,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.tolerance import unit_of
 from perilune.problem.verification import Check, Verification
-from perilune.words.asked import demand, keywords_by_name, refused
+from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.maths import NUMERIC
 
 INTERPOLATION = {
@@ -151,7 +151,7 @@ def extremals_document(solution: Solution) -> list[dict[str, Any]]:
     return rows
 
 
-@keywords_by_name
+@called_in_words
 def save(solution: Solution, directory: str | Path, scenario_text: str | None = None, *, force: bool = False) -> None:
     """Write ``solution.json``, from which `perilune.load` makes the solution again, and the trajectory as CSV.
 

@@ -37,7 +37,7 @@ from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
 from perilune.problem.tolerance import Tolerance, unit_of
 from perilune.problem.variables import Given
 from perilune.problem.verification import LEVEL_NAMES, Verification
-from perilune.words.asked import demand_path, keywords_by_name
+from perilune.words.asked import called_in_words, demand_path
 from perilune.words.bounded import bounded_text, one_line
 from perilune.words.declared import keys_of, made_of
 from perilune.words.outcome import Outcome, PeriluneError
@@ -46,7 +46,7 @@ MOST_NODES = 100_000
 _ROUNDING = 1e-12  # relative, between the numbers of a scenario and those beside it
 
 
-@keywords_by_name
+@called_in_words
 def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Solution:
     """Load a saved solution.
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.words.asked import demand_number, demand_whole, keywords_by_name
+from perilune.words.asked import called_in_words, demand_number, demand_whole
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -62,7 +62,7 @@ class Survivors:
     interrupted: bool = False
 
 
-@keywords_by_name
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Genetic:
     """Settings of the search; the same settings give the same answer.

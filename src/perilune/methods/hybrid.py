@@ -18,12 +18,12 @@ from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.words.asked import demand_whole, keywords_by_name
+from perilune.words.asked import called_in_words, demand_whole
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 
 
-@keywords_by_name
+@called_in_words
 @dataclass(frozen=True)
 class Hybrid:
     """A population search, then another method.

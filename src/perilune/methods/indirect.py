@@ -30,12 +30,12 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.continuation import Member
 from perilune.structures.carry import Joined
-from perilune.words.asked import keywords_by_name
+from perilune.words.asked import called_in_words
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.watch import Watch, silent
 
 
-@keywords_by_name
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Indirect(Ladder):
     """Settings of the indirect method.

@@ -17,7 +17,7 @@ from perilune.methods.first_mesh import FirstMesh
 from perilune.methods.transcription import Look, Run, Transcription
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.words.asked import keywords_by_name
+from perilune.words.asked import called_in_words
 from perilune.words.outcome import NotConvergedError
 from perilune.words.watch import Iteration, Watch, silent
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 STALLED = 3
 
 
-@keywords_by_name
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Pseudospectral(Transcription):
     """Settings of the direct method.

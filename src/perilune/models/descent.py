@@ -44,6 +44,7 @@ from perilune.problem.preflight import Finding
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given
 from perilune.problem.views import History, Space, Views
+from perilune.words.asked import called_in_words
 from perilune.words.declared import quantity, record, span, words
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -268,6 +269,7 @@ def _scales(start: Ignition, vehicle: Vehicle, ranges: Mapping[str, tuple[float,
     return Scales(length=(speed or 1.0) * time, time=time, mass=float(vehicle.mass))
 
 
+@called_in_words
 def powered_descent(
     vehicle: Vehicle,
     start: Ignition,

@@ -32,7 +32,7 @@ from perilune.problem.solution import Solution
 from perilune.problem.variables import Free, Variable
 from perilune.problem.verification import Check
 from perilune.problem.views import Beside, History, Space, Views
-from perilune.words.asked import demand_records
+from perilune.words.asked import called_in_words, demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -188,6 +188,7 @@ def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     }
 
 
+@called_in_words
 def hybrid_landing(
     vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Body = MOON, landing_altitude: float = 0.0
 ) -> Problem:

@@ -43,7 +43,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Variable
 from perilune.problem.views import History, Space, Views
-from perilune.words.asked import demand_records
+from perilune.words.asked import called_in_words, demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -177,6 +177,7 @@ def _burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
     )
 
 
+@called_in_words
 def precision_landing(
     vehicle: Vehicle,
     approach: Approach,

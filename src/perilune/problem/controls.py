@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from perilune.words.asked import demand_identifier, refused
+from perilune.words.asked import called_in_words, demand_identifier, refused
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales
@@ -35,6 +35,7 @@ def limit_value(limit: Limit, p: Any) -> Any:
     return getattr(p, limit) if isinstance(limit, str) else limit
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Direction:
     """A control that is a unit vector of two or three components, free on the circle or sphere."""
@@ -122,6 +123,7 @@ class Direction:
         return 0.0, math.inf
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Bounded:
     """A scalar control between bounds, such as a throttle or an angle.

@@ -10,13 +10,14 @@ import numpy as np
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.words.asked import demand
+from perilune.words.asked import called_in_words, demand
 from perilune.words.outcome import Outcome, PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
 
 BY_HAND = "by hand"
 
 
+@called_in_words
 def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **free: float) -> Solution:
     """A flight made by hand, for `solve` to start from. It need not fly.
 

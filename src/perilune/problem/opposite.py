@@ -12,10 +12,11 @@ from functools import partial
 from typing import Any
 
 from perilune.problem.problem import Problem
-from perilune.words.asked import demand
+from perilune.words.asked import called_in_words, demand
 from perilune.words.types import Physics
 
 
+@called_in_words
 def opposite(problem: Problem) -> Problem:
     """The same problem with the other end of the range of its objective: J is minus what it was.
 

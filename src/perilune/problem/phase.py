@@ -11,10 +11,12 @@ from typing import Any
 from perilune.problem.controls import Control
 from perilune.problem.shown import ShownPhase
 from perilune.problem.variables import Variable
+from perilune.words.asked import called_in_words
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Physics
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Phase(ShownPhase):
     """One arc with smooth dynamics.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.problem import Problem
-from perilune.words.asked import demand, keywords_by_name, refused
+from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, unknown_name
 
@@ -47,7 +47,7 @@ class Finding:
         return "ok" if self.passed else "impossible" if self.binding else "warning"
 
 
-@keywords_by_name
+@called_in_words
 def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[Finding, ...]:
     """Compare a problem with what physics allows; nothing is solved, and nothing raised for a miss.
 

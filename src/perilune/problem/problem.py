@@ -39,6 +39,7 @@ from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
+from perilune.words.asked import called_in_words
 from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
@@ -74,6 +75,7 @@ def likely(unit: float, reached: float) -> float:
     return min(max(unit, reached / BEYOND), BEYOND * reached) if reached > _NOTHING * unit else unit
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Problem(ShownProblem):
     """Phases, links, parameters and the objective.
@@ -361,6 +363,7 @@ class Problem(ShownProblem):
         """Record ``p`` of all parameters in SI, with the free ones' values as passed."""
         return SimpleNamespace(**{name: g.value for name, g in self.given.items()}, **dict(free))
 
+    @called_in_words
     def with_given(self, **values: float) -> Problem:
         """Give parameters new values in SI; a free parameter named here is fixed.
 

@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from perilune.words.asked import called_in_words
 from perilune.words.face import method
 from perilune.words.units import told, told_range
 
@@ -67,6 +68,7 @@ class ShownSolution:
         proof = f"{self.outcome.name}, {self.verification.title}"
         return f"<Solution of {problem.name} by {self.method}: {proof}; {', '.join(numbers)}>"
 
+    @called_in_words
     def plot(self, name: str = "") -> Figure:
         """A figure of the flight; see `perilune.report.shown.plot`.
 
@@ -82,6 +84,7 @@ class ShownSolution:
         """
         return method("plot")(self, name)
 
+    @called_in_words
     def animate(self, file: str | Path | None = None, *, seconds: float = 8.0, force: bool = False) -> FuncAnimation:
         """The flight as it goes; see `perilune.report.animated.animate`.
 
@@ -96,6 +99,7 @@ class ShownSolution:
         """
         return method("animate")(self, file, seconds=seconds, force=force)
 
+    @called_in_words
     def to_xarray(self, *, epoch: str | datetime | None = None) -> xarray.Dataset:
         """The flight as a data set of xarray; see `perilune.io.exports.writing.to_xarray`.
 
@@ -111,6 +115,7 @@ class ShownSolution:
         """
         return method("to_xarray")(self, epoch=epoch)
 
+    @called_in_words
     def to_dataframe(self) -> pandas.DataFrame:
         """The flight as a frame of pandas, its index the time from the begin of the flight [s].
 

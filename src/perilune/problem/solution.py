@@ -24,7 +24,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.shown import ShownCurve, ShownSolution, ShownTrajectory
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Check, Verification
-from perilune.words.asked import demand_index, demand_numbers
+from perilune.words.asked import called_in_words, demand_index, demand_numbers
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, Outcome, PeriluneError
 from perilune.words.same import same_fields
@@ -322,6 +322,7 @@ class Solution(ShownSolution):
                 found[name] = replace(part, value=so_far + part.value)
         return found | _named(*peaks(self)) | _named(*dispersion(self))
 
+    @called_in_words
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
         """State (states, n) and control (components, n) at times t [s], as the physics receives them.
 
@@ -332,6 +333,7 @@ class Solution(ShownSolution):
         control = normalised(self.problem.phases[phase].controls, np.asarray(trajectory.control(t), dtype=float).T)
         return np.asarray(trajectory.state(t), dtype=float).T, control
 
+    @called_in_words
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
         """The phase's named outputs at times t, in SI."""
         flown = self.flown(phase, t)
@@ -339,6 +341,7 @@ class Solution(ShownSolution):
         values = definition.evaluate("outputs", *flown, self.parameters)
         return {v.name: full(value, t) for v, value in zip(definition.output_variables, values, strict=True)}
 
+    @called_in_words
     def inertial(self, phase: int, t: Vector) -> tuple[Matrix, Matrix, Matrix]:
         """Position [m], velocity [m/s] and acceleration by thrust [m/s^2] in inertial axes, each (3, n).
 

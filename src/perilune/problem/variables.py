@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Limit, limit_value
-from perilune.words.asked import demand_identifier, demand_si
+from perilune.words.asked import called_in_words, demand_identifier, demand_si
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -47,6 +47,7 @@ def _in_si(name: str, text: str) -> None:
         )
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Variable:
     """A named component with its unit: a state, a condition at the end or on the way, or an output.
@@ -93,6 +94,7 @@ class Variable:
         return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Given:
     """A parameter with a value in SI and its SI unit.
@@ -118,6 +120,7 @@ def given_as(name: str, value: Any, unit: str) -> Given:
     return Given(value=value, unit=unit)
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Free:
     """A parameter that the optimiser chooses, in SI.

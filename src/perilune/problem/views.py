@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from string import Formatter
 
+from perilune.words.asked import called_in_words
 from perilune.words.face import listed
 from perilune.words.outcome import unknown_name
 
@@ -20,6 +21,7 @@ def __dir__() -> list[str]:
     return listed(__all__)
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class History:
     """A figure of quantities against time, one panel below the other.
@@ -39,6 +41,7 @@ class History:
     caption: str = ""
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Beside:
     """A plainer flight of the same problem, drawn into the same figures: parameters held at values [SI]."""
@@ -47,6 +50,7 @@ class Beside:
     label: str
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Ground:
     """A map of the point below the vehicle: names of its longitude and latitude, on the Earth with its coasts."""
@@ -56,6 +60,7 @@ class Ground:
     coasts: bool = False
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Corridor:
     """Height against speed where there is air, with lines along which other outputs are equal.
@@ -78,6 +83,7 @@ class Corridor:
     velocity: tuple[str, ...]
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Disturbance:
     """Something that comes out other than it was meant.
@@ -98,6 +104,7 @@ class Disturbance:
     without: tuple[str, ...] = ()
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Dispersion:
     """How far the landing point moves by disturbances (`perilune.problem.dispersion`).
@@ -118,6 +125,7 @@ class Dispersion:
     track: str
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Space:
     """Where in space a flight is, for programs that know bodies and times: what `Phase.inertial` is relative to.
@@ -148,6 +156,7 @@ class Space:
     chosen: str = ""
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Views:
     """How a problem is looked at.

@@ -23,7 +23,7 @@ from perilune.scenario.ranges import bounds_of, values_of
 from perilune.scenario.reader import names_files, problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply, parse, read, written
-from perilune.words.asked import demand, demand_path
+from perilune.words.asked import called_in_words, demand, demand_path
 from perilune.words.declared import Quantity
 from perilune.words.face import listed
 
@@ -52,6 +52,7 @@ class Scenario:
     tolerance: Tolerance
 
 
+@called_in_words
 def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
     """Read a scenario file.
 
@@ -77,6 +78,7 @@ def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
     )
 
 
+@called_in_words
 def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Quantity]:
     """What is declared of each key that is a quantity in a file of this kind, which need not be complete."""
     return quantities_in(_document(path, changes)[1])
@@ -84,12 +86,14 @@ def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Qu
 
 def _document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, Any]]:
     text = read(demand_path(path, "a scenario file"))
+    demand(changes, Sequence, "a list of changes", '["vehicle.thrust=500 N"]')
     document = parse(text)
-    for change in changes:
+    for change in [changes] if isinstance(changes, str) else changes:
         apply(document, change)
     return text, document
 
 
+@called_in_words
 def load_text(text: str) -> Problem:
     """The problem of a scenario's text; errors as `load_file`."""
     demand(text, str, "the text of a scenario", "perilune.scenario.load_file(FILE) reads a file")

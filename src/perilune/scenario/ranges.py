@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 
+from perilune.words.asked import called_in_words
 from perilune.words.declared import LONGEST_VALUE, Quantity, named
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity
@@ -16,6 +17,7 @@ _ENDS = 'for example --vary "vehicle.thrust=350:650 N", or with a unit in each p
 _ADVICE = 'for example --vary "retro.delta_v=0:1600:50 m/s", or with a unit in each part'
 
 
+@called_in_words
 def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
     """Values in SI of ``"START:STOP:STEP"`` for a key; the unit may stand in each part or in the last only.
 
@@ -46,6 +48,7 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
     return [start + k * step for k in range(int(steps + 1e-9) + 1)]
 
 
+@called_in_words
 def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float, float]:
     """Ends in SI of ``"LOW:HIGH"`` for a key; the unit may stand in each part or in the last only.
 

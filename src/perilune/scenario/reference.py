@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names
 from perilune.scenario.reader import names_of
+from perilune.words.asked import called_in_words
 from perilune.words.declared import Key, Quantity
 from perilune.words.outcome import unknown_name
 
@@ -19,6 +20,7 @@ _HEAD = """\
 """
 
 
+@called_in_words
 def template(kind: str = "hybrid_landing") -> str:
     """A commented scenario to start from.
 
@@ -28,7 +30,7 @@ def template(kind: str = "hybrid_landing") -> str:
         If there is no such kind of problem.
     """
     if kind not in KINDS and kind not in kind_names():
-        raise unknown_name("kind of problem", kind[:60], kind_names())
+        raise unknown_name("kind of problem", str(kind), kind_names())
     found = kind_named(kind)
     sections = ("\n".join(_section(found, name, section)) for name, section in found.in_file.items())
     body = "\n\n".join(sections)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import wraps
 from inspect import signature
@@ -16,26 +16,51 @@ from perilune.words.outcome import PeriluneError, unknown_name
 Asked = TypeVar("Asked", bound=Callable[..., Any])
 
 
-def keywords_by_name(asked: Asked) -> Asked:
-    """A verb, or a class of settings, that refuses a keyword it has not by naming the nearest one that it has.
-
-    What is left out, and what is too much, Python names itself.
-    """
+def called_in_words(asked: Asked) -> Asked:
+    """A verb, a method or a class that says what of a call is wrong: a keyword it has not, too much, too little."""
     given: Any = asked
     function = given.__init__ if isinstance(given, type) else given
-    known = list(signature(asked).parameters)
 
     @wraps(function)
     def call(*args: Any, **keywords: Any) -> Any:
-        for name in keywords:
-            if name not in known:
-                raise unknown_name(f"keyword of {given.__name__}", name, known)
-        return function(*args, **keywords)
+        try:
+            return function(*args, **keywords)
+        except TypeError:  # looked at here alone, so that a call that is right costs nothing
+            wrong = _wrong_call(given.__name__, function, args, keywords)
+            if wrong is None:
+                raise
+            raise wrong from None
 
     if not isinstance(given, type):
         return cast("Asked", call)
     given.__init__ = call
     return asked
+
+
+def _wrong_call(
+    name: str, function: Callable[..., Any], args: Sequence[Any], keywords: Mapping[str, Any]
+) -> PeriluneError | None:
+    """What is wrong with a call; None where the function can be called so, whatever it does then."""
+    stated = list(signature(function).parameters.values())
+    if stated[:1] and stated[0].name == "self":
+        stated, args = stated[1:], args[1:]
+    any_name = any(p.kind is p.VAR_KEYWORD for p in stated)
+    known = [p.name for p in stated if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    for keyword in () if any_name else keywords:
+        if keyword not in known:
+            return unknown_name(f"keyword of {name}", keyword, known)
+    placed = [p.name for p in stated if p.kind is p.POSITIONAL_OR_KEYWORD]
+    if len(args) > len(placed):
+        named = [f"{word}=..." for word in known[len(placed) :]] + ["NAME=VALUE"] * any_name
+        most = f"at most {len(placed)}" if placed else "none"
+        return PeriluneError(
+            f"{name} takes {most} of its values without their names",
+            got=", ".join(map(_shown, args))[:80],
+            expected=f"{name}({', '.join((*placed, *named))})",
+        )
+    taken = {*placed[: len(args)], *keywords}
+    missing = [p.name for p in stated if p.name in known and p.default is p.empty and p.name not in taken]
+    return PeriluneError(f"{name} needs {', '.join(missing)}") if missing else None
 
 
 def demand(value: Any, kind: type, what: str, advice: str = "") -> None:

@@ -20,6 +20,7 @@ from functools import cache, wraps
 from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
 
+from perilune.words.asked import called_in_words
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity, unit
 
@@ -283,7 +284,7 @@ def record(section: str) -> Callable[[type[T]], type[T]]:
         cls.__section__ = section  # type: ignore[attr-defined]
         made = dataclass(frozen=True, kw_only=True)(cls)
         made.__init__ = _asked_for(made)  # type: ignore[misc]
-        return made
+        return called_in_words(made)
 
     return make
 

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from perilune.words.asked import refused
+from perilune.words.asked import called_in_words, refused
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import told_range
 
@@ -57,6 +57,7 @@ def _knots(name: str, values: Any) -> tuple[float, ...]:
         raise refused(values, "a list of numbers", f"a column {name} of a table") from None
 
 
+@called_in_words
 @dataclass(frozen=True, repr=False)
 class Table:
     """Tabulated data as a function of one number without a dimension.

@@ -19,6 +19,7 @@ from fractions import Fraction
 from functools import cached_property, lru_cache
 from numbers import Real
 
+from perilune.words.asked import called_in_words
 from perilune.words.outcome import PeriluneError
 
 Dimension = tuple[float, float, float, float]  # exponents of length, time, mass, temperature; halves are exact
@@ -221,6 +222,7 @@ def _example(unit_text: str) -> str:
 _LARGEST = 1e15  # of a scale in SI: a tenth of a light year
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Scales:
     """One length [m], time [s], mass [kg] and temperature [K] that make the numbers of a problem of order one."""

@@ -11,7 +11,7 @@ from perilune.io.exports.epochs import epoch_of, needed_epoch
 from perilune.io.exports.provenance import provenance
 from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
-from perilune.words.asked import demand, keywords_by_name, refused
+from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.outcome import unknown_name
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ FORMATS = ("netcdf", "csv", "parquet", "oem", "czml")
 _TIMED = {"oem": "an orbit ephemeris message (OEM)", "czml": "CZML"}  # that have no times without an epoch
 
 
-@keywords_by_name
+@called_in_words
 def export(
     solution: Solution,
     file: str | Path,

@@ -26,7 +26,7 @@ from perilune.models.deorbit.secular import Drift, drift
 from perilune.models.deorbit.times import way_down
 from perilune.models.rotating import dot
 from perilune.problem.problem import Problem
-from perilune.words.asked import demand
+from perilune.words.asked import called_in_words, demand
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
@@ -63,6 +63,7 @@ class Opportunity(Pass):
     settings: Mapping[str, str]
 
 
+@called_in_words
 def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
     """All passes over the site of a return, whose ignition is within some days from t = 0.
 

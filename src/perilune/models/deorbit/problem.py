@@ -46,7 +46,7 @@ from perilune.problem.declared import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.words.asked import demand_records
+from perilune.words.asked import called_in_words, demand_records
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 from perilune.words.units import STANDARD_GRAVITY, Scales
@@ -239,6 +239,7 @@ def _ranges(
     return {name: (least.get(name, 0.0), most, partial(likely, name)) for name, most in longest.items()}
 
 
+@called_in_words
 def deorbit_entry(
     vehicle: Returner,
     orbit_: Orbit,
