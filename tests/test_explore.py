@@ -386,7 +386,7 @@ def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:
 
 def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:
     """Whatever one of them says alone may be stated and is not refused; numbers of nature are apart."""
-    for name in ("precision_landing", "mars_pinpoint", "polar_descent"):
+    for name in ("hybrid_lander", "precision_landing", "mars_pinpoint", "polar_descent"):
         subject = subject_of(ROOT / "examples" / f"{name}.toml")
         knobs = {knob.key: knob for knob in subject.knobs}
         for knob in knobs.values():
@@ -394,6 +394,8 @@ def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:
             for value in (knob.low, knob.high):
                 refuse_impossible(preflight(subject.problem.with_given(**{knob.name: value})))
         assert knobs["vehicle.standard_gravity"].natural and not knobs["vehicle.thrust"].natural
+        site = {"hybrid_lander": "landing.altitude", "precision_landing": "site.altitude"}.get(name)
+        assert site is None or site in knobs  # which is 0 m, and the only length of its section
     assert (
         knobs["start.latitude"].high == pytest.approx(math.pi / 2) and "start.sideways_speed" in knobs
     )  # which is 0 m/s

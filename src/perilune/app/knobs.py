@@ -94,18 +94,19 @@ def _reach(problem: Problem, name: str) -> tuple[float, float] | None:
 
 
 def _room(problem: Problem, name: str) -> float:
-    """How far a value may be moved to either side: by its own size, else by those beside it."""
+    """How far a value may be moved to either side: by its own size, else by those beside it, else by all alike."""
     given = problem.given[name]
     if given.value:
         room = _WIDE * abs(given.value)
         return min(room, _TURN) if given.unit == "rad" else room
     if given.unit == "rad":
         return _TURN
-    section = key_of(name).partition(".")[0] + "."
-    alike = [
-        abs(g.value) for other, g in problem.given.items() if key_of(other).startswith(section) and g.unit == given.unit
-    ]
-    return _WIDE * max(alike, default=0.0)
+    own = key_of(name).partition(".")[0]
+    alike = {other: abs(g.value) for other, g in problem.given.items() if g.unit == given.unit}
+    sections = {other: key_of(other).partition(".")[0] for other in alike}
+    beside = max(size for other, size in alike.items() if sections[other] == own)
+    chosen = (size for other, size in alike.items() if not {own, sections[other]} & set(_NATURE))
+    return _WIDE * (beside or max(chosen, default=0.0))
 
 
 def _end(problem: Problem, name: str, value: float, end: float) -> float:

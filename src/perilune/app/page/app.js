@@ -215,7 +215,8 @@
     const by = Object.fromEntries(state.knobs.map((k) => [k.name, k])), at = shown.axes.map((n) => state.values[n]);
     Draw.whenSeen($("slice"), () => { unproject = Draw.slice($("slice"), shown, at, shown.axes.map((n) => by[n].size), state.maximised ? -1 : 1, state.flight.unit); });
     const reasons = [...new Set(shown.why.filter((w) => w >= 0))].map((w) => shown.reasons[w]);
-    text($("slice-words"), `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"}${state.flight.unit === "1" ? "" : ` [${state.flight.unit}]`} over ${shown.axes.map((n) => `${by[n].key} [${by[n].unit}]`).join(" and ")}, one of ${shown.sheets.length} sheets at each point${reasons.length ? "; blank: " + reasons.join("; ") : ""}. Click to go there.`);
+    const sheets = new Set(shown.sheet.filter((s) => s >= 0)).size;
+    text($("slice-words"), `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"}${state.flight.unit === "1" ? "" : ` [${state.flight.unit}]`} over ${shown.axes.map((n) => `${by[n].key} [${by[n].unit}]`).join(" and ")}, answered by ${sheets === 1 ? "one sheet" : `${sheets} sheets`}${reasons.length ? "; blank: " + reasons.join("; ") : ""}. Click to go there.`);
   }
   $("slice").onclick = (event) => {
     if (!unproject || !state.slice) { return; }
