@@ -8,13 +8,16 @@ from decimal import ROUND_CEILING, Context
 from fractions import Fraction
 from typing import Any
 
+from flint import arb, ctx
+
 from perilune.problem.problem import Problem
+from perilune.rigorous.check_certificate import sentence
 from perilune.rigorous.given import exactly
 from perilune.rigorous.limits import Statement
 from perilune.rigorous.taylor import Ball
 from perilune.rigorous.theorem import Proved
 
-CERTIFICATE = "perilune theorem 2"
+CERTIFICATE = "perilune theorem 3"
 TRUSTED = (
     "FLINT's ball arithmetic (arb), through python-flint",
     "perilune.rigorous: derivatives of expressions, Taylor recurrences, remainder, Krawczyk's operator, signs",
@@ -23,6 +26,8 @@ TRUSTED = (
     "the interpreter of Python and the machine",
 )
 _DIGITS = 30
+_CLAIMED = 27  # digits of a certificate
+_ROOM, _ROOM_OF_J = 1e-20, 1e-26  # beside the box that holds no other root, and beside J
 
 
 def _ball(value: Ball) -> str:
@@ -94,11 +99,13 @@ def missing_text(missing: Sequence[Statement]) -> str:
 
 
 def certificate(proved: Proved, text: str) -> dict[str, Any]:
-    """Everything that the proof rests on and claims, for JSON; balls and exact numbers as texts."""
+    """Everything that the proof rests on and claims, for JSON; balls and exact numbers as texts.
+
+    Its theorem is what the checker sees again, in its words; what the prover says beyond it stands apart.
+    """
     boundary, root = proved.boundary, proved.root
-    return {
+    told = {
         "format": CERTIFICATE,
-        "theorem": text,
         "trusted": list(TRUSTED),
         "problem": problem_document(boundary.problem),
         "arcs": [
@@ -113,26 +120,35 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
         "order": proved.settings.order,
         "grid": [list(begins) for begins in proved.refined.grid],
         "unknowns": [
-            {"name": name, "centre": exact(c), "radius": float(b.rad()), "enclosure": str(k.str(60, more=True))}
-            for name, c, b, k in zip(boundary.names, proved.refined.y, root.box, root.y, strict=True)
+            {"name": name, "centre": _exact(c), "enclosure": _claimed(k, _ROOM * alone.rad(), proved)}
+            for name, c, k, alone in zip(boundary.names, proved.refined.y, root.y, proved.alone.box, strict=True)
         ],
         "inverse": [
             [str(entry.str(25, radius=False)) for entry in row] for row in proved.refined.inverse.tolist()
         ],
-        "contraction": root.contraction,
         "only_one_within": [float(b.rad()) for b in proved.alone.box],
-        "objective": str(proved.objective.str(60, more=True)),
-        "distance": proved.distance,
-        "local_optimum": proved.optimum.proved,
-        "statements": [
-            {"words": s.words, "proved": s.proved, "least": s.least if math.isfinite(s.least) else None,
-             "slack": s.slack}
-            for s in proved.statements
-        ],
+        "objective": _claimed(proved.objective, _ROOM_OF_J * proved.objective.abs_upper(), proved),
+        "by_the_prover_alone": {
+            "theorem": text,
+            "distance": proved.distance,
+            "local_optimum": proved.optimum.proved,
+            "statements": [
+                {"words": s.words, "proved": s.proved, "least": s.least if math.isfinite(s.least) else None,
+                 "slack": s.slack}
+                for s in proved.statements
+            ],
+        },
     }  # fmt: skip
+    return told | {"theorem": sentence(told)}
 
 
-def exact(value: Ball) -> str:
+def _claimed(value: Ball, room: Ball, proved: Proved) -> str:
+    """A ball in fewer digits, and a little wider: another proof encloses it less closely."""
+    with ctx.workprec(proved.settings.bits):
+        return str((value + arb(0, room)).str(_CLAIMED))
+
+
+def _exact(value: Ball) -> str:
     """The centre of a ball, exactly: ``mantissa*2^exponent``."""
     mantissa, exponent = value.mid().man_exp()
     return f"{int(mantissa)}*2^{int(exponent)}"

@@ -1,0 +1,146 @@
+"""Level 5: certificates are confirmed without the prover, and refused where anything that they say is not so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import pytest
+
+import perilune as pl
+from problems.integrators import least_energy, least_time
+from problems.landings import meditch
+
+pytest.importorskip("flint")
+from flint import arb, arb_series, ctx
+
+import prover_checks
+from perilune.rigorous.check_certificate import Failed, Jet, confirm, run, sentence
+
+Told = dict[str, Any]
+
+
+@cache
+def _written(make: Callable[[], pl.Problem]) -> str:
+    return json.dumps(pl.verify(prover_checks.solved(make), level=5).certificate)
+
+
+def certificate(make: Callable[[], pl.Problem]) -> Told:
+    """The certificate of a problem, as a file has it."""
+    return json.loads(_written(make))
+
+
+@pytest.mark.parametrize("make", [meditch, least_time, least_energy])
+def test_a_certificate_is_confirmed_without_the_prover(make: Callable[[], pl.Problem]) -> None:
+    told = certificate(make)
+    found, J = confirm(told, lambda _: None)
+    with ctx.workprec(told["bits"]):
+        claimed = arb(told["objective"])
+    assert claimed.contains(J) and claimed.rad() < 1e-25 and len(found) == len(told["unknowns"])
+
+
+def _beside(told: Told) -> None:
+    """1e-9 away, with a radius that says otherwise."""
+    mantissa, exponent = told["unknowns"][2]["centre"].split("*2^")
+    told["unknowns"][2]["centre"] = f"{int(mantissa) * (10**9 + 1)}*2^{exponent}"
+
+
+def _cut(told: Told) -> None:
+    """The flight of the first arc from half a second on."""
+    told["grid"][0] = [0.5]
+
+
+def _sine(told: Told) -> None:
+    tape = told["problem"]["tapes"]["dynamics 0"]
+    tape["instructions"].append(["sin", 1])
+    tape["outputs"][1] = 2
+
+
+FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
+    "place": (_beside, "leaves the box"),
+    "J": (lambda told: told.update(objective="[2.0000000001 +/- 1e-15]"), "does not hold"),
+    "nothing": (lambda told: told.update(objective="nan"), "does not hold"),
+    "a wider box": (lambda told: told.update(only_one_within=[1.0] * 6), "leaves the box"),
+    "range": (lambda told: told["problem"]["free"][0].update(upper="1"), "a bound is broken"),
+    "problem": (
+        lambda told: told["problem"]["given"]["distance"].update(number="1000000001/1000000000"), "does not hold",
+    ),
+    "bound": (lambda told: told["problem"]["phases"][0]["states"][1].update(upper="1/2"), "limit of arc 1"),
+    "an end that is a range": (
+        lambda told: told["problem"]["phases"][0]["end"][0].update(upper="7"), "no such condition",
+    ),
+    "a name": (lambda told: told["unknowns"][2].update(name="tf"), "named otherwise"),
+    "a flight cut off": (_cut, "do not begin"),
+    "an arc without an end": (lambda told: told["arcs"][1].update(switched="u"), "does not end where"),
+    "no formula": (_sine, "no formula"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("claim", FALSE)
+def test_a_false_certificate_is_refused(claim: str) -> None:
+    told = certificate(least_time)
+    change, why = FALSE[claim]
+    change(told)
+    told["theorem"] = sentence(told)
+    with pytest.raises(Failed, match=why):
+        confirm(told, lambda _: None)
+
+
+def test_a_certificate_says_nothing_else_than_what_is_seen() -> None:
+    told = certificate(least_time) | {"theorem": "It is the global optimum."}
+    with pytest.raises(Failed, match="says something else"):
+        confirm(told, lambda _: None)
+
+
+@pytest.mark.parametrize("make", [least_time, least_energy])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_least_is_told_from_the_greatest_however_small(make: Callable[[], pl.Problem], sign: int) -> None:
+    """2^-44 J has the same extremal with costates as small; of its negative it is the greatest that H has."""
+    told = certificate(make)
+    tape = told["problem"]["tapes"]["objective"]
+    count = len(tape["instructions"])
+    tape["instructions"] += [["const", sign * 2.0**-44], ["mul", tape["outputs"][0], count]]
+    tape["outputs"] = [count + 1]
+    small = [".lambda" in u["name"] or ".nu" in u["name"] for u in told["unknowns"]]
+    for i, u in enumerate(told["unknowns"]):
+        mantissa, exponent = u["centre"].split("*2^")
+        u["enclosure"] = "[0 +/- 10]"
+        if small[i]:
+            u["centre"] = f"{sign * int(mantissa)}*2^{int(exponent) - 44}"
+            told["only_one_within"][i] *= 2.0**-44
+        for j in range(len(small)):
+            factor = (sign * 2.0**-44 if small[i] else 1) * (sign * 2.0**44 if j >= 2 else 1)
+            told["inverse"][i][j] = (arb(told["inverse"][i][j]) * factor).str(25, radius=False)
+    told["objective"] = "[0 +/- 10]"
+    told["theorem"] = sentence(told)
+    if sign > 0:
+        confirm(told, lambda _: None)
+    else:
+        with pytest.raises(Failed, match="a sign is not seen"):
+            confirm(told, lambda _: None)
+
+
+@pytest.mark.parametrize("word", ["sqrt", "exp", "log", "sin", "cos", "tan", "atan", "asin", "acos", "sinh", "cosh",
+                                  "tanh", "neg", "add", "sub", "mul", "div", "atan2", "pow"])  # fmt: skip
+def test_derivatives_of_the_checker_are_those_of_its_series(word: str) -> None:
+    """Of each operation at 0.3 + t: the second order of its series is half of the slope of the slope."""
+    other = [["p", "b"]] if word in prover_checks.room("check_certificate").TWO else []
+    tape = {"instructions": [["x", "a"], *other, [word, 0, *range(1, 1 + len(other))]], "outputs": [1 + len(other)]}
+    before, ctx.cap = ctx.cap, 3
+
+    def of(a: Any) -> Any:
+        b = arb("1.75") if word == "pow" else 2 - a * a
+        return run(tape, {("x", "a"): a, ("p", "b"): b})[0]
+
+    try:
+        series = of(arb_series([arb("0.3"), 1], 3))
+        twice = of(Jet(2, Jet(1, arb("0.3"), {0: arb(1)}), {0: arb(1)}))
+        value, first, second = twice.value.value, twice.slopes[0], twice.slopes[0]
+        second = second.slopes.get(0, arb(0)) if isinstance(second, Jet) else arb(0)
+        first = first.value if isinstance(first, Jet) else first
+        truth = [*series.coeffs(), *[arb(0)] * 3][:3]
+        assert all(a.overlaps(b) for a, b in zip((value, first, second / 2), truth, strict=True))
+    finally:
+        ctx.cap = before
