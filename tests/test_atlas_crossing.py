@@ -28,7 +28,7 @@ WHERE, WIDE = 0.31, 0.02  # of the window
 OUT, IN = (0.97, 0.05), (1.05, -0.12)  # the better well beside it, and how far it moves there
 
 
-def priced(price: Callable[[Any, Any], Any], more: tuple[str, ...] = ()) -> pl.Problem:
+def priced(price: Callable[[Any, Any], Any], *more: pl.Free) -> pl.Problem:
     """x(1) = q with the least int u^2/2, which is taken off again, and a price of q."""
     phase = pl.Phase(
         name="way",
@@ -46,7 +46,7 @@ def priced(price: Callable[[Any, Any], Any], more: tuple[str, ...] = ()) -> pl.P
         phases=(phase,),
         start=lambda p, m: (0.0 * p.a, 0.0 * p.a / p.one),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
-        free=tuple(pl.Free(name=name, unit="1", lower=0.0, upper=1.0, typical=0.5) for name in ("q", *more)),
+        free=(pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5), *more),
         objective=lambda x, p, m: p.one * x.c - 0.5 * p.q * p.q + price(p, m),
         objective_unit="1",
     )
@@ -200,7 +200,10 @@ def test_two_bounds_are_crossed_inside_a_brick(tmp_path: Path, width: float, lat
         far = minimize(lambda x: price(SimpleNamespace(q=x[0], r=x[1], a=a), few), (0.9, 0.9), bounds=[(0.0, 1.0)] * 2)
         return float(far.fun)
 
-    problem, few = priced(price, ("r",)), SimpleNamespace(exp=np.exp)
+    problem, few = (
+        priced(price, pl.Free(name="r", unit="1", lower=0.0, upper=1.0, typical=0.5)),
+        SimpleNamespace(exp=np.exp),
+    )
     points = np.append(np.random.default_rng(5).uniform(0.25, 0.6, 99), 0.42)[:, None]
     found = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem).query_many(points)
     assert found.good.all() and (found.free["q"] + found.free["r"] == 2.0).any()
@@ -241,3 +244,34 @@ def test_a_bound_that_goes_and_comes_back_inside_a_cell_is_where_it_is_at_the_po
     assert found.good.all() and 20 < (found.free["q"] > 0.7).sum() < 40
     assert found.objective == pytest.approx(np.minimum(0.0, 0.5 * most * (0.8 - most)), abs=1e-9)
     assert atlas.query(a=0.3).objective == pytest.approx(-0.1, abs=1e-9)
+
+
+def test_an_extremal_beyond_a_bound_is_told_from_another_that_is_held_there(tmp_path: Path) -> None:
+    """Of two wells the better one needs an r beyond its bound; the worse one is held there, and was the answer."""
+
+    def wells_of(p: Any) -> Any:
+        first = 0.118 + 0.136 * (p.a - 0.5)
+        return 16.6 * (p.q - first) ** 2 * (p.q - 0.895) ** 2 - 0.0565 * p.q
+
+    def wanted(p: Any, m: Any) -> Any:
+        s = 0.6 + 0.24 * (p.a - 0.5) + 0.551 * p.q
+        for high, at, wide in (
+            (0.215, 0.651, 0.488),
+            (-0.346, 0.057, 0.05),
+            (-0.069, 0.857, 0.066),
+            (0.084, 0.866, 0.152),
+        ):
+            s = s + high * m.exp(-(((p.a - at) / wide) ** 2))
+        return s
+
+    r = pl.Free(name="r", unit="1", lower=0.0, upper=1.0, typical=0.5)
+    problem = priced(lambda p, m: wells_of(p) + 2.06 * (p.r - wanted(p, m)) ** 2, r)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=2), lambda _: problem)
+    a = np.random.default_rng(5).uniform(0.0, 1.0, 150)
+    found, p = atlas.query_many(a[:, None]), SimpleNamespace(a=a[:, None], q=np.linspace(0.0, 1.0, 40_001))
+    least = (wells_of(p) + 2.06 * (np.clip(wanted(p, np), 0.0, 1.0) - wanted(p, np)) ** 2).min(axis=1)
+    assert found.good.mean() > 0.85 and (found.good | (found.answered == Answered.ENDS)).all()
+    assert found.objective[found.good] == pytest.approx(least[found.good], abs=1e-7)
+    beyond = float(a[np.argmin(found.good)])
+    with pytest.raises(PeriluneError, match="lies beyond the upper bound of r, and one held there may be better"):
+        atlas.query(a=beyond)

@@ -146,9 +146,9 @@ class _Work:
         atlas, offers = self.atlas, self._offers(some)
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
-        doubt, breaking, gains = np.full((3, len(some)), np.inf)
-        going, held = np.ones(len(some), dtype=bool), dict[tuple[str, str], NDArray[np.bool_]]()
-        outside = list[tuple[int, NDArray[np.int64], NDArray[np.bool_]]]()
+        doubt, breaking = np.full((2, len(some)), np.inf)
+        going = np.ones(len(some), dtype=bool)
+        turning = list[tuple[int, NDArray[np.int64], Matrix]]()
         for rank in range(len(offers)):
             chosen = order[rank]
             here = cost[chosen, np.arange(len(some))]
@@ -165,25 +165,19 @@ class _Work:
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
                     sound = polished.reached & np.isfinite(polished.cost)
                     here[lanes] = cost[number, lanes] = np.where(sound, polished.cost, here[lanes])
-                    for bound in offer.charted.sheets[offer.sheet].holds.items():
-                        held.setdefault(bound, np.zeros(len(some), dtype=bool))[lanes[polished.answers]] = True
-                    gaining = polished.gains & ~polished.beyond.any(axis=1)
-                    if polished.beyond.any():
-                        outside.append((number, lanes, polished.beyond))
+                    outside = polished.beyond.any(axis=1) & (polished.cost < self.cost[some[lanes]])
+                    if (turns := outside | (polished.gains & ~polished.beyond.any(axis=1))).any():
+                        turning.append((number, lanes[turns], polished.y[turns]))
                     breaks = polished.breaking & (not offer.charted.breaks_controls_alone)
-                    gains[lanes[gaining]] = np.minimum(gains[lanes[gaining]], polished.cost[gaining])
                     for least, which in ((doubt, polished.doubtful), (breaking, breaks)):
                         least[lanes[which]] = np.minimum(least[lanes[which]], here[lanes[which]])
-        # So may one that is held at a bound beyond which another lies, unless one of those is known.
-        for number, lanes, beyond in outside:
-            known = np.zeros(len(lanes), dtype=bool)
-            for bound, which in zip(offers[number].charted.borders.bounds, beyond.T, strict=True):
-                known |= which & held[bound][lanes] if bound in held else False
-            left = lanes[beyond.any(axis=1) & ~known]
-            doubt[left] = np.minimum(doubt[left], cost[number, left])
-        # What would gain by leaving a bound is no answer, and what is worse than it is not the best.
-        with np.errstate(invalid="ignore"):
-            doubt = np.where(equal(gains, self.cost[some]), doubt, np.minimum(doubt, gains))
+        # What lies beyond a bound, or gains by leaving one, is no answer; what it becomes where it keeps it may be one.
+        for number, lanes, y in turning:
+            charted, best = offers[number].charted, self.cost[some[lanes]]
+            becomes = charted.kept(offers[number].sheet, self.points[some[lanes]] / charted.chart.scale, y)
+            becomes = np.where(np.isfinite(becomes), becomes, cost[number, lanes])
+            left = ~(equal(becomes, best) & np.isfinite(best))
+            doubt[lanes[left]] = np.minimum(doubt[lanes[left]], becomes[left])
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         doubt = np.where(self.of_arcs[some], doubt, np.minimum(doubt, breaking))
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]

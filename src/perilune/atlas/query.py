@@ -127,13 +127,8 @@ class _Offer:
         return self.charted.labels[self.number]
 
     @property
-    def held(self) -> set[tuple[str, str]]:
-        """Names of what its sheet holds, each with the side."""
-        return set(self.charted.sheets[self.number].holds.items())
-
-    @property
     def beyond(self) -> list[tuple[str, str]]:
-        """Bounds beyond which the extremal lies, as `held` has them."""
+        """Names of what lies beyond a bound, each with the side."""
         assert self.polished is not None
         bounds = self.charted.borders.bounds
         return [bounds[i] for i in np.nonzero(self.polished.beyond[0])[0].tolist()]
@@ -217,11 +212,12 @@ class Atlas(Reader):
         # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
         if not any(one.charted.of_arcs for one in alike):
             doubts += [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
-        # So may one that is held at a bound beyond which another lies, unless one of those is known.
-        held = {bound for one in tried for bound in one.held}
-        doubts += [one for one in outside if held.isdisjoint(one.beyond)]
-        # What would gain by leaving a bound is no answer, and what is worse than it is not the best.
-        doubts += [one for one in gaining if best is None or not equal(one.cost, best.cost)]
+        # What lies beyond a bound, or gains by leaving one, is no answer; what it becomes where it keeps it may be one.
+        for one in [one for one in outside if best is None or one.cost < best.cost] + gaining:
+            assert one.polished is not None
+            becomes = one.charted.kept(one.number, (at / one.charted.chart.scale)[None], one.polished.y)[0]
+            one.cost = float(becomes) if np.isfinite(becomes) else one.cost
+            doubts += [one] if best is None or not equal(one.cost, best.cost) else []
         doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
         if best is None or damaged or (doubt is not None and doubt.cost < best.cost):

@@ -23,6 +23,7 @@ from perilune.atlas.columns import (
 )
 from perilune.atlas.course import course_from
 from perilune.atlas.hermite import bits
+from perilune.atlas.keeping import kept
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.polish import Polished, Polisher
 from perilune.atlas.reflight import SLACK, Reflights
@@ -169,6 +170,13 @@ class Charted:
             holds = self.borders.holds(self.sheets, np.full(len(y), number), values)
             y = np.where(missed[:, None], self.chart.at(values, y, holds).stepped, y)
         return y, missed
+
+    def kept(self, number: int, values: Matrix, y: Matrix) -> Vector:
+        """J of what extremals beyond a bound, or that gain by leaving one, become where they keep it; NaN if unknown.
+
+        `y` are all unknowns of the chart.
+        """
+        return kept(self.chart, self.borders, self.sheets, number, values, y[:, self.chart.active])
 
     def free(self, y: Matrix) -> Matrix:
         """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""

@@ -30,7 +30,7 @@ from perilune.words.types import Matrix, Vector
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
 _DIFFERENCE = 1e-4  # of the range of a parameter: where differences of bounds are taken
 _MISSED = 1e-4  # of 1 + its size: a cell that gives a bound by so much wrong gives J so that it tells nothing
-_SLACK = 1e-9  # canonical, by which a bound may be missed or a multiplier be on the wrong side
+SLACK = 1e-9  # canonical, by which a bound may be missed or a multiplier be on the wrong side
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +213,7 @@ class Borders:
         lower, upper = limits
         free = ~(choice[:, : self.chart.shooting.plan.held] > 0) & self.users
         with np.errstate(invalid="ignore"):
-            return np.hstack([free & (at < lower - _SLACK), free & (at > upper + _SLACK)])
+            return np.hstack([free & (at < lower - SLACK), free & (at > upper + SLACK)])
 
     def crossed(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
@@ -225,7 +225,7 @@ class Borders:
             for name, side in sheets[number].holds.items():
                 i, upper = self.names.index(name), side == "upper"
                 if self.users[i]:
-                    gains = (rises[:, i] if upper else -rises[:, i]) > _SLACK
+                    gains = (rises[:, i] if upper else -rises[:, i]) > SLACK
                     out[:, i + upper * len(self.names)] |= (which == number) & gains
         return out
 
@@ -290,7 +290,7 @@ def held_at(borders: Borders, values: Vector, y: Vector) -> dict[str, str]:
     whole = chart.whole(values[None], y[None])[0]
     for i, at in enumerate(whole[chart.conditions.free_at].tolist()):
         for side, bound in (("lower", lower[i]), ("upper", upper[i])):
-            if abs(at - bound) <= _SLACK:
+            if abs(at - bound) <= SLACK:
                 found[borders.names[i]] = side
     for i, (_, nu) in enumerate(chart.conditions.ranges, chart.shooting.plan.free):
         if abs(whole[nu]) > SIGNED:  # J rises into its range by -nu
