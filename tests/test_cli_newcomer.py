@@ -153,6 +153,7 @@ def test_new_takes_its_words_in_any_order(capsys: pytest.CaptureFixture[str], tm
         (["solve", HYBRID, "--leve", "2"], ("no option of this name", "did you mean '--level'")),
         (["solve", HYBRID, "--quiet"], ("no option of this name", "--verbose")),
         (["solve", HYBRID, "more"], ("one too many", "'more'", "perilune solve --help")),
+        (["atlas", "query", "map", "vehicle.thrust=440 N"], ("one too many", '--at "vehicle.thrust=440 N"')),
         (["solve"], ("FILE", "perilune solve --help")),
         (["sweep", HYBRID], ("--vary", "perilune sweep --help")),
         (["--Version"], ("no option", "did you mean '--version'")),

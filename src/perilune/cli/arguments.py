@@ -76,7 +76,9 @@ def help_text() -> str:
 def _unknown_argument(word: str, parser: argparse.ArgumentParser) -> PeriluneError:
     """What is said of a word that a command has no use for."""
     if not word.startswith("-"):
-        return PeriluneError("this argument is one too many", got=repr(word[:60]), advice=f"{parser.prog} --help")
+        takes = [action.option_strings[0] for action in parser._actions if str(action.metavar).startswith("KEY=")]
+        advice = f'{takes[0]} "{word[:60]}"' if takes and "=" in word else f"{parser.prog} --help"
+        return PeriluneError("this argument is one too many", got=repr(word[:60]), advice=advice)
     options = [flag for action in parser._actions for flag in action.option_strings if flag.startswith("--")]
     error = unknown_name("option", word.partition("=")[0], options)
     return PeriluneError(
