@@ -384,6 +384,12 @@ def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:
     assert len(set(flat)) == len(set(times))
 
 
+def test_quantities_are_called_as_on_the_axes_of_figures(subject: Subject) -> None:
+    told = flight(solve(subject.problem, level=0))["labels"]
+    assert told["u"] == "horizontal velocity" and told["thrust_angle"] == "thrust angle β"
+    assert "propellant" not in told  # which is its name
+
+
 def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:
     """Whatever one of them says alone may be stated and is not refused; numbers of nature are apart."""
     for name in ("hybrid_lander", "precision_landing", "mars_pinpoint", "polar_descent"):

@@ -47,6 +47,7 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
         "objective": float(solution.objective),
         "unit": solution.problem.objective_unit,
         "results": document["results"],
+        "labels": _labels(solution),
         "free": dict(solution.free),
         **extremals(solution),
         "structure": document.get("structure", []),
@@ -54,6 +55,13 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
         "proof": proof(solution.verification),
         "views": _views(solution),
     }
+
+
+def _labels(solution: Solution) -> dict[str, str]:
+    """What quantities are called on axes and beside numbers, where that is not their name."""
+    variables = (v for phase in solution.problem.phases for v in (*phase.states, *phase.output_variables))
+    named = [*((v.name, v.label) for v in variables), *((name, r.label) for name, r in solution.results.items())]
+    return {name: label for name, label in named if label}
 
 
 def extremals(solution: Solution) -> dict[str, Any]:

@@ -8,6 +8,7 @@
   let socket = null, waiting = [], again = false, dirty = false;
 
   const text = (node, said) => { node.textContent = said; };
+  const called = (flight, name) => flight.labels[name] || name.replaceAll("_", " ");
   const told = (v, unit) => `${Draw.fine(v)}${unit && unit !== "1" ? " " + unit : ""}`;
 
   // -- asking ---------------------------------------------------------------------------------------------------
@@ -155,7 +156,7 @@
   function numbers(flight) {
     $("numbers").replaceChildren(...Object.entries(flight.results).map(([name, result]) => {
       const box = document.createElement("div"), label = document.createElement("span"), value = document.createElement("b");
-      text(label, name.replaceAll("_", " ")); const [v, unit] = result.unit === "rad" ? [result.value * 180 / Math.PI, "deg"] : [result.value, result.unit];
+      text(label, called(flight, name)); const [v, unit] = result.unit === "rad" ? [result.value * 180 / Math.PI, "deg"] : [result.value, result.unit];
       text(value, v === null ? "none" : `${+v.toPrecision(7)} ${unit === "1" ? "" : unit}`); box.title = result.description || ""; box.append(label, value);
       for (const pin of state.pins) { const other = pin.flight.results[name]; if (other && other.value !== null) { const em = document.createElement("em"); text(em, `pinned ${told(other.value, other.unit)}`); box.append(em); } }
       return box;
@@ -185,7 +186,7 @@
       if (!box) { box = document.createElement("div"); box.dataset.name = name; parent.append(box); }
       const own = series(flight, name), curves = [{ name, values: own.values }];
       const least = name === "H" ? 1e-6 * Math.abs(flight.objective) / (own.x[own.x.length - 1] || 1) : 0;
-      if (own.x.length) { Draw.lines(box, `${id}-${name}`, name.replaceAll("_", " "), own.unit, own.x, curves, 128, null, least); }
+      if (own.x.length) { Draw.lines(box, `${id}-${name}`, called(flight, name), own.unit, own.x, curves, 128, null, least); }
     }
   }
   function extremals(flight) {
