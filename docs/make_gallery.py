@@ -88,7 +88,7 @@ def small(source: Path, target: Path) -> None:
     picture = Image.open(source).convert("RGB")
     picture.thumbnail((1000, 1000))
     # Median cut, which is the rule, gives a thin line of one colour to its grey neighbours.
-    picture.quantize(64, method=Image.Quantize.FASTOCTREE).save(target, optimize=True)
+    picture.quantize(256, method=Image.Quantize.MAXCOVERAGE).save(target, optimize=True)
 
 
 def screenshot(atlas: Path, target: Path) -> None:
