@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -257,3 +258,29 @@ def test_a_singular_control_that_is_the_worst_is_told() -> None:
 
 def _nothing(chart: Chart) -> Matrix:
     return np.zeros((1, 2 * chart.shooting.plan.held))
+
+
+def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_path: Path) -> None:
+    """Along q, whose price changes nothing of the flight; with arcs the first well that was met alone was known."""
+
+    def price(q: Any) -> Any:
+        return 8.0 * (q - 0.2) ** 2 * (q - 0.97) ** 2 - 0.3 * q
+
+    plain = bryson_denham(0.2)
+    unit = plain.objective_unit
+    problem = replace(
+        plain,
+        free=(*plain.free, pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5)),
+        given={**plain.given, "one": pl.Given(value=1.0, unit=unit)},
+        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * price(p.q),
+    )
+    least = float(price(np.linspace(0.0, 1.0, 10_001)).min())
+    for ceiling in (0.15, 0.2, 0.3):  # ridden, touched, free
+        solved = pl.solve(problem.with_given(ceiling=ceiling), level=3)
+        assert solved.outcome is pl.Outcome.PROVED and len(solved.extremals) >= 3
+        assert solved.objective == pytest.approx(_all_of_bryson_denham(ceiling) + least, abs=1e-7)
+    store = build(problem, {"ceiling": (0.1, 0.45)}, tmp_path / "wells")
+    ceilings = np.random.default_rng(1).uniform(0.1, 0.45, 100)
+    found = open_atlas(store, lambda _: problem).query_many(ceilings[:, None])
+    assert found.good.all()
+    assert found.objective == pytest.approx([_all_of_bryson_denham(c) + least for c in ceilings.tolist()], abs=1e-7)

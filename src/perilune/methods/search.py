@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -88,14 +88,16 @@ class Search:
         With `family` the best of all extremals on the family through it, along a free parameter between bounds.
         """
         search, found = self._from_guess(guess)
-        trials = search.trials
-        if not family or trials.scanned is None:
+        if not family or search.trials.scanned is None:
             return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
-        if (member := search._held_at(found[0].root, trials.scanned)) is not None:
-            others = search._all_extremals(member)[0]
-            found += new_among([f for f in others if search.judge.breach(f.root) is None], found)
+        found += [f for f in search._others(found[0]) if search.judge.breach(f.root) is None]
         found = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
         return search._compose(found, "family"), lambda: search.judge.breach(found[0].root)
+
+    def along_families(self, known: Solution) -> tuple[list[Found], Callable[[Sequence[Found]], Solution]]:
+        """The extremal of a solution, those on families through it, and what makes a solution of some of them."""
+        search, found = self._from_guess(known)
+        return [*found, *search._others(found[0])], lambda some: search._compose(some, "family")
 
     def smoothed(self, rough: Solution) -> tuple[Solution, Callable[[], Breach | None]]:
         """As `near`, but by way of smooth controls, with what a rough answer of many switches holds."""
@@ -205,6 +207,13 @@ class Search:
                     more += new
                     left += [(f, index) for f in new]
         return more
+
+    def _others(self, known: Found) -> list[Found]:
+        """Extremals on the families through one, along parameters between bounds."""
+        scanned = self.trials.scanned
+        if scanned is None or (member := self._held_at(known.root, scanned)) is None:
+            return []
+        return new_among(self._all_extremals(member)[0], [known])
 
     def _along(self, index: int, first: Member) -> tuple[list[Found], list[Member]]:
         """The extremals of the family through a member along one free parameter, and the members that were visited."""
@@ -341,7 +350,7 @@ class Search:
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
-    def _compose(self, found: list[Found], rung: str) -> Solution:
+    def _compose(self, found: Sequence[Found], rung: str) -> Solution:
         statistics = Statistics(
             rung=rung,
             tried=tuple(self.tried),

@@ -28,6 +28,7 @@ from perilune.methods.answer import Curves
 from perilune.methods.flown import Aloft
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
+from perilune.methods.trials import bounded_parameters
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -87,6 +88,11 @@ class Polish:
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
+        found = self._first(rough)
+        alone = self.guessed or self.brief or is_neighbour(self.problem) or not bounded_parameters(self.problem)
+        return found if found is None or alone else self._best_along_families(found)
+
+    def _first(self, rough: Solution) -> Solution | None:
         if (found := self._known_by_arcs(rough)) is not None:
             return found
         least = _GUESSED if self.guessed else NEAR[0]
@@ -173,6 +179,34 @@ class Polish:
             return None, revised
         self.tried.append(f"structure {structure.text}: an extremal")
         return self._composed(whole), None
+
+    def _best_along_families(self, first: Solution) -> Solution:
+        """The best of an answer and of those to which families along parameters between bounds lead, with its arcs.
+
+        Where these are no longer its arcs they are revised, and what comes of that is followed in its turn.
+        """
+        answers, left, seen = list[Solution](), [first], set[str]()
+        while left and len(answers) < ATTEMPTS:
+            known = left.pop(0).trajectories
+            assert isinstance(known, Joined), "of arcs"
+            if known.structure.text in seen:
+                continue
+            seen.add(known.structure.text)
+            search = Search(self.settings, known.restated.problem, self.watch)
+            found, solution_of = search.along_families(known.restated)
+            kept = found[:1]
+            for one in found[1:]:
+                solved = solution_of([one])
+                whole = joined(self.problem, solved, known.structure)
+                answer, revised = self._kept_to(known.structure, solved, whole)
+                if answer is not None:
+                    kept.append(one)
+                elif one.minimum and (turned := self.followed(whole, revised, {known.structure.text})) is not None:
+                    left.append(turned)
+            answers.append(self._composed(joined(self.problem, solution_of(kept), known.structure)))
+        best = min(answers, key=lambda one: one.objective)
+        others = (replace(e, nature=e.nature.outdone) for one in answers if one is not best for e in one.extremals)
+        return replace(best, extremals=(*best.extremals, *others))
 
     def _composed(self, found: Solution) -> Solution:
         """Near a guess of this run's own it is the best, as it is the only one."""
