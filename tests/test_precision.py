@@ -276,13 +276,13 @@ def test_straight_above_the_site_a_gate_costs_nothing() -> None:
 
 
 def test_the_touch_of_the_slope_and_a_final_descent() -> None:
-    """On Mars both are kept; the vertical end takes more than the 400 kg of propellant that there are."""
+    """On Mars both are kept; the vertical end takes more than the 400 kg of propellant: by a search, not by a bound."""
     final = ["final.height=50 m", "final.touchdown_speed=1 m/s"]
     found = solve(load_file(MARS, [*final, "vehicle.dry_mass=1400 kg"]).problem)
     assert found.outcome is Outcome.PROVED and found.verification.level == 3
     assert any("glide slope touched" in arc.words for arc in found.structure)
     assert 400.0 < found.results["propellant"].value < 420.0
-    with pytest.raises(NotConvergedError, match="final_descent"):  # a search that finds none refuses nothing
+    with pytest.raises(NotConvergedError):
         solve(load_file(MARS, final).problem)
 
 

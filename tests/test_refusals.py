@@ -114,7 +114,7 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
     breaks = [replace(WIDE, path=True), replace(LOW, path=True)]
     direct = InfeasibleError("the start is outside its bounds")
     assert refusal(known(direct), breaks) is direct
-    nearest = NotConvergedError(NEAREST, partial={"all_missed": True})
+    nearest = NotConvergedError(NEAREST, partial={"all_missed": True, "least_miss": 0.1})
     assert refusal(known(nearest), []) is nearest  # where there is no extremal it says the most
     for tried in (nearest, NotConvergedError("the optimum was not reached")):
         error = refusal(known(tried), breaks)

@@ -182,12 +182,15 @@ class FirstMesh:
                 got="; ".join(told[1:4]),
                 expected="every condition met",
                 advice="relax the condition named first, or give a guess (a solution of a nearby problem)",
-                partial=self.partial(best, told),
+                partial=self.partial(best, told) | {"least_miss": float(best.violation)},
                 flight=self.run.missing(program, best),
             )
 
     def partial(self, answer: Answer, missed: list[str]) -> dict[str, Any]:
-        """What a failure keeps; `all_missed` says that every start led to a least miss, if only that of no flight."""
+        """What a failure keeps; `all_missed` says that every start led to a least miss, if only that of no flight.
+
+        `least_miss` is its size in canonical units, where it is more than the error of the mesh.
+        """
         told = {"missed": missed, "all_missed": self.all_missed, "tried": tuple(self.run.tried)}
         return told | {"free": answer.free_si(self.problem)}
 

@@ -30,11 +30,11 @@ NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the 
 def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
     """Why every extremal that was found is no answer; None where none was found, and nothing else says why."""
     direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
-    all_missed = getattr(direct, "partial", {}).get("all_missed")
-    if isinstance(direct, InfeasibleError) or (isinstance(direct, NotConvergedError) and all_missed and not breaches):
-        direct.partial["tried"] = list(coarse.tried)
+    known = getattr(direct, "partial", {})
+    if isinstance(direct, InfeasibleError) or (direct is not None and "least_miss" in known and not breaches):
+        known["tried"] = list(coarse.tried)
         return direct
-    if bounds and all_missed:
+    if bounds and known.get("all_missed"):
         return best_misses(coarse.problem, bounds, len(breaches), direct, coarse.tried)
     flight = coarse.flight
     if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
