@@ -65,7 +65,7 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
     "a wider box": (lambda told: told.update(only_one_within=[1.0] * 6), "leaves the box"),
     "range": (lambda told: told["problem"]["free"][0].update(upper="1"), "a bound is broken"),
     "problem": (
-        lambda told: told["problem"]["given"]["distance"].update(number="1000000001/1000000000"), "does not hold",
+        lambda told: told["problem"]["given"]["distance"].update(number="1000000001/1000000000"), "box|does not hold",
     ),
     "bound": (lambda told: told["problem"]["phases"][0]["states"][1].update(upper="1/2"), "limit of arc 1"),
     "an end that is a range": (

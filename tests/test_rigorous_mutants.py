@@ -61,6 +61,8 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (checks.series_agree, {
             "series cut off":
                 ("taylor", "in range(orders):\n            for step", "in range(2):\n            for step"),
+            "known series cut off":
+                ("taylor", "arb_series(inputs[k][:orders], orders)", "arb_series(inputs[k][:2], 2)"),
             "product without its last term":
                 ("taylor", "sum(map(mul, a, b[::-1]))),", "sum(map(mul, a[:-1], b[::-1]))),"),
             "square without its middle term": ("taylor", "half + a[k // 2] * a[k // 2]", "half"),
@@ -73,8 +75,8 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (checks.growth_is_enclosed, {
             "remainder dropped": ("flow", "length) + r * length**order", "length)"),
             "remainder halved": ("flow", "length) + r * length**order", "length) + r * length**order / 2"),
-            "remainder of tangents dropped": ("flow", "+ tangents_over[order] * length**order", ""),
-            "order of the remainder off by one": ("flow", "[c[order] for c in over]", "[c[order - 1] for c in over]"),
+            "remainder of tangents dropped": ("flow", " + last * length**m", ""),
+            "order of the remainder off by one": ("flow", "[c[order] for c in arc", "[c[order - 1] for c in arc"),
             "tangents off by a factor": ("flow", "total * (1 / arb(k + 1))", "total * (2 / arb(k + 1))"),
             "rates off by a factor": ("taylor", "following / (k + 1)", "following / (k + 2)"),
         }),
@@ -108,7 +110,6 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
             "arc without the derivative of the one before": ("flight", "by_y + by_before * D if i else by_y", "by_y"),
         }),
         (checks.meditch_lands, {
-            "defect left out": ("root", "[c - d + e for", "[c + e for"),
             "no H in what a duration costs": ("boundary", "if phase.duration in problem.free_names:", "if False:"),
         }),
         (checks.a_wide_box_is_refused, {
@@ -127,6 +128,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
             "J at the centre":
                 ("theorem", "objective.values(root.y, root.flight.ends",
                  "objective.values(refined.y, root.centre.ends"),
+            "defect left out": ("root", "[c - d + e for", "[c + e for"),
             "the least distance": ("theorem", "max(far, default", "min(far, default"),
         }),
         (checks.what_is_missing_is_no_theorem, {

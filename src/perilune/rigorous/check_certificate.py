@@ -14,7 +14,7 @@ from typing import Any
 from flint import arb, arb_mat, arb_series, ctx, fmpq
 
 TOLERANCE, WIDER, PIECES = 1e-6, 2.0**-20, 2.0**-20  # of limits in SI; of what encloses a step; least part of a step
-MORE = 4  # orders than the prover took, as much is enclosed less closely here
+ORDER, PARTS = 34, 3  # of the series, and of each step of the certificate: much is enclosed less closely here
 
 
 class Failed(Exception):
@@ -234,7 +234,7 @@ class _Proof:
     """The boundary value problem of a certificate."""
 
     def __init__(self, told: dict[str, Any]) -> None:
-        self.told, self.problem, self.order, self.arcs = told, told["problem"], told["order"] + MORE, told["arcs"]
+        self.told, self.problem, self.order, self.arcs = told, told["problem"], ORDER, told["arcs"]
         self.given = {name: given(stated) for name, stated in self.problem["given"].items()}
         self.free, self.phases = [f["name"] for f in self.problem["free"]], self.problem["phases"]
         follows = [arc["phase"] for arc in self.arcs]
@@ -445,7 +445,7 @@ class _Proof:
         nodes, by_y, z, V, size = [], [], [], None, len(y)
         aside = column([v - v.mid() for v in y])
         jets = [Jet(1, v, {("y", j): arb(1)}) for j, v in enumerate(y)]
-        for i, begins in enumerate(self.told["grid"]):
+        for i, begins in enumerate(self.grid):
             opened = self.start(i, jets, [Jet(1, v, {("z", j): arb(1)}) for j, v in enumerate(z)])
             D, lasts, before = V, self.duration(i, jets), len(z)
             z, V = [plain(v) for v in opened], None
@@ -453,7 +453,7 @@ class _Proof:
                 V = matrix(opened, ("y",), size)
                 V = V + matrix(opened, ("z",), before) * D if before else V
             nodes, by_y = [*nodes, [z]], [*by_y, [V]]
-            for a, b in pairwise([*map(arb, begins), plain(lasts)]):
+            for a, b in pairwise([*begins, plain(lasts)]):
                 z, V, _ = self.step(i, z, V, b - a)
                 if centre:
                     if len(nodes[i]) == len(begins):
@@ -467,6 +467,10 @@ class _Proof:
     def check(self, tell: Any = print) -> tuple[list[Any], Any]:
         centre, radii = [exact(u["centre"]) for u in self.told["unknowns"]], self.told["only_one_within"]
         inverse, size = arb_mat([[arb(v) for v in row] for row in self.told["inverse"]]).mid(), len(centre)
+        grid = [[*map(arb, begins), self.duration(i, centre)] for i, begins in enumerate(self.told["grid"])]
+        self.grid = [
+            [(a + (b - a) * j / PARTS).mid() for a, b in pairwise(times) for j in range(PARTS)] for times in grid
+        ]
         near, _ = self.fly(centre)
         F, J, _ = self.residual(centre, [own[-1] for own in near])
         defect = (inverse * column([plain(value) for value in F])).entries()
@@ -499,15 +503,15 @@ class _Proof:
                  for own in zip(near, by_y, strict=True)]  # fmt: skip
         asked = self.residual(root, [own[-1] for own in nodes])[2]
         demand(all(value > 0 for value in asked), "a bound is broken, or would be left")
-        for i, begins in enumerate(self.told["grid"]):
-            for number, (a, b) in enumerate(pairwise([*map(arb, begins), self.duration(i, root)])):
+        for i, begins in enumerate(self.grid):
+            for number, (a, b) in enumerate(pairwise([*begins, self.duration(i, root)])):
                 self.along(i, number, self.step(i, nodes[i][number], None, b - a)[2], self.unpacked(root)[1])
         return root, J
 
     def along(self, i: int, number: int, step: Any, free: dict[str, Any]) -> None:
         """Limits and signs along one step; what a switch makes zero at an end of its arc, by its slope there."""
         (c, lasts, length), waiting, k = step, [(0.0, 1.0)], self.arcs[i]["phase"]
-        zeros = {(1.0, self.arcs[i]["switched"])} if number + 1 == len(self.told["grid"][i]) else set()
+        zeros = {(1.0, self.arcs[i]["switched"])} if number + 1 == len(self.grid[i]) else set()
         zeros |= {(0.0, self.arcs[i - 1]["switched"])} if number == 0 and i not in self.first else set()
         while waiting:
             a, b = waiting.pop()
@@ -553,7 +557,7 @@ def confirm(certificate: dict[str, Any], tell: Any = print) -> tuple[list[Any], 
     """
     before = ctx.cap
     try:
-        with ctx.workprec(certificate["bits"] + 8 * MORE):
+        with ctx.workprec(certificate["bits"] + 32):
             return _Proof(certificate).check(tell)
     finally:
         ctx.cap = before

@@ -102,8 +102,13 @@ class Arc:
         return [place for place, _ in self._slopes]
 
     @cached_property
+    def slopes(self) -> Program:
+        """The derivatives of the rates in the order of `pattern`."""
+        return Program(self.graph, self.keys, [slope for _, slope in self._slopes])
+
+    @cached_property
     def with_slopes(self) -> Program:
-        """The rates, and their derivatives in the order of `pattern`."""
+        """The rates, and these."""
         return Program(self.graph, self.keys, [*self.rates, *(slope for _, slope in self._slopes)])
 
     @cached_property

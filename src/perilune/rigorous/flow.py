@@ -7,7 +7,7 @@ Taylor coefficient of order n that the equations give for every start in Z. If
 
 then every solution that begins where P does stays in Z, and z(h) lies in P(h) + z_n(Z) h^n (Corliss, Rihm, *Validating
 an a priori enclosure using high-order Taylor series*, 1996). The same holds for the tangents V' = F'(z) V beside it,
-whose polynomials follow from the coefficients of F'(z).
+whose polynomials follow from the coefficients of F'(z), to a lower order.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from perilune.words.outcome import PeriluneError
 _WIDER = 2.0**-20  # by so much of its size Z is wider than the range of P; radii have 30 bits
 _NARROW = 80  # bits for coefficients over Z, whose radii are far above the rounding
 _ATTEMPTS = 4
+_OF_TANGENTS = 20  # order of theirs, at most: contraction needs no more digits of them
 _LEAST = 1e-60  # SI: it is wider by this where it is zero
 
 
@@ -43,7 +44,7 @@ class Step:
     polynomial, remainder
         Of each component: coefficients of orders 0 to n - 1, and that of order n over the whole step.
     tangents
-        The same of V, that of order n the last; none where they were not flown.
+        The same of V, in fewer orders, the remainder the last; none where they were not flown.
     """
 
     begin: Ball
@@ -60,12 +61,13 @@ class Step:
 
 def coefficients(arc: Arc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list[Coefficients], list[Any]]:
     """Taylor coefficients of orders 0 to `orders` of state and costate, and of tangents where there are any."""
-    if V is None:
-        return arc.plain.flow(z, orders)[0], []
-    size = len(z)
-    inputs, outputs = arc.with_slopes.flow(z, orders)
-    slopes = outputs[size:]
-    matrices = []
+    inputs = arc.plain.flow(z, orders)[0]
+    return inputs, [] if V is None else tangents_along(arc, arc.slopes.along(inputs, orders), V, orders)
+
+
+def tangents_along(arc: Arc, slopes: Sequence[Coefficients], V: Any, orders: int) -> list[Any]:
+    """Taylor coefficients of tangents, orders 0 to `orders`, from those of the derivatives of the rates."""
+    size, matrices = len(arc.rates), []
     for k in range(orders):
         A = arb_mat(size, size)
         for place, c in zip(arc.pattern, slopes, strict=True):
@@ -77,7 +79,17 @@ def coefficients(arc: Arc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list
         for j in range(1, k + 1):
             total += matrices[j] * tangents[k - j]
         tangents.append(total * (1 / arb(k + 1)))
-    return inputs, tangents
+    return tangents
+
+
+def _remainders(arc: Arc, Z: Sequence[Ball], W: Any, order: int, order_of_tangents: int) -> tuple[list[Ball], Any]:
+    """The last coefficients over a whole step, by recurrences alone: in wide balls they are the narrowest."""
+    with ctx.workprec(_NARROW):
+        remainder = [c[order] for c in arc.plain.flow(Z, order)[0]]
+        if W is None:
+            return remainder, None
+        slopes = arc.with_slopes.flow(Z, order_of_tangents)[1][len(Z) :]
+        return remainder, tangents_along(arc, slopes, W, order_of_tangents)[order_of_tangents]
 
 
 def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: int) -> tuple[list[Ball], Any, Step]:
@@ -103,9 +115,11 @@ def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: 
     NotEnclosed
         If the inclusion fails.
     """
-    polynomial, tangents = coefficients(arc, z, V, order - 1)
+    polynomial, _ = coefficients(arc, z, None, order - 1)
+    m = min(order, _OF_TANGENTS)
+    tangents = [] if V is None else tangents_along(arc, arc.slopes.along(polynomial, m - 1), V, m - 1)
     span = arb(0).union(length)
-    reach = arb(0).union(length**order)
+    reach, reach_of_tangents = arb(0).union(length**order), arb(0).union(length**m)
     ranges = [horner(c, span) for c in polynomial]
     tangent_range = None if V is None else horner(tangents, span)
     still = [rate.vanishes() for rate in arc.rates]
@@ -114,22 +128,20 @@ def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: 
     for _ in range(_ATTEMPTS):
         Z = [r if s else r + arb(0, w) for r, w, s in zip(ranges, wider, still, strict=True)]
         W = None if V is None else _widened(tangent_range, tangent_wider)
-        with ctx.workprec(_NARROW):
-            over, tangents_over = coefficients(arc, Z, W, order)
-        remainder = [c[order] for c in over]
+        remainder, last = _remainders(arc, Z, W, order, m)
         left = [r * reach for r in remainder]
         inside = [s or whole.contains_interior(r + e)
                   for whole, r, e, s in zip(Z, ranges, left, still, strict=True)]  # fmt: skip
-        moved = None if V is None else tangents_over[order] * reach
+        moved = None if V is None else last * reach_of_tangents
         tangent_inside = [
             whole.contains_interior(r + e)
             for whole, r, e in zip(_entries(W), _entries(tangent_range), _entries(moved), strict=True)
         ]
         if all(inside) and all(tangent_inside):
             end = [horner(c, length) + r * length**order for c, r in zip(polynomial, remainder, strict=True)]
-            V_end = None if V is None else horner(tangents, length) + tangents_over[order] * length**order
+            V_end = None if V is None else horner(tangents, length) + last * length**m
             proved = Step(begin=begin, length=length, polynomial=polynomial, remainder=remainder,
-                          tangents=[] if V is None else [*tangents, tangents_over[order]])  # fmt: skip
+                          tangents=[] if V is None else [*tangents, last])  # fmt: skip
             return end, V_end, proved
         wider = [max(w, 4 * _size(e)) for w, e in zip(wider, left, strict=True)]
         tangent_wider = [max(w, 4 * _size(e)) for w, e in zip(tangent_wider, _entries(moved), strict=True)]

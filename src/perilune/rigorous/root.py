@@ -23,10 +23,8 @@ from perilune.rigorous.taylor import Ball
 from perilune.words.outcome import PeriluneError
 
 _ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
-_CONTRACTS = 0.1  # by so much a large box should contract
-_FARTHEST, _SMALLER = 1e-3, 3  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
+_FARTHEST, _SMALLER = 1e-6, 4  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
 _QUADRATIC = 1e4  # a step of Newton's method, beside the square of the one before; 210 at most on answered problems
-_ENOUGH = 1e6  # times the tolerance is a step after which there is nothing more to gain
 _ROOM = 4.0  # times the defect is the radius of a box
 _LEAST = 1e-60  # radius of a box, SI
 Tell = Callable[[str], None]
@@ -48,11 +46,16 @@ class Settings:
         Of the Taylor series.
     tolerance
         Size of a step's last terms beside those that count.
+    enough
+        A step of Newton's method, beside the unknowns, after which there is nothing more to gain.
+    newton
+        How many of them at most.
     """
 
     bits: int = 192
-    order: int = 30
-    tolerance: float = 1e-52
+    order: int = 45
+    tolerance: float = 1e-62
+    enough: float = 1e-46
     newton: int = 8
 
 
@@ -100,7 +103,7 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
     NotProved
         If it does not converge, or not quadratically.
     """
-    grid, moved, y, enough = None, list[float](), middle(y), settings.tolerance * _ENOUGH
+    grid, moved, y, enough = None, list[float](), middle(y), settings.enough
     inverse = arb_mat(0, 0)
     for number in range(settings.newton):
         flown, chosen = plainly(boundary, y, settings.order, settings.tolerance, grid)
@@ -116,7 +119,7 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
         # What converges only linearly is not the function that its derivatives are of: one of the two is cut off.
         if number and largest > max(enough, _QUADRATIC * moved[-2] ** 2):
             raise NotProved("Newton's method in many digits does not converge quadratically", got=f"steps {moved}")
-        if largest < enough:
+        if largest < enough or (number and _QUADRATIC * largest**2 < enough):
             break
     else:
         raise NotProved("Newton's method in many digits does not converge", got=f"steps {moved}")
@@ -134,9 +137,8 @@ def _inverse(J: Any) -> Any:
 def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Settings, tell: Tell) -> Root:
     """The same root in a box that is as large as it can be proved to be the only one in, about."""
     first = [float(b.rad()) for b in root.box]
-    factor = _CONTRACTS / max(root.contraction, _LEAST)
     sizes = [max(abs(float(c)), _ZERO * max(abs(float(c)) for c in refined.y)) for c in refined.y]
-    factor = min(factor, *(_FARTHEST * size / r for size, r in zip(sizes, first, strict=True)))
+    factor = min(_FARTHEST * size / r for size, r in zip(sizes, first, strict=True))
     for _ in range(_SMALLER):
         if factor <= 1.0:
             break

@@ -20,7 +20,7 @@ from perilune.rigorous.second_order import local_optimum
 from perilune.rigorous.taylor import Ball
 
 # Tried in order: shorter steps and more bits where the first are not enclosed.
-EFFORTS = (Settings(), Settings(tolerance=1e-66, bits=256), Settings(tolerance=1e-86, bits=320))
+EFFORTS = (Settings(), Settings(tolerance=1e-78, bits=256), Settings(tolerance=1e-94, bits=320))
 _NEARLY_ZERO = 1e-6  # of the largest unknown
 
 

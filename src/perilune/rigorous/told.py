@@ -27,7 +27,7 @@ TRUSTED = (
 )
 _DIGITS = 30
 _CLAIMED = 27  # digits of a certificate
-_ROOM, _ROOM_OF_J = 1e-20, 1e-26  # beside the box that holds no other root, and beside J
+_ROOM, _ROOM_OF_BOX = 1e-26, 1e-20  # beside a value, and beside the box that holds no other root
 
 
 def _ball(value: Ball) -> str:
@@ -117,17 +117,16 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
             "ranges": [[*place, side] for place, side in boundary.sides.ranges.items()],
         },
         "bits": proved.settings.bits,
-        "order": proved.settings.order,
         "grid": [list(begins) for begins in proved.refined.grid],
         "unknowns": [
-            {"name": name, "centre": _exact(c), "enclosure": _claimed(k, _ROOM * alone.rad(), proved)}
+            {"name": name, "centre": _exact(c), "enclosure": _claimed(k, _ROOM_OF_BOX * alone.rad(), proved)}
             for name, c, k, alone in zip(boundary.names, proved.refined.y, root.y, proved.alone.box, strict=True)
         ],
         "inverse": [
             [str(entry.str(25, radius=False)) for entry in row] for row in proved.refined.inverse.tolist()
         ],
         "only_one_within": [float(b.rad()) for b in proved.alone.box],
-        "objective": _claimed(proved.objective, _ROOM_OF_J * proved.objective.abs_upper(), proved),
+        "objective": _claimed(proved.objective, arb(0), proved),
         "by_the_prover_alone": {
             "theorem": text,
             "distance": proved.distance,
@@ -145,7 +144,7 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
 def _claimed(value: Ball, room: Ball, proved: Proved) -> str:
     """A ball in fewer digits, and a little wider: another proof encloses it less closely."""
     with ctx.workprec(proved.settings.bits):
-        return str((value + arb(0, room)).str(_CLAIMED))
+        return str((value + arb(0, room + _ROOM * value.abs_upper())).str(_CLAIMED))
 
 
 def _exact(value: Ball) -> str:
