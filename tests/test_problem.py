@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -166,6 +166,14 @@ def test_given_fixes_a_free_parameter() -> None:
         (lambda: Given(value=2.0, unit="km"), "numbers are in SI"),
         (lambda: Free(name="t", unit="min"), "numbers are in SI: t"),
         (lambda: Variable(name="x", lower=1.0, upper=1.0), "bounds of x are empty"),
+        (
+            lambda: Variable(name="x", lower=cast("Any", None), upper=1.0),
+            r"the lower bound of x[\s\S]*got: None[\s\S]*try: leave lower out",
+        ),
+        (lambda: Variable(name="x", lower="least", upper=cast("Any", None)), "the upper bound of x"),
+        (lambda: Bounded(name="u", upper=cast("Any", None)), "the upper bound of u"),
+        (lambda: Free(name="t", unit="s", lower=cast("Any", None)), r"the lower bound of t\n *got: None"),
+        (lambda: Free(name="t", unit="s", typical=cast("Any", None)), "the typical value of t"),
         (lambda: Direction(names=("a",)), "two or three"),
     ],
 )

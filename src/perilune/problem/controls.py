@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from perilune.words.asked import called_in_words, demand_identifier, refused
+from perilune.words.asked import called_in_words, demand_identifier, demand_si, refused
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales
@@ -33,6 +33,20 @@ _CLOSE = (-1e-1, -1e-2, -1e-3, -1e-4, 1e-4, 1e-3, 1e-2, 1e-1)
 def limit_value(limit: Limit, p: Any) -> Any:
     """Value of a limit: the number itself, or the parameter of that name in the record p."""
     return getattr(p, limit) if isinstance(limit, str) else limit
+
+
+def demand_limits(bounded: Any) -> None:
+    """Refuse limits that are neither numbers nor names, None for none among them, where they are stated.
+
+    Raises
+    ------
+    PeriluneError
+        For the first.
+    """
+    for side in ("lower", "upper"):
+        if not isinstance(limit := getattr(bounded, side), str):
+            advice = f"leave {side} out where nothing bounds it, or name the parameter that holds it"
+            demand_si(limit, f"the {side} bound of {bounded.name}", advice)
 
 
 @called_in_words
@@ -141,6 +155,9 @@ class Bounded:
     rule: ClassVar[str] = "cubic Hermite"
     scalar: ClassVar[bool] = True
     freedom: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        demand_limits(self)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from perilune.problem.controls import Limit, limit_value
+from perilune.problem.controls import Limit, demand_limits, limit_value
 from perilune.words.asked import called_in_words, demand_identifier, demand_si
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
@@ -72,6 +72,7 @@ class Variable:
         demand_identifier(self.name)
         _in_si(self.name, self.unit)
         object.__setattr__(self, "scale", positive_scale(self.name, self.scale))
+        demand_limits(self)
         if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):
             raise PeriluneError(
                 f"bounds of {self.name} are empty",
@@ -137,3 +138,6 @@ class Free:
 
     def __post_init__(self) -> None:
         _in_si(self.name, self.unit)
+        for side in ("lower", "upper"):
+            demand_si(getattr(self, side), f"the {side} bound of {self.name}", f"leave {side} out where there is none")
+        demand_si(self.typical, f"the typical value of {self.name}")

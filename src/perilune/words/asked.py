@@ -154,7 +154,7 @@ def demand_number(value: Any, name: str) -> None:
         raise PeriluneError(f"{name} must be a number", got=_shown(value))
 
 
-def demand_si(value: Any, what: str) -> None:
+def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
     """Refuse what is no single real number: truth values and texts are none, though Python makes floats of them.
 
     Raises
@@ -164,7 +164,7 @@ def demand_si(value: Any, what: str) -> None:
     """
     plain = value.item() if getattr(value, "ndim", None) == 0 else value  # of NumPy and xarray
     if isinstance(plain, bool) or not isinstance(plain, Real):
-        raise refused(value, "a number in SI", what, "units.parse_quantity('440 N', 'N') reads a text")
+        raise refused(value, "a number in SI", what, advice)
 
 
 def demand_numbers(values: Any, what: str) -> Any:
