@@ -148,6 +148,11 @@ def test_the_command_exports_what_was_solved(tmp_path: Path, capsys: pytest.Capt
     assert run([*ask, "--epoch", EPOCH, "--force", "--prove", "1"]) == 0
     assert read_json(capsys.readouterr().out)["proof"] == "level 1: feasible"
     assert run(["export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
+    assert run(["export", place, "--out", str(tmp_path / "flight.oem"), "--format", "czml", "--epoch", EPOCH]) == 2
+    assert "ask for oem" in capsys.readouterr().err
+    assert run(["export", place, "--out", str(tmp_path / "flight.csv")]) == 0
+    assert (tmp_path / "flight.csv").read_text().count(",") > 100
+    (tmp_path / "flight.csv").unlink()
     assert sorted(os.listdir(tmp_path)) == ["flight.czml", "run"]
 
 

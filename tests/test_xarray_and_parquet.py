@@ -118,7 +118,12 @@ def test_exports_that_cannot_be_made_are_refused(atlas: Atlas, tmp_path: Path, m
         export("map", file, "netcdf")  # pyright: ignore[reportArgumentType]
     with pytest.raises(PeriluneError, match="cannot be written"):
         export(atlas, tmp_path / "nowhere" / "nodes.nc", "netcdf")
-    export(atlas, file, "netcdf")
+    with pytest.raises(PeriluneError, match="as if it held csv") as other:
+        export(atlas, tmp_path / "nodes.csv")
+    assert other.value.expected == "nodes.nc for netcdf or nodes.parquet for parquet"
+    with pytest.raises(PeriluneError, match="as if it held netcdf"):
+        export(atlas, file, "parquet")
+    export(atlas, file)
     before = file.read_bytes()
     with pytest.raises(PeriluneError, match="there already"):
         export(atlas, file, "netcdf")

@@ -15,15 +15,16 @@ import numpy as np
 
 from perilune.atlas.query import Atlas
 from perilune.atlas.table import Table
+from perilune.io.exports.formats import format_of
 from perilune.io.files import fresh_file, new_file
 from perilune.words.asked import called_in_words, demand
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.outcome import PeriluneError
 
 _LARGEST = 2**31 - 8  # bytes of a variable of a classic NetCDF file, as SciPy writes it
 
 
 @called_in_words
-def export(atlas: Atlas, file: str | Path, form: str, *, force: bool = False) -> Path:
+def export(atlas: Atlas, file: str | Path, form: str | None = None, *, force: bool = False) -> Path:
     """Write all nodes of an atlas into one file.
 
     Parameters
@@ -33,7 +34,7 @@ def export(atlas: Atlas, file: str | Path, form: str, *, force: bool = False) ->
     file
         Where.
     form
-        ``netcdf`` or ``parquet``.
+        ``netcdf`` or ``parquet``; by how the file is called if None, and NetCDF where that says none.
     force
         Whether a file that is there may be replaced.
 
@@ -45,13 +46,12 @@ def export(atlas: Atlas, file: str | Path, form: str, *, force: bool = False) ->
     Raises
     ------
     PeriluneError
-        If the form is not known, nothing is built yet, a shard is damaged, the file is there already or cannot be
-        written, or pyarrow is not installed.
+        If the form is not known or not what the file is called, nothing is built yet, a shard is damaged, the file is
+        there already or cannot be written, or pyarrow is not installed.
     """
     demand(atlas, Atlas, "an atlas to export", "perilune.atlas.open(directory)")
-    if form not in FORMS:
-        raise unknown_name("format", str(form), list(FORMS))
     path = new_file(file, "an export", force)
+    form = format_of(path, form, list(FORMS))
     if not atlas.said:
         raise PeriluneError("there is nothing to export: no brick is built yet", got=str(atlas.store.directory))
     with fresh_file(path, "the export") as beside:
@@ -67,7 +67,7 @@ def _netcdf(table: Table, path: Path) -> None:
     if rows * widest > _LARGEST:
         raise PeriluneError(
             "the atlas is too large for one NetCDF file", got=f"{rows} nodes",
-            expected=f"at most {_LARGEST // widest}", advice="--format parquet",
+            expected=f"at most {_LARGEST // widest}", advice="a file .parquet",
         )  # fmt: skip
     with netcdf_file(str(path), "w", version=2) as file:
         for name, text in table.provenance.items():
@@ -95,7 +95,7 @@ def _parquet(table: Table, path: Path) -> None:
         import pyarrow.parquet as pq
     except ImportError:
         raise PeriluneError(
-            "Parquet needs pyarrow, which is not installed", advice="pip install 'perilune[export]', or --format netcdf"
+            "Parquet needs pyarrow, which is not installed", advice="pip install 'perilune[export]', or a file .nc"
         ) from None
     fields = []
     for column in table.columns:

@@ -185,7 +185,9 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         "Write a saved solution into one file for other programs.",
         option("directory", metavar="DIR", type=Path, help="What `perilune solve --out` wrote."),
         option(
-            "--format", metavar="FORMAT", default="netcdf", help="netcdf (unless given), csv, parquet, oem or czml."
+            "--format",
+            metavar="FORMAT",
+            help="netcdf, csv, parquet, oem or czml; unless given as FILE is called, else netcdf.",
         ),
         option("--out", metavar="FILE", type=Path, required=True, help="The file."),
         option(
@@ -373,7 +375,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         "atlas export",
         "Write all nodes of an atlas into one file for other programs.",
         directory,
-        option("--format", metavar="FORMAT", default="netcdf", help="netcdf (unless given), or parquet."),
+        option("--format", metavar="FORMAT", help="netcdf or parquet; unless given as FILE is called, else netcdf."),
         option("--out", metavar="FILE", type=Path, required=True, help="The file."),
         FORCE,
         among=actions,

@@ -169,18 +169,18 @@ def _certified(solution: Solution, typed: Namespace) -> str:
 
 def _export(typed: Namespace) -> Answer:
     from perilune.io.exports.provenance import provenance
-    from perilune.io.exports.writing import refuse_unwritable, write
+    from perilune.io.exports.writing import placed, write
     from perilune.io.reload import opened
     from perilune.solve import prove
 
-    refuse_unwritable(typed.out, typed.format, typed.force)
+    _, form = placed(typed.out, typed.format, typed.force)
     loaded, document = opened(typed.directory)
     solution = prove(loaded, typed.prove)
     about = provenance(solution, document=document)
-    write(solution, typed.out, typed.format, about, epoch=typed.epoch, force=typed.force)
+    write(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force)
     size = typed.out.stat().st_size
-    told = {"written": str(typed.out), "format": typed.format, "bytes": size, "proof": about["proof"]}
-    text = f"written to {typed.out}: {typed.format}, {size / 2**10:.0f} KiB; proof: {about['proof']}"
+    told = {"written": str(typed.out), "format": form, "bytes": size, "proof": about["proof"]}
+    text = f"written to {typed.out}: {form}, {size / 2**10:.0f} KiB; proof: {about['proof']}"
     return Answer(text=text, document=told, exit_code=solution.outcome.exit_code if typed.prove else 0)
 
 

@@ -131,12 +131,13 @@ def _query(typed: Namespace) -> Answer:
 
 
 def _export(typed: Namespace) -> Answer:
-    from perilune.atlas.exporting import export
+    from perilune.atlas.exporting import FORMS, export
+    from perilune.io.exports.formats import format_of
 
-    atlas = _opened(typed)
-    export(atlas, typed.out, typed.format, force=typed.force)
+    atlas, form = _opened(typed), format_of(typed.out, typed.format, list(FORMS))
+    export(atlas, typed.out, form, force=typed.force)
     nodes, size = sum(line["nodes"]["rows"] for line in atlas.said.values()), typed.out.stat().st_size
-    document = {"written": str(typed.out), "format": typed.format, "nodes": nodes, "bytes": size}
+    document = {"written": str(typed.out), "format": form, "nodes": nodes, "bytes": size}
     return Answer(text=f"written to {typed.out}: {nodes} nodes, {size / 2**20:.1f} MiB", document=document)
 
 

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from perilune.io.exports.epochs import epoch_of, needed_epoch
+from perilune.io.exports.formats import ENDINGS, format_of
 from perilune.io.exports.provenance import provenance
 from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
 from perilune.words.asked import called_in_words, demand, refused
-from perilune.words.outcome import unknown_name
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-FORMATS = ("netcdf", "csv", "parquet", "oem", "czml")
+FORMATS = tuple(ENDINGS)
 _TIMED = {"oem": "an orbit ephemeris message (OEM)", "czml": "CZML"}  # that have no times without an epoch
 
 
@@ -26,7 +26,7 @@ _TIMED = {"oem": "an orbit ephemeris message (OEM)", "czml": "CZML"}  # that hav
 def export(
     solution: Solution,
     file: str | Path,
-    format: str = "netcdf",
+    format: str | None = None,
     *,
     epoch: str | datetime | None = None,
     scenario_text: str | None = None,
@@ -41,7 +41,8 @@ def export(
     file
         Where.
     format
-        ``netcdf`` (CF conventions), ``csv``, ``parquet``, ``oem`` (CCSDS, version 2.0) or ``czml`` (Cesium).
+        ``netcdf`` (CF conventions), ``csv``, ``parquet``, ``oem`` (CCSDS, version 2.0) or ``czml`` (Cesium); by how the
+        file is called (``.nc`` for NetCDF) if None, and NetCDF where that says none.
     epoch
         Time at the begin of the flight in ISO 8601, UTC unless it says otherwise. ``oem`` and ``czml`` need one, where
         the problem states none.
@@ -58,8 +59,8 @@ def export(
     Raises
     ------
     PeriluneError
-        If the format is not known or does not fit the problem, an epoch is missing, the file is there already or cannot
-        be written, or a package is not installed.
+        If the format is not known or does not fit the problem or how the file is called, an epoch is missing, the file
+        is there already or cannot be written, or a package is not installed.
     """
     demand(solution, Solution, "a solution to export", "perilune.load(DIR) reads one that was saved")
     if not isinstance(scenario_text, str | None):
@@ -70,26 +71,24 @@ def export(
 def write(
     solution: Solution,
     file: str | Path,
-    format: str,
+    format: str | None,
     about: Mapping[str, str],
     *,
     epoch: str | datetime | None = None,
     force: bool = False,
 ) -> Path:
     """As `export`, with what is to be said of the solution (`perilune.io.exports.provenance`)."""
-    path = refuse_unwritable(file, format, force)
+    path, format = placed(file, format, force)
     found = needed_epoch(solution.problem, epoch, _TIMED[format]) if format in _TIMED else None
     with fresh_file(path, "the export") as beside:
         _writer(format)(solution, about, found or epoch_of(solution.problem, epoch), beside)
     return path
 
 
-def refuse_unwritable(file: str | Path, format: str, force: bool) -> Path:
-    """The file as a path; refuses a format that there is not, and a file that must not be replaced."""
+def placed(file: str | Path, format: str | None, force: bool) -> tuple[Path, str]:
+    """The file as a path, and its format; refuses a format that there is not, and a file that must not be replaced."""
     path = new_file(file, "an export", force)
-    if format not in FORMATS:
-        raise unknown_name("format", str(format), FORMATS)
-    return path
+    return path, format_of(path, format, FORMATS)
 
 
 def _writer(format: str) -> Callable[[Solution, Mapping[str, str], Any, Path], None]:

@@ -1,0 +1,41 @@
+"""Formats of files for other programs: which one is asked for, by its name or by how the file is called."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from perilune.words.outcome import PeriluneError, unknown_name
+
+ENDINGS = {"netcdf": ".nc", "csv": ".csv", "parquet": ".parquet", "oem": ".oem", "czml": ".czml"}
+
+
+def format_of(path: Path, format: str | None, known: Sequence[str]) -> str:
+    """The format that a file is to be written in.
+
+    Parameters
+    ----------
+    path, format
+        The file, and what is asked for; None for what the name of the file says, the first of those known where it
+        says none.
+    known
+        Which there are.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no such format, or the name of the file says another: who opens it would take it for that.
+    """
+    if format is not None and format not in known:
+        raise unknown_name("format", str(format), known)
+    named = next((name for name, ending in ENDINGS.items() if path.suffix.lower() == ending), None)
+    if named in (None, format):
+        return format or known[0]
+    if format is None and named in known:
+        return named
+    asked = known if format is None else [format]
+    raise PeriluneError(
+        f"the file is called as if it held {named}", got=path.name,
+        expected=" or ".join(f"{path.stem}{ENDINGS[name]} for {name}" for name in asked),
+        advice="call it by its format" if format is None else f"call it by its format, or ask for {named}",
+    )  # fmt: skip
