@@ -9,10 +9,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 
-INTERRUPTED = 130
-OUTCOME_OF_CODE = {1: "FAULT", 2: "REFUSED", 3: "INFEASIBLE", 4: "NOT_CONVERGED", INTERRUPTED: "INTERRUPTED"}
+INTERRUPTED = Outcome.INTERRUPTED.exit_code
+_FAILED = (Outcome.REFUSED, Outcome.INFEASIBLE, Outcome.NOT_CONVERGED, Outcome.INTERRUPTED)
+OUTCOME_OF_CODE = {1: "FAULT", **{outcome.exit_code: outcome.name for outcome in _FAILED}}
 
 
 @dataclass(frozen=True, kw_only=True)

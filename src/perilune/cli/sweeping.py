@@ -56,9 +56,10 @@ def sweep_answer(order: Namespace) -> Answer:
             tolerance=scenario.tolerance,
             **options,
         )
-    if family.points and all(p.outcome is Outcome.INFEASIBLE for p in family.points):
-        first, names = family.points[0].message, " and ".join(family.parameters)
-        raise InfeasibleError(f"no value of {names} is possible", got=first, advice="try another range")
+    for outcome, error in ((Outcome.INFEASIBLE, InfeasibleError), (Outcome.REFUSED, PeriluneError)):
+        if family.points and all(p.outcome is outcome for p in family.points):
+            first, names = family.points[0].message, " and ".join(family.parameters)
+            raise error(f"no value of {names} is possible", got=first, advice="try another range")
     if order.out is not None:
         write_family(family, order.out, force=True)  # what may not be replaced was refused above
     codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]

@@ -13,11 +13,13 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.asked import refused
 from perilune.words.declared import parameter_name
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError, unknown_name
+from perilune.words.outcome import Outcome, PeriluneError, unknown_name
 from perilune.words.units import told_range
 
 # Values of each parameter (the family is their grid), or the points themselves.
 Over = Mapping[str, Sequence[float]] | Sequence[Mapping[str, float]]
+# Why a member has no solution, by the exit code of the error.
+_FAILURES = {outcome.exit_code: outcome for outcome in (Outcome.NOT_CONVERGED, Outcome.INFEASIBLE, Outcome.REFUSED)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +32,7 @@ class FamilyPoint:
     failure: Outcome | None = None
 
     def __post_init__(self) -> None:
-        allowed = (None,) if self.solution is not None else (Outcome.NOT_CONVERGED, Outcome.INFEASIBLE)
+        allowed = (None,) if self.solution is not None else tuple(_FAILURES.values())
         if self.failure not in allowed:
             raise PeriluneError(
                 "a member of a family has a solution, or a reason why it has none",
@@ -59,9 +61,8 @@ class FamilyPoint:
 
 
 def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
-    """The member that an error stands in for: it cannot be flown, or the search for it failed."""
-    failure = Outcome.NOT_CONVERGED if isinstance(error, NotConvergedError) else Outcome.INFEASIBLE
-    return FamilyPoint(values=values, solution=None, message=str(error), failure=failure)
+    """The member that an error stands in for: it cannot be flown, the search for it failed, or it makes no sense."""
+    return FamilyPoint(values=values, solution=None, message=str(error), failure=_FAILURES[error.exit_code])
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

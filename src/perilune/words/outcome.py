@@ -20,7 +20,8 @@ class Outcome(Enum):
     SOLVED = "the method converged; nothing is verified yet: run verify"
     NOT_PROVED = "solved, but at least one check failed: read the failed checks before using it"
     NOT_CONVERGED = "no solution found: the residual report names the condition and what to try"
-    INFEASIBLE = "it cannot be flown, or no flight was found: the message says what is missed and by how much"
+    INFEASIBLE = "it cannot be flown, or every extremal found misses a bound: the message says which and by how much"
+    REFUSED = "what is stated makes no sense: the message says what is wrong"
     INTERRUPTED = "stopped by the user: what was computed so far is kept"
 
     @property
@@ -40,6 +41,7 @@ _EXIT_CODES = {
     "NOT_PROVED": 5,
     "NOT_CONVERGED": 4,
     "INFEASIBLE": 3,
+    "REFUSED": 2,
     "INTERRUPTED": 130,
 }
 
