@@ -81,10 +81,11 @@ def _optimum(statement: Statement) -> str:
 def _kept(proved: Proved) -> str:
     slack = [statement for statement in proved.statements if statement.slack > 0]
     idle = any(arc.strengths and any(one.regime == "lower" for one in arc.scalars) for arc in proved.boundary.arcs)
-    but = ", but for a direction while what multiplies it vanishes" if idle else ""
+    switched = any(piece.switched for piece in proved.boundary.pieces)
+    but = ["at its switches"] * switched + ["for a direction while what multiplies it vanishes"] * idle
     text = (
         "Along the whole flight every limit is kept strictly, but where an end lies on it by condition; the control "
-        f"is the only one that minimises H{but}."
+        f"is the only one that minimises H{', but ' if but else ''}{' and '.join(but)}."
     )
     if not slack:
         return text
