@@ -17,8 +17,8 @@ from scipy.optimize import minimize
 import perilune as pl
 from perilune import PeriluneError
 from perilune.atlas import building, extend, read
-from perilune.atlas.many import Answered
-from perilune.atlas.query import open_atlas
+from perilune.atlas.many import Answered, Answers
+from perilune.atlas.query import Atlas, open_atlas
 from perilune.problem.variables import Given, Variable
 from perilune.words.types import Matrix, Vector
 
@@ -246,32 +246,46 @@ def test_a_bound_that_goes_and_comes_back_inside_a_cell_is_where_it_is_at_the_po
     assert atlas.query(a=0.3).objective == pytest.approx(-0.1, abs=1e-9)
 
 
-def test_an_extremal_beyond_a_bound_is_told_from_another_that_is_held_there(tmp_path: Path) -> None:
-    """Of two wells the better one needs an r beyond its bound; the worse one is held there, and was the answer."""
+def two_wells(p: Any) -> Any:
+    """A price of q, the wells at 0.895 and at a place that moves."""
+    first = 0.118 + 0.136 * (p.a - 0.5)
+    return 16.6 * (p.q - first) ** 2 * (p.q - 0.895) ** 2 - 0.0565 * p.q
 
-    def wells_of(p: Any) -> Any:
-        first = 0.118 + 0.136 * (p.a - 0.5)
-        return 16.6 * (p.q - first) ** 2 * (p.q - 0.895) ** 2 - 0.0565 * p.q
 
-    def wanted(p: Any, m: Any) -> Any:
-        s = 0.6 + 0.24 * (p.a - 0.5) + 0.551 * p.q
-        for high, at, wide in (
-            (0.215, 0.651, 0.488),
-            (-0.346, 0.057, 0.05),
-            (-0.069, 0.857, 0.066),
-            (0.084, 0.866, 0.152),
-        ):
-            s = s + high * m.exp(-(((p.a - at) / wide) ** 2))
-        return s
+def wanted(p: Any, m: Any, windows: tuple[tuple[float, float, float], ...]) -> Any:
+    """The r that each well wants, moved in windows: by how much, where and how wide."""
+    s = 0.6 + 0.24 * (p.a - 0.5) + 0.551 * p.q
+    for high, at, wide in windows:
+        s = s + high * m.exp(-(((p.a - at) / wide) ** 2))
+    return s
 
+
+def answered(
+    tmp_path: Path, bricks: int, windows: tuple[tuple[float, float, float], ...]
+) -> tuple[Atlas, Vector, Answers]:
+    """An atlas of both wells, and its answers; each that it gives is looked at."""
     r = pl.Free(name="r", unit="1", lower=0.0, upper=1.0, typical=0.5)
-    problem = priced(lambda p, m: wells_of(p) + 2.06 * (p.r - wanted(p, m)) ** 2, r)
-    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=2), lambda _: problem)
+    problem = priced(lambda p, m: two_wells(p) + 2.06 * (p.r - wanted(p, m, windows)) ** 2, r)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=bricks), lambda _: problem)
     a = np.random.default_rng(5).uniform(0.0, 1.0, 150)
     found, p = atlas.query_many(a[:, None]), SimpleNamespace(a=a[:, None], q=np.linspace(0.0, 1.0, 40_001))
-    least = (wells_of(p) + 2.06 * (np.clip(wanted(p, np), 0.0, 1.0) - wanted(p, np)) ** 2).min(axis=1)
-    assert found.good.mean() > 0.85 and (found.good | (found.answered == Answered.ENDS)).all()
+    best = wanted(p, np, windows)
+    least = (two_wells(p) + 2.06 * (np.clip(best, 0.0, 1.0) - best) ** 2).min(axis=1)
     assert found.objective[found.good] == pytest.approx(least[found.good], abs=1e-7)
+    return atlas, a, found
+
+
+def test_an_extremal_beyond_a_bound_is_told_from_another_that_is_held_there(tmp_path: Path) -> None:
+    """Of two wells the better one needs an r beyond its bound; the worse one is held there, and was the answer."""
+    windows = ((0.215, 0.651, 0.488), (-0.346, 0.057, 0.05), (-0.069, 0.857, 0.066), (0.084, 0.866, 0.152))
+    atlas, a, found = answered(tmp_path, 2, windows)
+    assert found.good.mean() > 0.85 and (found.good | (found.answered == Answered.ENDS)).all()
     beyond = float(a[np.argmin(found.good)])
     with pytest.raises(PeriluneError, match="lies beyond the upper bound of r, and one held there may be better"):
         atlas.query(a=beyond)
+
+
+def test_a_later_branch_is_followed_over_a_steep_window_as_a_first_one_is(tmp_path: Path) -> None:
+    """It ended there in one cell, and behind it, where nothing told of it, the worse well was the answer."""
+    found = answered(tmp_path, 1, ((0.215, 0.651, 0.488), (-0.346, 0.057, 0.03)))[2]
+    assert found.good.mean() > 0.98 and (found.good | (found.answered == Answered.ENDS)).all()

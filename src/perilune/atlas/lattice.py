@@ -148,7 +148,7 @@ class Lattice:
 
         A sheet that bends more from one to the next than its slopes foretell does not end there.
         """
-        sound = (cells.corners >= 0) & (self.minimum[cells.branch] & (cells.branch < len(self.all_sheets)))[:, None]
+        sound = (cells.corners >= 0) & self.minimum[cells.branch][:, None] & ~np.isin(cells.corners, self.nodes.met)
         sound &= self.nodes.rows("margin", cells.corners) >= 0
         cell, corner = np.nonzero((cells.corners < 0) & sound.any(axis=1, keepdims=True))
         if not len(cell):
@@ -168,9 +168,18 @@ class Lattice:
         here, share = walked(
             self.chart, self.borders, self.sheets, branch, starts, y, self.values(places), _STRIDE, _NEAR, _ASTRAY
         )
-        there = np.nonzero(share == 1.0)[0]
+        there = np.nonzero((share == 1.0) & ~self._of_another(branch, places, here))[0]
         self.solved(branch[there], places[there], here[there], np.full(len(there), np.inf))
         return replace(cells, corners=self.corners(cells.branch, cells.low, cells.size))
+
+    def _of_another(self, branch: Whole, places: Whole, y: Matrix) -> NDArray[np.bool_]:
+        """Where a later branch comes to a node of another: it would only go where that one is."""
+        found = np.zeros(len(branch), dtype=bool)
+        for own in np.unique(branch[branch >= len(self.all_sheets)]).tolist():
+            mine = np.nonzero(branch == own)[0]
+            for other in (other for other in self.alike(self.own[own]) if other != own):
+                found[mine] |= self.nodes.has(self.keys(np.array(other), places[mine]), y[mine])
+        return found
 
     # -- nodes ----------------------------------------------------------------------------------------------------
 
