@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import perilune as pl
+from command_line import ROOT
 from perilune.cli import run
 from perilune.models.bodies import MARS, MOON, Body
 from perilune.models.landing import Orbit, Vehicle, hybrid_landing
+from perilune.scenario import load_file
 
 
 def lander(body: Body = MOON) -> pl.Problem:
@@ -30,6 +33,8 @@ def test_values_that_were_given_later_are_told() -> None:
     heavier = problem.with_given(vehicle_mass=330.0)
     assert heavier.heading == "300 kg lander from 15 km to the Moon, but with vehicle_mass 330 kg"
     assert heavier.with_given(vehicle_mass=300.0).heading == problem.heading
+    turned = load_file(ROOT / "examples" / "polar_descent.toml").problem.with_given(site_longitude=math.radians(6.0))
+    assert turned.heading.endswith(", but with site_longitude 6 deg")
     many = problem.with_given(**{name: 1.001 * given.value for name, given in problem.given.items()})
     assert many.heading.count(",") == 5 and many.heading.endswith(" more")
 

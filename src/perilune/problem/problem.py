@@ -44,7 +44,7 @@ from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics, Vector
-from perilune.words.units import Scales
+from perilune.words.units import Scales, told
 
 _HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
 _NOTHING = 1e-18  # of a canonical unit
@@ -217,12 +217,12 @@ class Problem(ShownProblem):
         """
         made = given_of(*self.declared)
         later = [
-            f"{name} {one_line(f'{g.value:.10g} {g.unit}').removesuffix(' 1')}"
+            f"{name} {one_line(told(g.value, g.unit, 10))}"
             for name, g in self.given.items()
             if name in made and made[name].value != g.value
         ]
-        told = ", ".join([*later[:MOST_TOLD], *([f"{len(later) - MOST_TOLD} more"] if later[MOST_TOLD:] else [])])
-        return one_line(self.title or self.name) + (f", but with {told}" if told else "")
+        said = ", ".join([*later[:MOST_TOLD], *([f"{len(later) - MOST_TOLD} more"] if later[MOST_TOLD:] else [])])
+        return one_line(self.title or self.name) + (f", but with {said}" if said else "")
 
     @property
     def text(self) -> str:

@@ -10,6 +10,7 @@
   const text = (node, said) => { node.textContent = said; };
   const called = (flight, name) => flight.labels[name] || name.replaceAll("_", " ");
   const told = (v, unit) => `${Draw.fine(v)}${unit && unit !== "1" ? " " + unit : ""}`;
+  const spoken = ({ value, unit }) => unit === "rad" && value !== null ? [value * 180 / Math.PI, "deg"] : [value, unit];
 
   // -- asking ---------------------------------------------------------------------------------------------------
   function ask() {
@@ -156,9 +157,9 @@
   function numbers(flight) {
     $("numbers").replaceChildren(...Object.entries(flight.results).map(([name, result]) => {
       const box = document.createElement("div"), label = document.createElement("span"), value = document.createElement("b");
-      text(label, called(flight, name)); const [v, unit] = result.unit === "rad" ? [result.value * 180 / Math.PI, "deg"] : [result.value, result.unit];
+      text(label, called(flight, name)); const [v, unit] = spoken(result);
       text(value, v === null ? "none" : `${+v.toPrecision(7)} ${unit === "1" ? "" : unit}`); box.title = result.description || ""; box.append(label, value);
-      for (const pin of state.pins) { const other = pin.flight.results[name]; if (other && other.value !== null) { const em = document.createElement("em"); text(em, `pinned ${told(other.value, other.unit)}`); box.append(em); } }
+      for (const pin of state.pins) { const other = pin.flight.results[name]; if (other && other.value !== null) { const em = document.createElement("em"); text(em, `pinned ${told(...spoken(other))}`); box.append(em); } }
       return box;
     }));
   }
