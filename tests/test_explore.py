@@ -45,6 +45,7 @@ from perilune.io.export import save
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
+from perilune.words.outcome import NotConvergedError
 from perilune.words.watch import Watch, silent
 
 ISP = "retro_specific_impulse"
@@ -496,3 +497,21 @@ def test_a_neighbour_that_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatc
     began = time.monotonic()
     found = answering.at({"vehicle_thrust": 445.0})
     assert found.source == "nothing" and time.monotonic() - began < 5.0
+
+
+def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_values(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It may hold values that a slider reached from neighbour to neighbour."""
+    problem = load_file(ROOT / "examples" / "hybrid_lander.toml").problem
+    solve = perilune.app.answering.solve
+
+    def hard(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+        if guess is None and asked.given != problem.given:
+            raise NotConvergedError("no extremal was found")
+        return solve(asked, guess=guess, level=level, watch=watch)
+
+    monkeypatch.setattr("perilune.app.answering.solve", hard)
+    found = Answering(problem).at({"vehicle_thrust": 445.0})
+    assert found.source == "neighbour" and found.solution.problem.given["vehicle_thrust"].value == 445.0
+    assert "none was found from nothing" in found.words

@@ -15,7 +15,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.function import Shooting
 from perilune.solve import solve
-from perilune.words.outcome import CANNOT_BE_FLOWN, InfeasibleError, PeriluneError
+from perilune.words.outcome import CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.watch import Iteration, Watch, silent
 
 _SAME = 1e-12  # relative: a value that was not moved
@@ -138,6 +138,13 @@ class Answering:
         except _TooLong:
             what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
             raise NoneNear(what, advice=advice) from None
+        except NotConvergedError:
+            # A link may hold values that were reached from neighbour to neighbour, and are not from nothing.
+            if self.last is not None or problem.given == self.problem.given:
+                raise
+            known = solve(self.problem, level=0, watch=watch)
+            found = solve(problem, guess=known, level=0, watch=watch)
+            return found, "neighbour", "an extremal near the flight at the first values; none was found from nothing"
         return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
 
 
