@@ -39,6 +39,7 @@ Loose: Any = pl
         (lambda s, f: pl.export(s, f, "oem"), ("(OEM) needs the time", "--epoch 2030-01-01T00:00:00", "epoch=")),
         (lambda s, f: pl.export(s, f, "czml"), ("CZML needs the time", "hybrid_landing states none")),
         (lambda s, f: pl.export(s, f, "oem", epoch="tomorrow"), ("epoch is no time", "'tomorrow'")),
+        (lambda s, f: pl.export(s, f, "oem", epoch="9999-12-31T23:59:59"), ("behind the year 9999", "earlier")),
         (lambda s, f: Loose.export(s, f, "oem", epoch=2030), ("not an epoch", "2030")),
         (lambda s, f: Loose.export(s, f, epoch=datetime), ("not an epoch", "the class datetime")),
         (lambda s, f: Loose.export(s, f, scenario_text=3), ("not the text of a scenario", "3")),

@@ -62,6 +62,18 @@ def _instant(stated: str | datetime) -> datetime:
 
 
 def stamp(epoch: datetime, seconds: float) -> str:
-    """A time after the epoch in ISO 8601, UTC without a letter, to a nanosecond. No leap second is put in."""
+    """A time after the epoch in ISO 8601, UTC without a letter, to a nanosecond. No leap second is put in.
+
+    Raises
+    ------
+    PeriluneError
+        If it is behind the year 9999, which these formats cannot write.
+    """
     whole, rest = divmod(1000 * epoch.microsecond + round(seconds * 1e9), 1_000_000_000)
-    return f"{epoch.replace(microsecond=0) + timedelta(seconds=whole):%Y-%m-%dT%H:%M:%S}.{rest:09d}"
+    try:
+        at = epoch.replace(microsecond=0, tzinfo=None) + timedelta(seconds=whole)
+    except OverflowError:
+        raise PeriluneError(
+            "the flight goes on behind the year 9999", got=f"an epoch of {epoch.isoformat()}", expected="an earlier one"
+        ) from None
+    return f"{at.isoformat()}.{rest:09d}"
