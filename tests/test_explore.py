@@ -33,7 +33,7 @@ from websockets.sync.client import ClientConnection, connect
 import perilune.app.answering
 from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError, Problem, Solution
-from perilune.app.answering import Answering
+from perilune.app.answering import Answering, keeps
 from perilune.app.beside import Beside, Killed, in_thread
 from perilune.app.client import MESSAGE, Client, asked, hello
 from perilune.app.frames import flight
@@ -515,3 +515,13 @@ def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_valu
     found = Answering(problem).at({"vehicle_thrust": 445.0})
     assert found.source == "neighbour" and found.solution.problem.given["vehicle_thrust"].value == 445.0
     assert "none was found from nothing" in found.words
+
+
+def test_a_neighbour_that_breaks_a_condition_is_not_shown() -> None:
+    """Of a guess `solve` follows the extremal alone, here out of the bounds of steering, and further on underground."""
+    answering = Answering(load_file(ROOT / "examples" / "polar_descent.toml").problem)
+    assert keeps(answering.at({"site_longitude": math.radians(7.0)}).solution)
+    with pytest.raises(PeriluneError, match="breaks a condition"):
+        answering.at({"site_longitude": math.radians(9.0)})
+    near = solve(answering.problem_at({"site_longitude": math.radians(9.0)}), guess=answering.last, level=0)
+    assert not keeps(near)

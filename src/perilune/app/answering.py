@@ -10,6 +10,7 @@ import numpy as np
 
 from perilune.atlas.query import Atlas, Mapped
 from perilune.conditions.canonical import extremal_parameters
+from perilune.io.columns import seen_at
 from perilune.methods.answer import Curves
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -22,6 +23,8 @@ _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side
 _FOLLOW = 20.0  # s from the flight before, which takes no more where it leads anywhere
 _LOOK = 0.5  # s from nothing, where a neighbour leads nowhere
+_SEEN = 201  # times of a phase, at which its conditions are looked at
+_SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far below what anybody sees of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +129,8 @@ class Answering:
         if self.last is not None:
             try:
                 found = solve(problem, guess=self.last, level=0, watch=_shortly(watch, _FOLLOW))
-                return found, "neighbour", "an extremal near the flight before"
+                if keeps(found):
+                    return found, "neighbour", "an extremal near the flight before"
             except InfeasibleError as error:
                 if error.reason == CANNOT_BE_FLOWN:
                     raise
@@ -139,13 +143,39 @@ class Answering:
             what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
             raise NoneNear(what, advice=advice) from None
         except NotConvergedError:
-            # A link may hold values that were reached from neighbour to neighbour, and are not from nothing.
-            if self.last is not None or problem.given == self.problem.given:
+            near = self._from_first(problem, watch) if self.last is None else None
+            if near is None:
                 raise
-            known = solve(self.problem, level=0, watch=watch)
-            found = solve(problem, guess=known, level=0, watch=watch)
-            return found, "neighbour", "an extremal near the flight at the first values; none was found from nothing"
+            return near, "neighbour", "an extremal near the flight at the first values; none was found from nothing"
         return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
+
+    def _from_first(self, problem: Problem, watch: Watch) -> Solution | None:
+        """What is near the flight at the first values: a link may hold what a slider reached, and no start does."""
+        try:
+            if problem.given == self.problem.given:
+                return None
+            found = solve(problem, guess=solve(self.problem, level=0, watch=watch), level=0, watch=watch)
+        except PeriluneError:
+            return None
+        return found if keeps(found) else None
+
+
+def keeps(solution: Solution) -> bool:
+    """Whether a flight keeps the bounds and conditions along its path: what is near a flight that does need not."""
+    problem, p = solution.problem, solution.parameters
+    for k, (phase, trajectory) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
+        t = seen_at(trajectory, _SEEN)
+        x, u = solution.flown(k, t)
+        for state, along in zip(phase.states, x, strict=True):
+            low, high = state.limits(p)
+            room = _SLACK * problem.size_of(state)
+            if not low - room <= np.min(along) <= np.max(along) <= high + room:
+                return False
+        found = phase.evaluate("path", x, u, p) if phase.path_conditions else ()
+        for condition, along in zip(phase.path_conditions, found, strict=True):
+            if not np.min(along) >= -_SLACK * problem.size_of(condition):
+                return False
+    return True
 
 
 class _TooLong(BaseException):

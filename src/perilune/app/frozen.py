@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.app.answering import Answering
+from perilune.app.answering import Answering, NoneNear
 from perilune.app.client import hello
 from perilune.app.frames import flight, refusal
 from perilune.app.knobs import Knob
@@ -93,7 +93,8 @@ def _one(answering: Answering, values: Mapping[str, float], watch: Watch) -> dic
     try:
         found = answering.at(values, watch)
     except PeriluneError as error:
-        return {"type": "refusal", "values": dict(values), **refusal(error), "latency": 0.0}
+        told = refusal(error) | ({"try": "a live page, which looks longer"} if isinstance(error, NoneNear) else {})
+        return {"type": "refusal", "values": dict(values), **told, "latency": 0.0}
     words = f"a flight that was stored: {found.words}"
     document = flight(found.solution, _POINTS)
     return {"type": "flight", "values": dict(values), **document, "source": "stored", "words": words, "latency": 0.0}
