@@ -156,7 +156,8 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
     """Write ``solution.json``, from which `perilune.load` makes the solution again, and the trajectory as CSV.
 
     The problem may be stated in any way: its formulas are written as expressions, so that it can be proved again
-    without the code that stated it.
+    without the code that stated it. One of a scenario is stated from its text again: where the kind comes from another
+    package, with that package installed.
 
     Parameters
     ----------
