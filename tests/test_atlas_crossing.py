@@ -16,7 +16,8 @@ from scipy.optimize import minimize
 
 import perilune as pl
 from perilune import PeriluneError
-from perilune.atlas import building, extend, read
+from perilune.atlas import building, extend, read, trying
+from perilune.atlas.cells import WHOLE
 from perilune.atlas.many import Answered, Answers
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.problem.variables import Given, Variable
@@ -86,8 +87,11 @@ def test_what_goes_on_behind_a_bound_is_found_inside_bricks(tmp_path: Path, well
     assert found.objective == pytest.approx([truth(well, a) for a in points[:, 0].tolist()], abs=1e-7)
 
 
-def test_where_what_a_bound_cuts_off_would_gain_by_leaving_it_nothing_worse_is_the_answer(tmp_path: Path) -> None:
+def test_where_what_a_bound_cuts_off_would_gain_by_leaving_it_nothing_worse_is_the_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The cells of the sheet that is held are larger than the window: what is free in it is not met."""
+    monkeypatch.setattr(trying, "_LONG", WHOLE)  # at quarters of its cells it would be
     problem, points = wells(IN, b=True), windows(300, 2)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem)
     found, least = atlas.query_many(points), [truth(IN, *point) for point in points.tolist()]
@@ -289,3 +293,16 @@ def test_a_later_branch_is_followed_over_a_steep_window_as_a_first_one_is(tmp_pa
     """It ended there in one cell, and behind it, where nothing told of it, the worse well was the answer."""
     found = answered(tmp_path, 1, ((0.215, 0.651, 0.488), (-0.346, 0.057, 0.03)))[2]
     assert found.good.mean() > 0.98 and (found.good | (found.answered == Answered.ENDS)).all()
+
+
+def test_a_price_that_falls_between_the_corners_and_the_middle_of_a_large_cell_is_seen(tmp_path: Path) -> None:
+    """What is held is so in one cell all over; where it was the better, the well inside was the answer."""
+
+    def price(p: Any, m: Any) -> Any:
+        return 8.0 * (p.q - 0.2) ** 2 * (p.q - 1.05) ** 2 - 0.5 * p.q**8 * m.exp(-(((p.a - 0.26) / 0.03) ** 2))
+
+    problem, a = priced(price), np.linspace(0.2, 0.32, 100)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1), lambda _: problem)
+    found, p = atlas.query_many(a[:, None]), SimpleNamespace(a=a[:, None], q=np.linspace(0.0, 1.0, 20_001))
+    assert found.good.all() and len(set(found.sheet.tolist())) == 2
+    assert found.objective == pytest.approx(price(p, np).min(axis=1), abs=1e-7)

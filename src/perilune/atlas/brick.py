@@ -24,17 +24,15 @@ from numpy.typing import NDArray
 from perilune.atlas.branches import ANSWERING, Extremal, arrays_of, covered, ending_layers, given, torn_edges
 from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, Status, Whole, ending, joined, leaves_of, same, some
 from perilune.atlas.crossing import Crossings
-from perilune.atlas.hermite import bits, interpolated, unlike_quadratics
+from perilune.atlas.hermite import bits
 from perilune.atlas.lattice import Lattice
 from perilune.atlas.reflight import SLACK
+from perilune.atlas.trying import FINEST, tried
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
-_FINEST = 2**6  # the shortest edge of a cell
-_KINKED = 2**9  # the same where the switches on the way change
+_KINKED = 2**9  # the shortest edge of a cell where the switches on the way change
 _WORST = 2**8  # the same of sheets that are no minima
-_AFAR, _COST = 0.1, 1e-4  # how far what a cell gives may be from its extremal, of 1 + |y|, and its J, of 1 + |J|
-_STRAIGHT = 1e-15  # relative, for each lattice step: by so little an edge is bent by rounding
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
 
@@ -323,7 +321,9 @@ class Brick:
         complete: NDArray[np.bool_] = np.all(cells.corners >= 0, axis=1)
         status, axis = np.where(complete, Status.CUT, Status.ENDS), cells.size.argmax(axis=1)
         if complete.any():
-            passed, beyond, axis[complete] = self._tried(some(cells, complete))
+            passed, beyond, axis[complete] = tried(
+                self.lattice, some(cells, complete), self.tolerance, self._with_beginnings
+            )
             here = np.nonzero(complete)[0]
             status[here[passed]] = Status.ONE_STEP
             status[here[passed & beyond]] = Status.NO_ANSWER
@@ -334,7 +334,7 @@ class Brick:
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)
         kinked = (sequence != sequence[:, :1]).any(axis=1)
-        finest = np.where(self.lattice.minimum[cells.branch], np.where(kinked, _KINKED, _FINEST), _WORST)
+        finest = np.where(self.lattice.minimum[cells.branch], np.where(kinked, _KINKED, FINEST), _WORST)
         none = (cells.corners < 0).all(axis=1)
         torn = np.full(len(cells), -1)
         small = np.nonzero((along <= self.ending) & ((status == Status.CUT) | (status == Status.ENDS) & ~none))[0]
@@ -342,29 +342,6 @@ class Brick:
         status[(status == Status.CUT) & (along <= finest)] = Status.MORE_STEPS
         status[(status == Status.ENDS) & ~none & (along > self.ending)] = Status.CUT
         return np.where(torn >= 0, torn, status), axis
-
-    def _tried(self, cells: Cells) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
-        """At the middle of cells: whether one step is enough, whether nothing there is an answer, where to cut."""
-        terms, size = self.nodes.rows("terms", cells.corners), cells.size * self.step
-        values = self.lattice.origin + (cells.low + 0.5 * cells.size) * self.step
-        given = interpolated(terms, np.full(size.shape, 0.5), size)
-        guess, cost = given[:, :-1], given[:, -1]
-        holds = self.lattice.borders.holds(self.lattice.sheets, cells.branch, values)
-        first = self.lattice.chart.at(values, guess, holds)
-        flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
-        second = self.lattice.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
-        sided = second.orientation == self.lattice.orientations[cells.branch]
-        passed: NDArray[np.bool_] = flown & sided & (second.length <= self.tolerance)
-        margin = self.lattice.borders.margins_of(self.lattice.sheets, cells.branch, second)
-        beyond = np.maximum(margin, self.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
-        beyond[beyond] = ~self._with_beginnings(some(cells, beyond))
-        # Where the conditions are linear in the unknowns a step is enough from anywhere, and J of the cell still wrong.
-        near = (first.length <= _AFAR) & (np.abs(cost - second.cost) <= _COST * (1.0 + np.abs(second.cost)))
-        unlike = unlike_quadratics(terms, size) / (1.0 + np.abs(given))[:, None]
-        unlike[~passed, :, -1] = 0.0  # J is looked at where the unknowns are good
-        passed &= near | beyond | ~self.lattice.minimum[cells.branch]
-        bent = unlike.max(axis=2) + _STRAIGHT * cells.size  # where none is bent the longest
-        return passed, beyond, (bent * (cells.size > _FINEST)).argmax(axis=1)
 
     def _halved(self, cells: Cells, axis: Whole) -> Cells:
         """Both halves of cells, one after the other, with the corners that they lack."""

@@ -1,0 +1,109 @@
+"""Whether cells answer: what they give at their middle, and around it where they are large, beside what is there.
+
+At the middle alone a large cell would not be told of what comes and goes between there and its corners, such as a
+price that rises in a window of the parameters. What is tried beside the middle is at quarters along each axis that is
+long, so that the halves of a cell that is cut for it try the same points, until they are corners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.cells import WHOLE, Cells, Whole, some
+from perilune.atlas.hermite import interpolated, unlike_quadratics
+from perilune.atlas.lattice import Lattice
+from perilune.words.types import Matrix, Vector
+
+FINEST = 2**6  # the shortest edge of a cell
+_LONG = WHOLE // 4  # a longer edge is tried at its quarters
+_AFAR, _COST = 0.1, 1e-4  # how far what a cell gives may be from its extremal, of 1 + |y|, and its J, of 1 + |J|
+_STRAIGHT = 1e-15  # relative, for each lattice step: by so little an edge is bent by rounding
+
+
+def tried(
+    lattice: Lattice, cells: Cells, tolerance: float, begun: Callable[[Cells], NDArray[np.bool_]]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
+    """Whether one step from what cells give is enough, whether nothing there is an answer, and where to cut.
+
+    Parameters
+    ----------
+    lattice, cells
+        Cells with all their corners.
+    tolerance
+        Relative, to which a step has to lead.
+    begun
+        In which cells a sheet began.
+    """
+    minimum, size = lattice.minimum[cells.branch], cells.size * lattice.step
+    given, stepped, near, margin = _at(lattice, cells, np.full(size.shape, 0.5), tolerance)
+    beyond = np.maximum(margin, lattice.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
+    beyond[beyond] = ~begun(some(cells, beyond))
+    unlike = unlike_quadratics(lattice.nodes.rows("terms", cells.corners), size) / (1.0 + np.abs(given))[:, None]
+    unlike[~stepped, :, -1] = 0.0  # J is looked at where the unknowns are good
+    passed = stepped & (near | beyond | ~minimum)
+    lane, share = _around(cells, passed & minimum)
+    if len(lane):  # most are told without a step, which takes as long again
+        told = _told(lattice, some(cells, lane), share, beyond[lane])
+        lane, share = lane[~told], share[~told]
+    if len(lane):
+        _, stepped, near, margin = _at(lattice, some(cells, lane), share, tolerance)
+        passed[lane[~(stepped & np.where(beyond[lane], margin < 0.0, near))]] = False
+    bent = unlike.max(axis=2) + _STRAIGHT * cells.size  # where none is bent the longest
+    return passed, beyond, (bent * (cells.size > FINEST)).argmax(axis=1)
+
+
+def _at(
+    lattice: Lattice, cells: Cells, share: Matrix, tolerance: float
+) -> tuple[Matrix, NDArray[np.bool_], NDArray[np.bool_], Vector]:
+    """At places in cells: what they give, whether a step from there is enough, whether it is near, and the margin."""
+    size, values = cells.size * lattice.step, lattice.values(cells.low + share * cells.size)
+    given = interpolated(lattice.nodes.rows("terms", cells.corners), share, size)
+    guess = given[:, :-1]
+    holds = lattice.borders.holds(lattice.sheets, cells.branch, values)
+    first = lattice.chart.at(values, guess, holds)
+    flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
+    second = lattice.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
+    sided = second.orientation == lattice.orientations[cells.branch]
+    # Where the conditions are linear in the unknowns a step is enough from anywhere, and J of the cell still wrong.
+    near = _alike(first.length, second.cost, given[:, -1])
+    margin = lattice.borders.margins_of(lattice.sheets, cells.branch, second)
+    return given, flown & sided & (second.length <= tolerance), near, margin
+
+
+def _told(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """At which places what cells give is near an extremal and its J, or lies beyond a bound where that is expected."""
+    values = lattice.values(cells.low + share * cells.size)
+    given = interpolated(lattice.nodes.rows("terms", cells.corners), share, cells.size * lattice.step)
+    holds = lattice.borders.holds(lattice.sheets, cells.branch, values)
+    here = lattice.chart.at(values, given[:, :-1], holds)
+    margin = lattice.borders.margins_of(lattice.sheets, cells.branch, here)
+    return np.where(beyond, margin < 0.0, _alike(here.length, here.cost, given[:, -1]))
+
+
+def _alike(length: Vector, cost: Vector, given: Vector) -> NDArray[np.bool_]:
+    """Whether extremals are so near, and J of a cell is theirs."""
+    return (length <= _AFAR) & (np.abs(given - cost) <= _COST * (1.0 + np.abs(cost)))
+
+
+def _around(cells: Cells, which: NDArray[np.bool_]) -> tuple[Whole, Matrix]:
+    """Where some of the cells are tried beside their middle: (lanes,) numbers and (lanes, d) places in them."""
+    long = cells.size > _LONG
+    lanes, shares = list[Whole](), list[Matrix]()
+    for i in np.nonzero(which & long.any(axis=1))[0].tolist():
+        shares.append(_quarters(tuple(long[i].tolist())))
+        lanes.append(np.full(len(shares[-1]), i))
+    if not lanes:
+        return np.empty(0, dtype=np.int64), np.empty((0, long.shape[1]))
+    return np.concatenate(lanes), np.vstack(shares)
+
+
+@lru_cache(maxsize=32)
+def _quarters(long: tuple[bool, ...]) -> Matrix:
+    """All places at quarters along the long axes, but the middle."""
+    grid = np.array(list(product(*((0.25, 0.5, 0.75) if axis else (0.5,) for axis in long))))
+    return grid[(grid != 0.5).any(axis=1)]
