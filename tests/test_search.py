@@ -20,7 +20,7 @@ from perilune.shooting.function import Roots, Shooting
 from perilune.words.types import Matrix
 from perilune.words.watch import silent
 from problems.circles import meeting, to_circle
-from problems.constrained import brachistochrone, speed_limit, speed_limit_truth
+from problems.constrained import brachistochrone, bryson_denham, bryson_denham_truth, speed_limit, speed_limit_truth
 
 
 def test_mirror_images_are_listed_once() -> None:
@@ -153,3 +153,25 @@ def test_of_several_parameters_between_bounds_each_is_looked_along_from_every_ex
     optima = [e.free for e in found.extremals if e.nature is not Nature.WORST]
     truth = sorted(zip(J[at].tolist(), q[at].tolist(), r[at].tolist(), strict=True))
     assert [(e["q"], e["r"]) for e in optima] == [pytest.approx(there, abs=3e-3) for _, *there in truth]
+
+
+def test_the_better_well_is_found_where_in_it_alone_the_flight_is_held_back() -> None:
+    """Below 0.8 m/s the ceiling is far, and no answer that is met touches it; the direct method begins there, too."""
+
+    def price(v: Any) -> Any:
+        return 100.0 * (v - 0.65) ** 2 * (v - 1.5) ** 2 - 9.0 * v
+
+    plain = bryson_denham(0.2)
+    given = {name: one for name, one in plain.given.items() if name != "speed"}
+    units = {"one": pl.Given(value=1.0, unit=plain.objective_unit), "pace": pl.Given(value=1.0, unit="m/s")}
+    problem = replace(
+        plain,
+        free=(pl.Free(name="speed", unit="m/s", lower=0.6, upper=1.6, typical=0.65),),
+        given={**given, **units},
+        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * price(p.speed / p.pace),
+    )
+    v = np.linspace(1.3, 1.6, 30_001)  # the other well, at 0.7 m/s, is worse by 0.96
+    truth = min(v**2 * np.array([bryson_denham_truth(0.2 / v) for v in v.tolist()]) + price(v))
+    found = pl.solve(problem, level=3)
+    assert found.outcome is pl.Outcome.PROVED and found.objective == pytest.approx(truth, abs=1e-7)
+    assert [e.free["speed"] for e in found.extremals] == pytest.approx([1.45822, 0.70201], abs=1e-5)

@@ -111,11 +111,13 @@ class Indirect(Ladder):
                 return found
             error.partial["tried"] = list(search.tried)
             raise
-        if search.outdone and (rough := search.coarse.solve()) is not None and rough.objective < solution.objective:
+        for rough in search.outdoing():
+            if not rough.objective < solution.objective:
+                continue
             found = self._structured(search, rough)
             if found is not None and found.objective < solution.objective:
                 others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
-                return replace(found, extremals=(*found.extremals, *others))
+                solution = replace(found, extremals=(*found.extremals, *others))
         return solution
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:

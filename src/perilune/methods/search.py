@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from perilune.words.types import Vector
 from perilune.words.watch import Watch
 
 _MOST_FOLLOWED = 24  # extremals from which families along other parameters are followed
+_MOST_OUTDOING = 6  # extremals that break the path, in whose wells what keeps it is looked for
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
 
 
@@ -63,11 +65,11 @@ class Search:
         self.followed: list[Found] = []  # along all parameters between bounds, where there are several
         self.base: Member | None = None
         self.rung: str = ""
-        # By extremals met with the scanned parameter held, and these; which search answered; whether it was outdone.
+        # By extremals met with the scanned parameter held, and these; which search answered; what it is outdone by.
         self.broken: list[Breach] = []
         self.breaking: list[Root] = []
         self.answering: Search = self
-        self.outdone: bool = False
+        self.outdone: list[Root] = []
         self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried)
 
     # -- the two ways in ------------------------------------------------------------------------------------------
@@ -79,7 +81,7 @@ class Search:
         search, found = self.all_extremals(base)
         if not search._answers(found):
             raise search._refusal(found)
-        self.answering, self.outdone = search, search._outdone(found)
+        self.answering, search.outdone = search, search._outdone(found)
         return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
 
     def near(self, guess: Solution, *, family: bool = False) -> tuple[Solution, Callable[[], Breach | None]]:
@@ -164,11 +166,22 @@ class Search:
                 names |= broken
         return tuple(name for name in self.keepable if name in names)
 
-    def _outdone(self, found: list[Found]) -> bool:
-        """Whether an extremal that breaks the path is better than every answer: one that keeps it may be as well."""
+    def _outdone(self, found: list[Found]) -> list[Root]:
+        """Extremals that break the path and are better than every answer: what keeps it near them may be as well."""
         best = min(f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None)
-        better = (root for root in (*(f.root for f in found), *self.breaking) if root.cost < best)
-        return any(all(breach.path for breach in self.judge.breaches(root)) for root in better)
+        roots = (*(f.root for f in sorted(found, key=lambda f: (not f.minimum, f.root.cost))), *self.breaking)
+        better = (root for root in roots if root.cost < best)
+        outdoing = (root for root in better if all(breach.path for breach in self.judge.breaches(root)))
+        return list(islice(outdoing, _MOST_OUTDOING))
+
+    def outdoing(self) -> Iterator[Solution]:
+        """What the direct method makes of extremals that outdo the answer: in their wells it keeps the path."""
+        if not self.answering.outdone:
+            return
+        yield from filter(None, [self.coarse.solve()])
+        for root in self.answering.outdone if self.trials.bounded else ():
+            guess = self.answering._compose([Found(root=root, minimum=True)], "")
+            yield from filter(None, [Coarse(self.settings, self.problem, self.tried).solve(guess)])
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""
