@@ -284,3 +284,26 @@ def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_
     found = open_atlas(store, lambda _: problem).query_many(ceilings[:, None])
     assert found.good.all()
     assert found.objective == pytest.approx([_all_of_bryson_denham(c) + least for c in ceilings.tolist()], abs=1e-7)
+
+
+def test_an_answer_of_arcs_does_not_vouch_for_what_breaks_the_path_in_another_well(tmp_path: Path) -> None:
+    """Of two wells of the speed one was mapped with its touch alone, where the ride is; any arcs did for an answer."""
+
+    def price(v: Any, l: Any) -> Any:
+        return 168.8 * (v - 0.792) ** 2 * (v - 1.355) ** 2 - 4.715 * v - 13.921 * l * v
+
+    plain = bryson_denham(0.2)
+    given = {name: one for name, one in plain.given.items() if name != "speed"}
+    units = {"one": plain.objective_unit, "pace": "m/s", "far": "m"}
+    problem = replace(
+        plain,
+        free=(pl.Free(name="speed", unit="m/s", lower=0.6, upper=1.6, typical=1.0),),
+        given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
+        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * price(p.speed / p.pace, p.ceiling / p.far),
+    )
+    ceilings, v = np.linspace(0.1, 0.45, 150), np.linspace(0.6, 1.6, 4001)
+    store = build(problem, {"ceiling": (0.1, 0.45)}, tmp_path / "wells", bricks=1)
+    found = open_atlas(store, lambda _: problem).query_many(ceilings[:, None])
+    flown = [np.array([_all_of_bryson_denham(l / speed) for speed in v.tolist()]) for l in ceilings.tolist()]
+    least = np.array([(v**2 * J + price(v, l)).min() for J, l in zip(flown, ceilings.tolist(), strict=True)])
+    assert found.good.mean() > 0.9 and found.objective[found.good] == pytest.approx(least[found.good], abs=1e-4)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -146,8 +146,13 @@ class _Work:
         atlas, offers = self.atlas, self._offers(some)
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
-        doubt, breaking = np.full((2, len(some)), np.inf)
-        going = np.ones(len(some), dtype=bool)
+        doubt, going = np.full(len(some), np.inf), np.ones(len(some), dtype=bool)
+        breaking = list[tuple[Charted, NDArray[np.int64], Vector]]()
+        arcs = {
+            id(offer.charted): np.zeros(len(some), dtype=np.int64) for offer in offers
+        }  # that keep the path, by charts
+        for offer in offers:
+            arcs[id(offer.charted)] += offer.charted.of_arcs & np.isfinite(offer.y[:, 0]) & ~offer.breaks
         turning = list[tuple[int, NDArray[np.int64], Matrix]]()
         for rank in range(len(offers)):
             chosen = order[rank]
@@ -158,9 +163,9 @@ class _Work:
             for number, offer in enumerate(offers):
                 lanes = np.nonzero(going & (chosen == number))[0]
                 ends, breaks = np.isnan(offer.y[lanes, 0]), offer.breaks[lanes]
-                broken = lanes[breaks & (not offer.charted.breaks_controls_alone)]
-                for least, which in ((doubt, lanes[ends & ~breaks]), (breaking, broken)):
-                    least[which] = np.minimum(least[which], here[which])
+                which = lanes[ends & ~breaks]
+                doubt[which] = np.minimum(doubt[which], here[which])
+                breaking.append((offer.charted, lanes[breaks], here[lanes[breaks]]))
                 if len(lanes := lanes[~ends]):
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
                     sound = polished.reached & np.isfinite(polished.cost)
@@ -168,9 +173,10 @@ class _Work:
                     outside = polished.beyond.any(axis=1) & (polished.cost < self.cost[some[lanes]])
                     if (turns := outside | (polished.gains & ~polished.beyond.any(axis=1))).any():
                         turning.append((number, lanes[turns], polished.y[turns]))
-                    breaks = polished.breaking & (not offer.charted.breaks_controls_alone)
-                    for least, which in ((doubt, polished.doubtful), (breaking, breaks)):
-                        least[lanes[which]] = np.minimum(least[lanes[which]], here[lanes[which]])
+                    which, breaks = lanes[polished.doubtful], lanes[polished.breaking]
+                    doubt[which] = np.minimum(doubt[which], here[which])
+                    breaking.append((offer.charted, breaks, here[breaks]))
+                    arcs[id(offer.charted)][lanes] -= offer.charted.of_arcs & ~polished.answers
         # What lies beyond a bound, or gains by leaving one, is no answer; what it becomes where it keeps it may be one.
         for number, lanes, y in turning:
             charted, best = offers[number].charted, self.cost[some[lanes]]
@@ -178,8 +184,7 @@ class _Work:
             becomes = np.where(np.isfinite(becomes), becomes, cost[number, lanes])
             left = ~(equal(becomes, best) & np.isfinite(best))
             doubt[lanes[left]] = np.minimum(doubt[lanes[left]], becomes[left])
-        # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
-        doubt = np.where(self.of_arcs[some], doubt, np.minimum(doubt, breaking))
+        self._cast(doubt, breaking, arcs, self.cost[some], self.of_arcs[some])
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         # What is damaged might have held a better one.
         damaged = self._where(some, lambda place: bool(atlas.damage(place)))
@@ -188,6 +193,23 @@ class _Work:
         self.answered[some[damaged | (~found & self._where(some, atlas.missing))]] = Answered.NOT_BUILT
         none = some[self.answered[some] != Answered.YES]
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
+
+    @staticmethod
+    def _cast(
+        doubt: Vector,
+        breaking: Sequence[tuple[Charted, NDArray[np.int64], Vector]],
+        arcs: Mapping[int, NDArray[np.int64]],
+        best: Vector,
+        of_arcs: NDArray[np.bool_],
+    ) -> None:
+        """Let what breaks the path cast doubt, lane by lane, as one by one (`perilune.atlas.query`)."""
+        told = [one for one in breaking if not one[0].breaks_controls_alone]
+        wells, total = {chart: known.copy() for chart, known in arcs.items()}, sum(arcs.values(), np.zeros_like(best))
+        for charted, lanes, cost in told:
+            wells[id(charted)][lanes] += cost < best[lanes]
+        for charted, lanes, cost in told:
+            which = ~of_arcs[lanes] | (wells[id(charted)][lanes] > total[lanes])
+            doubt[lanes[which]] = np.minimum(doubt[lanes[which]], cost[which])
 
     def _where(self, some: NDArray[np.int64], says: Callable[[tuple[int, ...]], bool]) -> NDArray[np.bool_]:
         """Which of some points lie in bricks of which something is so."""

@@ -10,7 +10,8 @@ answer, and it is said why.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -127,6 +128,12 @@ class _Offer:
         return self.charted.labels[self.number]
 
     @property
+    def vouches(self) -> bool:
+        """Whether it is made of arcs and keeps the path, as far as is known."""
+        known = self.y is not None if self.polished is None else bool(self.polished.answers[0])
+        return self.charted.of_arcs and not self.breaks and known
+
+    @property
     def beyond(self) -> list[tuple[str, str]]:
         """Names of what lies beyond a bound, each with the side."""
         assert self.polished is not None
@@ -151,6 +158,21 @@ class _Offer:
         if polished.flown.good[0]:
             return f"the extremal of {sheet} is known to {polished.bound[0]:.1e} alone (relative; limit {SLACK:g})"
         return f"the second flight does not bear out the extremal of {sheet}: {polished.flown.told}"
+
+
+def _unanswered(
+    best: _Offer | None, alike: Sequence[_Offer], breaking: Sequence[_Offer], offers: Sequence[_Offer]
+) -> list[_Offer]:
+    """Extremals that break the path, and of which no answer of arcs is what becomes of them where they keep it.
+
+    Each well has one extremal of each chart at most, and one of arcs that keeps the path, of which there are as many.
+    """
+    if best is None or not any(one.charted.of_arcs for one in alike):
+        return [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
+    arcs = Counter(id(one.charted) for one in offers if one.vouches)
+    better = [one for one in breaking if one.cost < best.cost and not one.charted.breaks_controls_alone]
+    wells = arcs + Counter(id(one.charted) for one in better)
+    return [one for one in better if wells[id(one.charted)] > arcs.total()]
 
 
 class Atlas(Reader):
@@ -209,9 +231,7 @@ class Atlas(Reader):
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
         best = min(alike, key=lambda one: (one.charted.rank, one.cost), default=None)
-        # A flight that keeps what another breaks may be better than what was found, unless it is what was found.
-        if not any(one.charted.of_arcs for one in alike):
-            doubts += [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
+        doubts += _unanswered(best, alike, breaking, offers)
         # What lies beyond a bound, or gains by leaving one, is no answer; what it becomes where it keeps it may be one.
         for one in [one for one in outside if best is None or one.cost < best.cost] + gaining:
             assert one.polished is not None
