@@ -24,7 +24,7 @@ import difflib
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -112,8 +112,7 @@ def annotations(tree: ast.Module) -> Iterator[tuple[tuple[int, int], tuple[int, 
 
 def test() -> int:
     """Run the tests that cover what is changed here, from the fastest on; the exit status of pytest."""
-    chosen = [name for name, _ in covering(changed())]
-    if not chosen:
+    if not (chosen := covering(changed())):
         return 0
     (AT / "chosen").write_text("\n".join(chosen), encoding="utf-8")
     options = ["-q", "-x", "-n", "0", "-p", "no:cacheprovider", f"@{AT / 'chosen'}"]
@@ -133,8 +132,8 @@ def changed() -> dict[str, set[int]]:
     return found
 
 
-def covering(lines: dict[str, set[int]]) -> list[tuple[str, float]]:
-    """Tests that run one of these lines, and their times, from the fastest on, as many as `BUDGET` allows.
+def covering(lines: dict[str, set[int]]) -> list[str]:
+    """Tests that run one of these lines, from the fastest on, as many as `BUDGET` allows.
 
     A line that is run as its file is imported alone belongs to all tests of the file.
     """
@@ -147,12 +146,12 @@ def covering(lines: dict[str, set[int]]) -> list[tuple[str, float]]:
         here = {c.partition("|")[0] for number in numbers for c in contexts.get(number, ())} - {""}
         at_import = any("" in contexts.get(number, ()) for number in numbers) and not here
         names |= {c.partition("|")[0] for found in contexts.values() for c in found} - {""} if at_import else here
-    left, chosen = BUDGET, list[tuple[str, float]]()
+    left, chosen = BUDGET, list[str]()
     for name in sorted(names, key=lambda name: times.get(name, 1.0)):
         left -= times.get(name, 1.0)
         if left < 0.0:
             break
-        chosen.append((name, times.get(name, 1.0)))
+        chosen.append(name)
     return chosen
 
 
@@ -181,8 +180,7 @@ def told() -> None:
                 [] if result.is_killed else [f"{room}: {mutation.definition_name or ''}\n{only(result.diff or '')}"]
             )
     print("\n".join(alive))
-    rows: Iterable[str] = (f"{room:<12} {killed[room]:>4} of {tried[room]:>4}" for room in ROOMS)
-    print("\n".join(rows))
+    print("\n".join(f"{room:<12} {killed[room]:>4} of {tried[room]:>4}" for room in ROOMS))
     print(f"{killed.total()} of {tried.total()} killed, {killed.total() / max(tried.total(), 1):.1%}; {left} left")
 
 

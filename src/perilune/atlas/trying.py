@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.cells import WHOLE, Cells, Whole, some
+from perilune.atlas.chart import Extremals, Holds
 from perilune.atlas.hermite import interpolated, unlike_quadratics
 from perilune.atlas.lattice import Lattice
 from perilune.words.types import Matrix, Vector
@@ -61,13 +62,9 @@ def _at(
     lattice: Lattice, cells: Cells, share: Matrix, tolerance: float
 ) -> tuple[Matrix, NDArray[np.bool_], NDArray[np.bool_], Vector]:
     """At places in cells: what they give, whether a step from there is enough, whether it is near, and the margin."""
-    size, values = cells.size * lattice.step, lattice.values(cells.low + share * cells.size)
-    given = interpolated(lattice.nodes.rows("terms", cells.corners), share, size)
-    guess = given[:, :-1]
-    holds = lattice.borders.holds(lattice.sheets, cells.branch, values)
-    first = lattice.chart.at(values, guess, holds)
+    values, given, holds, first = _given(lattice, cells, share)
     flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
-    second = lattice.chart.at(values, np.where(flown[:, None], first.stepped, guess), holds)
+    second = lattice.chart.at(values, np.where(flown[:, None], first.stepped, given[:, :-1]), holds)
     sided = second.orientation == lattice.orientations[cells.branch]
     # Where the conditions are linear in the unknowns a step is enough from anywhere, and J of the cell still wrong.
     near = _alike(first.length, second.cost, given[:, -1])
@@ -75,12 +72,17 @@ def _at(
     return given, flown & sided & (second.length <= tolerance), near, margin
 
 
-def _told(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """At which places what cells give is near an extremal and its J, or lies beyond a bound where that is expected."""
+def _given(lattice: Lattice, cells: Cells, share: Matrix) -> tuple[Matrix, Matrix, Holds, Extremals]:
+    """At places in cells: the parameters, what cells give of y and J, what is held, and what there is."""
     values = lattice.values(cells.low + share * cells.size)
     given = interpolated(lattice.nodes.rows("terms", cells.corners), share, cells.size * lattice.step)
     holds = lattice.borders.holds(lattice.sheets, cells.branch, values)
-    here = lattice.chart.at(values, given[:, :-1], holds)
+    return values, given, holds, lattice.chart.at(values, given[:, :-1], holds)
+
+
+def _told(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """At which places what cells give is near an extremal and its J, or lies beyond a bound where that is expected."""
+    _, given, _, here = _given(lattice, cells, share)
     margin = lattice.borders.margins_of(lattice.sheets, cells.branch, here)
     return np.where(beyond, margin < 0.0, _alike(here.length, here.cost, given[:, -1]))
 
