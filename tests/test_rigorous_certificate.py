@@ -63,6 +63,8 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
     "J": (lambda told: told.update(objective="[2.0000000001 +/- 1e-15]"), "does not hold"),
     "nothing": (lambda told: told.update(objective="nan"), "does not hold"),
     "a wider box": (lambda told: told.update(only_one_within=[1.0] * 6), "leaves the box"),
+    "a box without an inside": (lambda told: told["only_one_within"].__setitem__(1, -1e-9), "without an inside"),
+    "another format": (lambda told: told.update(format="perilune theorem 4"), "another format"),
     "range": (lambda told: told["problem"]["free"][0].update(upper="1"), "a bound is broken"),
     "problem": (
         lambda told: told["problem"]["given"]["distance"].update(number="1000000001/1000000000"), "box|does not hold",

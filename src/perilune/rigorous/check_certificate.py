@@ -13,6 +13,7 @@ from typing import Any
 
 from flint import arb, arb_mat, arb_series, ctx, fmpq
 
+FORMAT = "perilune theorem 3"
 TOLERANCE, WIDER, PIECES = 1e-6, 2.0**-20, 2.0**-20  # of limits in SI; of what encloses a step; least part of a step
 ORDER, PARTS = 34, 3  # of the series, and of each step of the certificate: much is enclosed less closely here
 
@@ -240,6 +241,7 @@ class _Proof:
         follows = [arc["phase"] for arc in self.arcs]
         self.first, self.last = ([f(i for i, p in enumerate(follows) if p == k) for k in range(len(self.phases))]
                                  for f in (min, max))  # fmt: skip
+        demand(told["format"] == FORMAT, "it has another format")
         demand(follows == sorted(follows), "arcs are out of order")
         for i, (arc, grid) in enumerate(zip(self.arcs, told["grid"], strict=True)):
             demand(bool(arc["switched"]) == (i not in self.last), f"arc {i + 1} does not end where it says")
@@ -466,6 +468,7 @@ class _Proof:
 
     def check(self, tell: Any = print) -> tuple[list[Any], Any]:
         centre, radii = [exact(u["centre"]) for u in self.told["unknowns"]], self.told["only_one_within"]
+        demand(all(arb(r) > 0 for r in radii), "a box without an inside")
         inverse, size = arb_mat([[arb(v) for v in row] for row in self.told["inverse"]]).mid(), len(centre)
         grid = [[*map(arb, begins), self.duration(i, centre)] for i, begins in enumerate(self.told["grid"])]
         self.grid = [

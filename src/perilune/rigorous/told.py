@@ -11,13 +11,12 @@ from typing import Any
 from flint import arb, ctx
 
 from perilune.problem.problem import Problem
-from perilune.rigorous.check_certificate import sentence
+from perilune.rigorous.check_certificate import FORMAT, sentence
 from perilune.rigorous.given import exactly
 from perilune.rigorous.limits import Statement
 from perilune.rigorous.taylor import Ball
 from perilune.rigorous.theorem import Proved
 
-CERTIFICATE = "perilune theorem 3"
 TRUSTED = (
     "FLINT's ball arithmetic (arb), through python-flint",
     "perilune.rigorous: derivatives of expressions, Taylor recurrences, remainder, Krawczyk's operator, signs",
@@ -106,7 +105,7 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
     """
     boundary, root = proved.boundary, proved.root
     told = {
-        "format": CERTIFICATE,
+        "format": FORMAT,
         "trusted": list(TRUSTED),
         "problem": problem_document(boundary.problem),
         "arcs": [
