@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +16,9 @@ import perilune as pl
 from cho import CHO_MOON
 from command_line import HYBRID, read_json, snapshot
 from perilune.cli import run
+from perilune.methods.breaches import Breach, outside
 from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
-from perilune.methods.judge import Breach
 from perilune.methods.refusals import refusal, ridden_condition
 from perilune.methods.structured import Polish
 from perilune.models.bodies import MOON
@@ -49,6 +50,15 @@ def known(direct: PeriluneError) -> Coarse:
     coarse = Coarse(Indirect(), tangent_steering(), ["costates on the unit sphere: 2 extremals"])
     coarse.refusal = direct
     return coarse
+
+
+def test_what_is_no_number_keeps_no_bounds() -> None:
+    """Not even where there are none."""
+    problem = tangent_steering()
+    state = problem.phases[0].states[0]
+    anywhere = (-math.inf, math.inf)
+    assert not list(outside(problem, state, np.array([0.0, 1e9]), anywhere, 0.0))
+    assert list(outside(problem, state, np.array([0.0, math.nan]), anywhere, 0.0))
 
 
 def test_the_best_of_those_that_miss_is_named() -> None:

@@ -12,6 +12,7 @@ from perilune.atlas.query import Atlas, Mapped
 from perilune.conditions.canonical import extremal_parameters
 from perilune.io.columns import seen_at
 from perilune.methods.answer import Curves
+from perilune.methods.breaches import breaches_along
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.function import Shooting
@@ -165,16 +166,8 @@ def keeps(solution: Solution) -> bool:
     problem, p = solution.problem, solution.parameters
     for k, (phase, trajectory) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
         t = seen_at(trajectory, _SEEN)
-        x, u = solution.flown(k, t)
-        for state, along in zip(phase.states, x, strict=True):
-            low, high = state.limits(p)
-            room = _SLACK * problem.size_of(state)
-            if not low - room <= np.min(along) <= np.max(along) <= high + room:
-                return False
-        found = phase.evaluate("path", x, u, p) if phase.path_conditions else ()
-        for condition, along in zip(phase.path_conditions, found, strict=True):
-            if not np.min(along) >= -_SLACK * problem.size_of(condition):
-                return False
+        if any(breaches_along(problem, phase, *solution.flown(k, t), p, _SLACK)):
+            return False
     return True
 
 

@@ -40,8 +40,7 @@ def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterato
         if flown.duration < least:
             continue
         x, u = flight.flown(k, np.linspace(ends, 1.0 - ends, _LOOKS) * flown.duration)
-        values = phase.evaluate("path", list(x), list(u), flight.parameters)
-        yield from zip(phase.path_conditions, map(np.asarray, values), strict=True)
+        yield from phase.path_along(x, u, flight.parameters)
 
 
 @dataclass
@@ -161,12 +160,8 @@ def touched(flight: Solution) -> set[str]:
             continue
         t = flown.state.time
         u = flown.control.values if np.array_equal(flown.control.time, t) else flown.control(t)
-        values = phase.evaluate("path", list(flown.state.values.T), list(u.T), flight.parameters)
-        found |= {
-            condition.name
-            for condition, along in zip(phase.path_conditions, values, strict=True)
-            if np.min(along) <= _TOUCHING * np.ptp(along)
-        }
+        along = phase.path_along(flown.state.values.T, u.T, flight.parameters)
+        found |= {condition.name for condition, room in along if np.min(room) <= _TOUCHING * np.ptp(room)}
     return found
 
 

@@ -3,49 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import controls, free_values, objective_scale
+from perilune.methods.breaches import Breach, breaches_along, outside
 from perilune.methods.flown import Flown, exported, in_one_piece
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import state_scales
-from perilune.problem.variables import Free, Variable
 from perilune.shooting.function import Root
 from perilune.words.types import Vector
-from perilune.words.units import told
 
 _POINTS = 201  # of a phase, at which its conditions are looked at
 _SLACK = 1e-9  # canonical
 _ACCURACY = 1e-11  # of the flights that are looked at
-
-
-@dataclass(frozen=True, kw_only=True)
-class Breach:
-    """A condition or bound that a flight breaks.
-
-    Parameters
-    ----------
-    name, text
-        Of the condition, and what happens to it, in the user's words.
-    miss, unit
-        By how much it is broken, SI.
-    canonical
-        The same in canonical units, to compare breaches of different kinds.
-    path
-        Whether it is a path condition, which an extremal knows nothing of, and not a bound.
-    """
-
-    name: str
-    text: str
-    miss: float
-    unit: str
-    canonical: float
-    path: bool = False
 
 
 class Judge:
@@ -80,7 +54,7 @@ class Judge:
         for free in self.problem.free:
             # A flight does not end before it begins, whatever the bounds say.
             lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
-            yield from self._outside(free, np.array([values[free.name]]), lower, free.upper)
+            yield from outside(self.problem, free, np.array([values[free.name]]), (lower, free.upper), _SLACK)
         settings = {"rtol": _ACCURACY, "atol": _ACCURACY}
         found = self._on_the_way(in_one_piece(self.problem, self.conditions, root.y, **settings), values)
         if found:  # where errors grow, one flight alone may break what its pieces keep
@@ -94,33 +68,5 @@ class Judge:
     def _along(self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float]) -> Iterator[Breach]:
         t, p = np.linspace(0.0, arc.duration, _POINTS), self.problem.parameters(values)
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
-        for state, along in zip(phase.states, x, strict=True):
-            yield from self._outside(state, along, *state.limits(p))
-        if not phase.path_conditions:
-            return
-        u = controls(extremal, arc, t, self.p).T
-        conditions = phase.evaluate("path", list(x), list(u), p)
-        for condition, along in zip(phase.path_conditions, conditions, strict=True):
-            least, scale = float(np.min(along)), self.problem.size_of(condition)
-            if not least >= -_SLACK * scale:
-                text = f"{_called(condition)} falls to {told(least, condition.unit)} on the way"
-                miss, unit = -least, condition.unit
-                yield Breach(name=condition.name, text=text, miss=miss, unit=unit, canonical=miss / scale, path=True)
-
-    def _outside(self, named: Variable | Free, values: Vector, lower: float, upper: float) -> Iterator[Breach]:
-        name, unit, scale = named.name, named.unit, self.problem.size_of(named)
-        sides = (
-            ("below", lower, float(np.min(values)), lower - float(np.min(values))),
-            ("above", upper, float(np.max(values)), float(np.max(values)) - upper),
-        )
-        for side, limit, reached, miss in sides:
-            if np.isfinite(limit) and not miss <= _SLACK * scale:
-                way = "falls" if side == "below" else "rises"
-                text = f"{_called(named)} {way} to {told(reached, unit)}, {side} its bound of {told(limit, unit)}"
-                yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale)
-
-
-def _called(named: Variable | Free) -> str:
-    """The name of a quantity, with what it is where that is said."""
-    about = getattr(named, "description", "")
-    return f"{named.name} ({about})" if about else named.name
+        u = controls(extremal, arc, t, self.p).T if phase.path_conditions else x[:0]
+        yield from breaches_along(self.problem, phase, x, u, p, _SLACK)

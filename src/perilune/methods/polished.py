@@ -14,10 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from perilune.methods.breaches import Breach
 from perilune.methods.coarse import often_switched
 from perilune.methods.first_mesh import ROUGHEST
 from perilune.methods.indirect import Indirect
-from perilune.methods.judge import Breach
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.methods.search import Search

@@ -13,8 +13,8 @@ import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import beyond_shooting, free_values, residual_scales
+from perilune.methods.breaches import Breach
 from perilune.methods.coarse import Coarse, along_path
-from perilune.methods.judge import Breach
 from perilune.methods.undetermined import undetermined
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution

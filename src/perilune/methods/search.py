@@ -17,9 +17,10 @@ from perilune.conditions.held import Held
 from perilune.conditions.pontryagin import keepable_conditions
 from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, unknowns_from
+from perilune.methods.breaches import Breach
 from perilune.methods.coarse import Coarse, touched
 from perilune.methods.flown import may_be_cut, mended
-from perilune.methods.judge import Breach, Judge
+from perilune.methods.judge import Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
 from perilune.methods.rungs import Met, Rungs

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
+
+import numpy as np
 
 from perilune.problem.controls import Control
 from perilune.problem.shown import ShownPhase
 from perilune.problem.variables import Variable
 from perilune.words.asked import called_in_words
 from perilune.words.maths import NUMERIC
-from perilune.words.types import Physics
+from perilune.words.types import Physics, Vector
 
 
 @called_in_words
@@ -119,6 +121,12 @@ class Phase(ShownPhase):
             return ()
         control = () if function in ("end", "marks", "track") else (self.control_record(*u),)
         return physics(self.state_record(*x), *control, p, m)
+
+    def path_along(self, x: Any, u: Any, p: Any) -> Iterator[tuple[Variable, Vector]]:
+        """Each condition of the path with its values [SI] along x, (states, n), and u, (components, n)."""
+        values = self.evaluate("path", list(x), list(u), p)
+        for condition, along in zip(self.path_conditions, values, strict=True):
+            yield condition, np.broadcast_to(np.asarray(along, dtype=float), np.shape(x)[1:])
 
     def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
         """Values of ``inertial``; empty where the phase has none."""

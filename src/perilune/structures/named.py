@@ -12,7 +12,7 @@ from perilune.problem.controls import scalars
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.phase import Phase
 from perilune.problem.rates import acts
-from perilune.problem.solution import Deferred, Solution, full
+from perilune.problem.solution import Deferred, Solution
 from perilune.problem.variables import Variable
 from perilune.structures.regimes import Stay, stays_of
 from perilune.structures.structure import Structure, margins
@@ -73,11 +73,9 @@ def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     edges = np.unique(flown.control.time)
     x, u = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))
-    values = phase.evaluate("path", list(x), list(u), solution.parameters)
     known = margins(solution.problem, k)
-    for variable, value in zip(phase.path_conditions, values, strict=True):
+    for variable, room in phase.path_along(x, u, solution.parameters):
         if acts(known[variable.name][1]):
-            room = full(value, edges[1:])
             places = (room <= ON * max(float(np.ptp(room)), ON * solution.problem.size_of(variable))).astype(int)
             runs = _runs(phase, edges, places, {0: "", 1: f"along {_called(variable)}"})
             yield from (arc for arc in runs if arc.words)
