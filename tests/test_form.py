@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
+from perilune.io.tapes import tape_of
 from perilune.problem.problem import Problem
-from perilune.problem.tape import Tape
 from perilune.problem.variables import Given, Variable
 from perilune.words.derivatives import COMPLEX
 from perilune.words.maths import NUMERIC
@@ -105,7 +105,7 @@ def test_models_round_alike_too(landing: Problem) -> None:
         states = landing.phases[0].state_names
         known = {"x": landing.phases[0].state_names, "u": landing.phases[0].control_names,
                  "p": (*landing.given, *landing.free_names), "t": ("",), "first": states, "last": states}  # fmt: skip
-        assert Tape.read(again, known, str(name)) == function.tape
+        assert tape_of(again, known, str(name)) == function.tape
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_models_round_alike_too(landing: Problem) -> None:
 )
 def test_a_file_is_not_trusted(document: Any) -> None:
     with pytest.raises(PeriluneError, match="expressions of it in the file cannot be read"):
-        Tape.read(document, {"x": ("x", "v"), "p": ("push",)}, "it")
+        tape_of(document, {"x": ("x", "v"), "p": ("push",)}, "it")
 
 
 # -- travelling -----------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import perilune as pl
-from perilune.problem.tape import Tape
+from perilune.io.tapes import tape_of
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from test_control_law import given, variables
@@ -300,7 +300,7 @@ def test_choices_and_tables_travel() -> None:
     for kind in ("where", "table"):
         expression = layered(kind).form.expressions[0, "dynamics"]
         names = {"x": ("h", "v"), "u": (), "p": ("T", "h0", "H", "g", "k")}
-        back = replace(expression, tape=Tape.read(expression.tape.document(), names, "fall"))
+        back = replace(expression, tape=tape_of(expression.tape.document(), names, "fall"))
         phase = layered(kind).phases[0]
         p = layered(kind).parameters({"T": 3.0})
         for h in (0.3, 1.0, 2.7):

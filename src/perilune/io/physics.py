@@ -14,11 +14,12 @@ from string import Formatter
 from typing import Any
 
 from perilune.io.reading import MOST_ENTRIES, number, part, plain, record, refuse, text
+from perilune.io.tapes import tape_of
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.form import PHASE_FUNCTIONS, roles_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.tape import Expression, Tape
+from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.views import Views
 from perilune.words.units import Scales
@@ -171,5 +172,5 @@ class _Functions:
             "first": self.phases[0].state_names, "last": self.phases[-1].state_names,
         }  # fmt: skip
         roles = roles_of(key)
-        tape = Tape.read(self.tapes[name], {role: known[role] for role in roles}, name)
+        tape = tape_of(self.tapes[name], {role: known[role] for role in roles}, name)
         return Expression(tape, roles, scalar=key == "objective", origin="a file")

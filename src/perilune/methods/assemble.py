@@ -17,6 +17,7 @@ from perilune.problem.controls import control_scales, scalars
 from perilune.problem.nodes import hermite_nodes
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
+from perilune.problem.sizes import reached_sizes
 from perilune.problem.solution import Curve, Solution, Trajectory, full
 from perilune.problem.symbolic import canonical_free, free_scales, state_scales
 from perilune.words.outcome import PeriluneError
@@ -110,7 +111,7 @@ def _trajectory(
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
     x_scale, reached = state_scales(problem, phase), np.abs(arc.z).max(axis=0)
     size = np.maximum(1.0, reached)
-    size[:n] = problem.reached_sizes(phase, arc.z[:, :n].T * x_scale[:, None]) / x_scale
+    size[:n] = reached_sizes(problem.scales, phase.states, arc.z[:, :n].T * x_scale[:, None]) / x_scale
     u_scale = control_scales(phase.controls, problem.scales)
     scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
     plain = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], np.full(width, _CONTROLS)])

@@ -27,8 +27,6 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
-import numpy as np
-
 from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
 from perilune.problem.controls import Control, scalars
 from perilune.problem.declared import given_of
@@ -43,36 +41,11 @@ from perilune.words.asked import called_in_words
 from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
-from perilune.words.types import Matrix, Physics, Vector
+from perilune.words.types import Matrix, Physics
 from perilune.words.units import Scales, told
 
 _HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
-_NOTHING = 1e-18  # of a canonical unit
-STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
 MOST_TOLD = 4  # values that were given later, in a heading
-BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
-ROUNDS = 1e-4  # of what a state reaches: some hundred times the last digit, beside limits of 3e-10 of a size
-
-
-def borne_out(scale: float, unit: float, reached: float) -> float:
-    """A stated scale [SI] as far as a flight bears it out, so that no limit is loosened at will.
-
-    Parameters
-    ----------
-    scale, unit
-        The scale, and the size of the variable's unit.
-    reached
-        Its largest absolute value on the flight.
-    """
-    return min(scale, max(BEYOND * reached, unit))
-
-
-def likely(unit: float, reached: float) -> float:
-    """A canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will either.
-
-    What is rounding beside any unit that may be stated is nothing reached.
-    """
-    return min(max(unit, reached / BEYOND), BEYOND * reached) if reached > _NOTHING * unit else unit
 
 
 @called_in_words
@@ -318,31 +291,6 @@ class Problem(ShownProblem):
         """
         own = named.scale if isinstance(named, Variable) else None
         return self.scales.of(named.unit) if own is None else own
-
-    def reached_sizes(
-        self, phase: Phase, values: Matrix, elsewhere: Mapping[str, float] = MappingProxyType({})
-    ) -> Vector:
-        """By what errors of the states of a flight are judged [SI], from their values along it, (n, times).
-
-        That is what they reach, as far as the span that they cover bears it out, and at least their canonical units;
-        or, where a state has a scale of its own, a thousandth of that. So an answer is judged alike whatever scale it
-        was computed with, and wherever its states are counted from; what they reach still rounds. `elsewhere` are the
-        spans on other phases, by unit: what stands still on this one, as on a limit that it rides along, is judged by
-        them.
-        """
-        reached, spans = np.abs(values).max(axis=1).tolist(), np.ptp(values, axis=1).tolist()
-        sizes = []
-        for v, most, span in zip(phase.states, reached, spans, strict=True):
-            alike = [i for i, other in enumerate(phase.states) if other.unit == v.unit]
-            # What stands still, with all states of its unit, has covered no span that would say anything.
-            together = max(spans[i] for i in alike)
-            if together <= STILL * (other := elsewhere.get(v.unit, 0.0)):
-                together = other
-            together = together or max(reached[i] for i in alike)
-            unit = likely(self.scales.of(v.unit), together)
-            own = unit if v.scale is None else borne_out(v.scale, unit, span) / BEYOND
-            sizes.append(max(borne_out(most, unit, span), own, ROUNDS * most))
-        return np.array(sizes)
 
     @property
     def objective_size(self) -> float:

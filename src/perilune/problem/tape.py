@@ -3,8 +3,7 @@
 The user's function is called once with *symbols*, and every operation on them is noted, in its order and with its own
 rounding: nothing is rewritten, but equal operations on equal values are one value. A `Tape` so made runs over any maths
 namespace `m` (NumPy floats and arrays, complex steps, CasADi symbols) exactly as the function would. It is data: it is
-compared, pickled and written as JSON; read from a file it is checked entry by entry, and nothing in it is evaluated as
-code.
+compared, pickled and written as JSON; `perilune.io.tapes` reads it from a file.
 
 Source of value numbering: Cocke & Schwartz, *Programming Languages and Their Compilers*, 1970.
 """
@@ -22,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from perilune.words.maths import NUMPY_NAMES, Table
-from perilune.words.outcome import PeriluneError
 
 # Operations that Python writes with a sign, and those of the namespace `m`, each with its number of operands.
 _SIGNS: dict[str, Callable[..., Any]] = {
@@ -37,7 +35,6 @@ ARITY = {
 _REAL_ELSEWHERE = {"fabs", "atan2"}  # only those of `m` carry a complex step
 # What physics takes: states, controls, parameters, the time since the first ignition, the first and the last state.
 ROLES = ("x", "u", "p", "t", "first", "last")
-MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the largest of the models has about 200
 
 # (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands
 # being indices before it; ("table", operand, digest of the table).
@@ -231,73 +228,6 @@ class Tape:
         tables = [{"x": list(t.x), "y": list(t.y), "kind": t.kind} for t in self.tables]
         found = {"instructions": [list(op) for op in self.instructions], "outputs": list(self.outputs)}
         return {**found, "tables": tables} if tables else found
-
-    @classmethod
-    def read(cls, document: Any, names: Mapping[str, Sequence[str]], what: str) -> Tape:
-        """A tape out of a file, checked: known operations, operands before their use, names of the given records.
-
-        Raises
-        ------
-        PeriluneError
-            If it is anything else.
-        """
-        entries = document.get("instructions") if isinstance(document, dict) else None
-        outputs = document.get("outputs") if isinstance(document, dict) else None
-        if not isinstance(entries, list) or not isinstance(outputs, list):
-            raise _unreadable(what, "no list of instructions and outputs")
-        if max(len(entries), len(outputs)) > MOST_INSTRUCTIONS:
-            raise _unreadable(what, f"more than {MOST_INSTRUCTIONS} instructions")
-        read = document.get("tables", [])
-        if not isinstance(read, list) or len(read) > MOST_TABLES:
-            raise _unreadable(what, f"tables {str(read)[:60]}")
-        tables = tuple(_table_of(entry, what) for entry in read)
-        names = {**names, "table": [table.digest for table in tables]}
-        for number, entry in enumerate(entries):
-            if not _sound(entry, number, names):
-                raise _unreadable(what, f"instruction {number}: {str(entry)[:60]}")
-        if not all(_before(i, len(entries)) for i in outputs):
-            raise _unreadable(what, f"outputs {str(outputs)[:60]}")
-        return cls(tuple(tuple(entry) for entry in entries), tuple(outputs), tables)
-
-
-def _sound(entry: Any, number: int, names: Mapping[str, Sequence[str]]) -> bool:
-    if not isinstance(entry, list) or not entry or not isinstance(entry[0], str):
-        return False
-    word, *rest = entry
-    if word in ROLES:
-        return len(rest) == 1 and isinstance(rest[0], str) and rest[0] in names.get(word, ())
-    if word == "const":
-        return len(rest) == 1 and isinstance(rest[0], str) and len(rest[0]) < 40 and _is_repr(rest[0])
-    if word == "table":
-        return len(rest) == 2 and _before(rest[0], number) and rest[1] in names["table"]
-    return len(rest) == ARITY.get(word) and all(_before(i, number) for i in rest)
-
-
-def _table_of(entry: Any, what: str) -> Table:
-    try:
-        return Table(entry["x"], entry["y"], entry["kind"])
-    except (TypeError, KeyError, ValueError, OverflowError) as error:
-        raise _unreadable(what, f"a table: {str(error)[:60]}") from None
-
-
-def _before(index: Any, number: int) -> bool:
-    return isinstance(index, int) and not isinstance(index, bool) and 0 <= index < number
-
-
-def _is_repr(text: str) -> bool:
-    try:
-        return repr(float(text)) == text
-    except ValueError:
-        return False
-
-
-def _unreadable(what: str, got: str) -> PeriluneError:
-    return PeriluneError(
-        f"the expressions of {what} in the file cannot be read",
-        got=got,
-        expected="a list of known operations on values before them, as `perilune.save` writes it",
-        advice="save the solution again; files are not meant to be edited",
-    )
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ import numpy as np
 
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
-from perilune.problem.problem import BEYOND, ROUNDS, STILL, Problem, borne_out, likely
+from perilune.problem.problem import Problem
+from perilune.problem.sizes import BEYOND, ROUNDS, STILL, borne_out, likely, reached_sizes
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Variable
 from perilune.proof.allowed import ON_BOUND, Allowed
@@ -86,7 +87,7 @@ class Arc:
         for phase, flown in zip(self.problem.phases, self.solution.trajectories, strict=True):
             for state, span in zip(phase.states, np.ptp(flown.state.values, axis=0).tolist(), strict=True):
                 others[state.unit] = max(others.get(state.unit, 0.0), span)
-        return self.problem.reached_sizes(self.phase, self.trajectory.state.values.T, others)
+        return reached_sizes(self.problem.scales, self.phase.states, self.trajectory.state.values.T, others)
 
     @cached_property
     def units(self) -> Vector:

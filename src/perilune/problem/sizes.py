@@ -1,0 +1,68 @@
+"""By what errors are judged: the sizes of quantities, as far as a flight bears them out.
+
+Whoever states a problem chooses its canonical units and may give a quantity a scale of its own. Neither may loosen a
+limit of the proof: what a flight reaches, or spans, bounds both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from perilune.problem.variables import Variable
+from perilune.words.types import Matrix, Vector
+from perilune.words.units import Scales
+
+_NOTHING = 1e-18  # of a canonical unit
+STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
+BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
+ROUNDS = 1e-4  # of what a state reaches: some hundred times the last digit, beside limits of 3e-10 of a size
+
+
+def borne_out(scale: float, unit: float, reached: float) -> float:
+    """A stated scale [SI] as far as a flight bears it out, so that no limit is loosened at will.
+
+    Parameters
+    ----------
+    scale, unit
+        The scale, and the size of the variable's unit.
+    reached
+        Its largest absolute value on the flight.
+    """
+    return min(scale, max(BEYOND * reached, unit))
+
+
+def likely(unit: float, reached: float) -> float:
+    """A canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will either.
+
+    What is rounding beside any unit that may be stated is nothing reached.
+    """
+    return min(max(unit, reached / BEYOND), BEYOND * reached) if reached > _NOTHING * unit else unit
+
+
+def reached_sizes(
+    scales: Scales, states: Sequence[Variable], values: Matrix, elsewhere: Mapping[str, float] = MappingProxyType({})
+) -> Vector:
+    """By what errors of the states of a flight are judged [SI], from their values along it, (n, times).
+
+    That is what they reach, as far as the span that they cover bears it out, and at least their canonical units;
+    or, where a state has a scale of its own, a thousandth of that. So an answer is judged alike whatever scale it
+    was computed with, and wherever its states are counted from; what they reach still rounds. `elsewhere` are the
+    spans on other phases, by unit: what stands still on this one, as on a limit that it rides along, is judged by
+    them.
+    """
+    reached, spans = np.abs(values).max(axis=1).tolist(), np.ptp(values, axis=1).tolist()
+    sizes = []
+    for v, most, span in zip(states, reached, spans, strict=True):
+        alike = [i for i, other in enumerate(states) if other.unit == v.unit]
+        # What stands still, with all states of its unit, has covered no span that would say anything.
+        together = max(spans[i] for i in alike)
+        if together <= STILL * (other := elsewhere.get(v.unit, 0.0)):
+            together = other
+        together = together or max(reached[i] for i in alike)
+        unit = likely(scales.of(v.unit), together)
+        own = unit if v.scale is None else borne_out(v.scale, unit, span) / BEYOND
+        sizes.append(max(borne_out(most, unit, span), own, ROUNDS * most))
+    return np.array(sizes)
