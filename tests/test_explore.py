@@ -429,8 +429,11 @@ def test_a_page_without_an_atlas_jumps_too() -> None:
     knob = next(knob for knob in subject.knobs if knob.name == ISP)
     page = frozen_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
     document = json.loads(page.partition('id="frozen">')[2].partition("</script>")[0])
-    burns = [(flight["values"][ISP], flight["free"]["retro_delta_v"] > 0.0) for flight in document["flights"]]
+    flights = document["flights"]
+    burns = [(flight["values"][ISP], flight["free"]["retro_delta_v"] > 0.0) for flight in flights]
     assert burns == [(isp, isp > 277.867) for isp, _ in burns]
+    # To the last digit: the page writes its table of these.
+    assert all(flight["phases"][-1]["time"][-1] == flight["free"]["flight_time"] for flight in flights)
 
 
 def test_what_moves_on_a_page_is_chosen_and_said(

@@ -195,7 +195,9 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     assert said == [["0.1", "0.2"], ["3.45123", "3.45124", "3.45125"], ["0.0345", "+1e-9", "+2e-9"]]
     assert page.locator("#path svg polyline").count() >= 2
     page.evaluate("perilune.flight.results.turn = { value: Math.PI, unit: 'rad' }")
+    page.evaluate("perilune.flight.extremals = [{ objective: -957.0, nature: 'best' }]")  # where nothing is maximised
     page.click("#pin")
+    assert "objective [kg]" in page.inner_text("#extremals")
     assert "180 deg\npinned 180 deg" in page.inner_text("#numbers")
     for said in ("nosuch=3", "vehicle.thrust=440N", "vehicle.thrust=1e9"):  # a link of another page, or mistyped
         page.goto(f"{alone.as_uri()}#{said}")

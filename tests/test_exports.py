@@ -35,6 +35,7 @@ Loose: Any = pl
         (lambda s, f: Loose.export(s.problem, f), ("not a solution to export", "Problem", "perilune.load")),
         (lambda s, f: Loose.export(s, None), ("not the file of an export", "None")),
         (lambda s, f: pl.export(s, f, "hdf5"), ("no format of this name", "'hdf5'", "netcdf")),
+        (lambda s, f: pl.export(s, f.with_suffix(".xyz")), ("something else", "flight.csv for csv", "--format")),
         (lambda s, f: Loose.export(s, f, 3), ("no format of this name", "'3'")),
         (lambda s, f: pl.export(s, f, "oem"), ("(OEM) needs the time", "--epoch 2030-01-01T00:00:00", "epoch=")),
         (lambda s, f: pl.export(s, f, "czml"), ("CZML needs the time", "hybrid_landing states none")),

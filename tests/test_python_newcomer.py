@@ -41,6 +41,10 @@ load_any: Any = load_file
     [
         (lambda: Loose.solve(None), ("not a problem to solve", "None", "load_file")),
         (lambda: Loose.solve("lander.toml"), ("not a problem to solve", "'lander.toml'", "load_file")),
+        (lambda: LOOSE.changed(5), ("changed takes none of its values without their names", "changed(NAME=VALUE)")),
+        (lambda: LOOSE.changed(phase=()), ("no part of a problem", "'phase'", "did you mean 'phases'")),
+        (lambda: LOOSE.changed(given=3), ("not what given of a problem can be", "3", "Mapping")),
+        (lambda: LOOSE.changed(phases=3), ("not what phases of a problem can be", "3", "tuple")),
         (lambda: Loose.solve(LANDING, "direct"), ("not a method", "'direct'", "Pseudospectral()")),
         (lambda: Loose.solve(LANDING, pl.Indirect), ("not a method", "the class Indirect, and not Indirect()")),
         (lambda: Loose.solve(LANDING, level=9), ("no such level", "9", "0, 1, 2, 3, 4 or 5")),

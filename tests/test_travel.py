@@ -74,6 +74,20 @@ def test_a_curve_asked_outside_its_time_says_so(time: Any) -> None:
         straight()(time)
 
 
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ((), "curve needs t"),
+        ((0.0, 1.0), r"(?s)at most 1 of its values.*curve\(t\)"),
+        (("soon",), "(?s)not a time.*'soon'"),
+        (([[0.0, 1.0]],), "(?s)not a time.*a number, or a list"),
+    ],
+)
+def test_what_is_no_time_of_a_curve_is_refused(asked: tuple[Any, ...], words: str) -> None:
+    with pytest.raises(PeriluneError, match=words):
+        straight()(*asked)
+
+
 def test_rounding_at_the_ends_is_no_fault() -> None:
     assert straight()(2.0 + 1e-10) == pytest.approx([4.0])
     assert straight()(np.array([-1e-10, 1.0])) == pytest.approx(np.array([[0.0], [2.0]]), abs=1e-9)

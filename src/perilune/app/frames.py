@@ -20,11 +20,15 @@ from perilune.words.types import Matrix, Vector
 POINTS = 96  # of a flight, shared among its phases by their durations
 _LEAST = 25  # of a phase, however short it is
 _DIGITS = 6  # significant, more than a screen has
+ALL_DIGITS = 17  # with which a number is read back as it was
 _FLAT = 1e-9  # of its size: what spans less is rounding
 
 
-def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
-    """The flight with all that is drawn of it, at about so many points; numbers in the units beside them."""
+def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> dict[str, Any]:
+    """The flight with all that is drawn of it, at about so many points; numbers in the units beside them.
+
+    Its columns have at least so many significant digits.
+    """
     lasting = [trajectory.duration for trajectory in solution.trajectories]
     phases, begin = list[dict[str, Any]](), 0.0
     over_limb = solution.problem.views.radius and all(p.inertial is not None for p in solution.problem.phases)
@@ -33,12 +37,17 @@ def flight(solution: Solution, points: int = POINTS) -> dict[str, Any]:
         count = max(_LEAST, round(points * duration / max(sum(lasting), 1e-300)))
         t = seen_at(solution.trajectories[k], count)
         shown = {
-            name: {"unit": column.unit, "values": drawn(column.values)}
+            name: {"unit": column.unit, "values": drawn(column.values, digits)}
             for name, column in columns(solution, k, t).items()
             if name != "time"
         }
         phases.append(
-            {"name": phase.name, "time": rounded(begin + t), "columns": shown, "way": _way(solution, k, t, plane)}
+            {
+                "name": phase.name,
+                "time": rounded(begin + t, digits),
+                "columns": shown,
+                "way": _way(solution, k, t, plane),
+            }
         )
         begin += duration
     document = solution_document(solution)
@@ -115,17 +124,16 @@ def refusal(error: PeriluneError) -> dict[str, Any]:
     }
 
 
-def rounded(values: Vector | Sequence[float]) -> list[float | None]:
+def rounded(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[float | None]:
     """Numbers as short as they may be; None for what is none."""
-    return [_short(value) for value in np.asarray(values, dtype=float).tolist()]
+    return [_short(value, digits) for value in np.asarray(values, dtype=float).tolist()]
 
 
-def drawn(values: Vector) -> list[float | None]:
+def drawn(values: Vector, digits: int = _DIGITS) -> list[float | None]:
     """The same of a curve: what is far from nothing beside what it spans needs more digits to show how it goes."""
     seen = values[np.isfinite(values)]
     span, most = (np.ptp(seen), np.abs(seen).max()) if len(seen) else (0.0, 0.0)
-    digits = _DIGITS + (math.ceil(math.log10(most / span)) if span > most * _FLAT else 0)
-    return [_short(value, digits) for value in np.asarray(values, dtype=float).tolist()]
+    return rounded(values, digits + (math.ceil(math.log10(most / span)) if span > most * _FLAT else 0))
 
 
 def _short(value: float, digits: int = _DIGITS) -> float | None:

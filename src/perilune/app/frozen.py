@@ -14,7 +14,7 @@ import numpy as np
 
 from perilune.app.answering import Answering, NoneNear
 from perilune.app.client import hello
-from perilune.app.frames import flight, refusal
+from perilune.app.frames import ALL_DIGITS, flight, refusal
 from perilune.app.knobs import Knob
 from perilune.app.server import page_files
 from perilune.app.subject import Subject
@@ -96,7 +96,7 @@ def _one(answering: Answering, values: Mapping[str, float], watch: Watch) -> dic
         told = refusal(error) | ({"try": "a live page, which looks longer"} if isinstance(error, NoneNear) else {})
         return {"type": "refusal", "values": dict(values), **told, "latency": 0.0}
     words = f"a flight that was stored: {found.words}"
-    document = flight(found.solution, _POINTS)
+    document = flight(found.solution, _POINTS, ALL_DIGITS)  # its table is what the page gives away
     return {"type": "flight", "values": dict(values), **document, "source": "stored", "words": words, "latency": 0.0}
 
 

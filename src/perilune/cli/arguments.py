@@ -187,7 +187,7 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         option(
             "--format",
             metavar="FORMAT",
-            help="netcdf, csv, parquet, oem or czml; unless given as FILE is called, else netcdf.",
+            help="netcdf, csv, parquet, oem or czml; unless given as FILE is called (netcdf if bare).",
         ),
         option("--out", metavar="FILE", type=Path, required=True, help="The file."),
         option(
@@ -375,7 +375,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         "atlas export",
         "Write all nodes of an atlas into one file for other programs.",
         directory,
-        option("--format", metavar="FORMAT", help="netcdf or parquet; unless given as FILE is called, else netcdf."),
+        option("--format", metavar="FORMAT", help="netcdf or parquet; unless given as FILE is called."),
         option("--out", metavar="FILE", type=Path, required=True, help="The file."),
         FORCE,
         among=actions,

@@ -37,13 +37,14 @@ from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand
 from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics
 from perilune.words.units import Scales, told
 
+_TRACED = ("form", "structure")  # what is found of a problem once, and may be known
 _HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
 MOST_TOLD = 4  # values that were given later, in a heading
 
@@ -227,10 +228,22 @@ class Problem(ShownProblem):
         new.__dict__["expressed"] = new
         return new
 
+    @called_in_words
     def changed(self, **changes: Any) -> Problem:
-        """A problem that is not tried again; of the same form, or with `form=None` traced when it is asked for."""
+        """A problem that is not tried again; of the same form, or with `form=None` traced when it is asked for.
+
+        Raises
+        ------
+        PeriluneError
+            If something is changed that a problem has not, or to what is no mapping or no tuple where it is one.
+        """
         new = object.__new__(Problem)
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name, value in changes.items():
+            if name not in kept and name not in _TRACED:
+                raise unknown_name("part of a problem", name, sorted(kept))
+            if kind := next((kind for kind in (Mapping, tuple) if isinstance(kept.get(name), kind)), None):
+                demand(value, kind, f"what {name} of a problem can be")
         new.__dict__.update(kept, **{"form": self.__dict__.get("form"), **changes})
         if new.__dict__["form"] is None:
             del new.__dict__["form"]

@@ -64,6 +64,7 @@ class Curve(ShownCurve):
     def __hash__(self) -> int:
         return hash((self.values.shape, self.time.shape))
 
+    @called_in_words
     def __call__(self, t: float | Vector) -> Any:
         """Value at times t [s]: shape (k,) for a number, (len(t), k) for an array.
 
@@ -72,7 +73,7 @@ class Curve(ShownCurve):
         PeriluneError
             If a time lies outside the curve by more than 1e-9 of its length, or is NaN.
         """
-        t = demand_numbers(t, "a time at which to look at a curve")
+        t = demand_numbers(t, "a time at which to look at a curve", most=1)
         first, last = self.time[0], self.time[-1]
         slack = _ROUNDING * (last - first)
         # A curve whose own nodes are no numbers has no ends to compare with: its values are NaN, for a proof to see.

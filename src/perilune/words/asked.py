@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -19,6 +20,8 @@ Asked = TypeVar("Asked", bound=Callable[..., Any])
 def called_in_words(asked: Asked) -> Asked:
     """A verb, a method or a class that says what of a call is wrong: a keyword it has not, too much, too little."""
     given: Any = asked
+    # What is itself called is named by its class, as what is made of that would be: curve(t).
+    name = given.__qualname__.split(".")[-2].lower() if given.__name__ == "__call__" else given.__name__
     function = given.__init__ if isinstance(given, type) else given
 
     @wraps(function)
@@ -26,7 +29,7 @@ def called_in_words(asked: Asked) -> Asked:
         try:
             return function(*args, **keywords)
         except TypeError:  # looked at here alone, so that a call that is right costs nothing
-            wrong = _wrong_call(given.__name__, function, args, keywords)
+            wrong = _wrong_call(name, function, args, keywords)
             if wrong is None:
                 raise
             raise wrong from None
@@ -167,8 +170,8 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
         raise refused(value, "a number in SI", what, advice)
 
 
-def demand_numbers(values: Any, what: str) -> Any:
-    """A number, or an array of numbers, as NumPy has it.
+def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
+    """A number, or an array of numbers, as NumPy has it, with at most so many axes.
 
     Raises
     ------
@@ -177,10 +180,14 @@ def demand_numbers(values: Any, what: str) -> Any:
     """
     import numpy as np  # which no refusal needs
 
+    expected = f"a number, or {'a list' if most == 1 else 'an array'} of numbers"
     try:
-        return np.asarray(values, dtype=float)[()]
+        found = np.asarray(values, dtype=float)[()]
     except (TypeError, ValueError):
-        raise refused(values, "a number, or an array of numbers", what) from None
+        raise refused(values, expected, what) from None
+    if found.ndim > most:
+        raise refused(values, expected, what)
+    return found
 
 
 def demand_index(value: Any, count: int, what: str) -> None:

@@ -192,7 +192,7 @@
   }
   function extremals(flight) {
     const rows = flight.extremals, table = document.createElement("table"), names = rows.length ? Object.keys(rows[0]) : [], head = table.insertRow();
-    for (const name of names) { const th = document.createElement("th"); const { unit } = flight.results[name] || {}; text(th, name.replaceAll("_", " ") + (unit && unit !== "1" ? ` [${unit}]` : "")); head.append(th); }
+    for (const name of names) { const th = document.createElement("th"); const { unit } = name === "objective" ? flight : flight.results[name] || {}; text(th, name.replaceAll("_", " ") + (unit && unit !== "1" ? ` [${unit}]` : "")); head.append(th); }
     for (const entry of rows) { const line = table.insertRow(); for (const name of names) { text(line.insertCell(), typeof entry[name] === "number" ? Draw.fine(entry[name]) : entry[name]); } }
     $("extremals").replaceChildren(table);
     const family = state.family, sign = state.maximised ? -1 : 1; $("family").classList.toggle("stale", !family); // of the flight before

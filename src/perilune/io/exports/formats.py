@@ -16,26 +16,36 @@ def format_of(path: Path, format: str | None, known: Sequence[str]) -> str:
     Parameters
     ----------
     path, format
-        The file, and what is asked for; None for what the name of the file says, the first of those known where it
-        says none.
+        The file, and what is asked for; None for what the name of the file says, the first of those known where the
+        name has no ending.
     known
         Which there are.
 
     Raises
     ------
     PeriluneError
-        If there is no such format, or the name of the file says another: who opens it would take it for that.
+        If there is no such format, or the name of the file says another or one that nobody knows: who opens it would
+        take it for that.
     """
     if format is not None and format not in known:
         raise unknown_name("format", str(format), known)
     named = next((name for name, ending in ENDINGS.items() if path.suffix.lower() == ending), None)
-    if named in (None, format):
-        return format or known[0]
-    if format is None and named in known:
+    if format is not None and named in (None, format):
+        return format
+    if format is None and named is not None and named in known:
         return named
-    asked = known if format is None else [format]
+    if format is None and not path.suffix:
+        return known[0]
+    fits = known if format is None else [format]
     raise PeriluneError(
-        f"the file is called as if it held {named}", got=path.name,
-        expected=" or ".join(f"{path.stem}{ENDINGS[name]} for {name}" for name in asked),
-        advice="call it by its format" if format is None else f"call it by its format, or ask for {named}",
-    )  # fmt: skip
+        f"the file is called as if it held {named or 'something else'}",
+        got=path.name,
+        expected=" or ".join(f"{path.stem}{ENDINGS[name]} for {name}" for name in fits),
+        advice=f"call it by its format{_or_ask(named, format)}",
+    )
+
+
+def _or_ask(named: str | None, format: str | None) -> str:
+    if named is None:
+        return ", or say which with format=... (--format)"
+    return f", or ask for {named}" if format else ""

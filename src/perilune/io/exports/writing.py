@@ -42,7 +42,7 @@ def export(
         Where.
     format
         ``netcdf`` (CF conventions), ``csv``, ``parquet``, ``oem`` (CCSDS, version 2.0) or ``czml`` (Cesium); by how the
-        file is called (``.nc`` for NetCDF) if None, and NetCDF where that says none.
+        file is called (``.nc`` for NetCDF) if None, and NetCDF where its name has no ending.
     epoch
         Time at the begin of the flight in ISO 8601, UTC unless it says otherwise. ``oem`` and ``czml`` need one, where
         the problem states none.
