@@ -100,14 +100,24 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
             "remainder at the start alone":
                 ("flow", "Z = [r if s else r + arb(0, w)", "Z = [z[0] + r - r.mid() - arb(0, r.rad())"),
             "tangents by the transposed slopes": ("flow", "A[place] = c[k]", "A[place[::-1]] = c[k]"),
-            "mean value about the centre alone": ("flight", "a.intersection(b + c)", "a.intersection(b + c * 0)"),
+            "mean value about the centre alone": ("flight", "self._S * aside + self._r", "self._r"),
             "mean value over half of the box":
-                ("flight", "aside = [value - value.mid()", "aside = [(value - value.mid()) / 2"),
+                ("flight", "column([value - value.mid()", "column([(value - value.mid()) / 2"),
             "mean value over half of the box at the end":
-                ("flight", "[[a] for a in aside]", "[[a / 2] for a in aside]"),
-            "mean value over half of the box before it": ("flight", "[[aside[j]] for j in", "[[aside[j] / 2] for j in"),
-            "duration without the rate at its end": ("flight", "D = rates * by_y", "D = rates * by_y * 0"),
+                ("flight", "+ more * aside", "+ more * aside * arb(0)"),
+            "mean value over half of the box before it":
+                ("flight", "self._S * aside + ", "self._S * aside * arb(0.5) + "),
+            "duration without the rate at its end": ("flight", "D = frame.tangents + by_length", "D = frame.tangents"),
             "arc without the derivative of the one before": ("flight", "by_y + by_before * D if i else by_y", "by_y"),
+        }),
+        (checks.a_frame_turns_with_the_flow, {
+            "rounding forgotten": ("flight", "M * self._r + back *", "M * self._r * arb(0) + back *"),
+            "rounding not turned": ("flight", "+ back * column", "+ column"),
+        }),
+        (checks.frames_keep_remainders, {
+            "remainder of a step left out": ("flight", "+ last * length**order for c", "+ 0 * last for c"),
+            "tangents of a frame at their middle": ("flight", "self._S, self._B = M * self._S, B",
+                                                    "self._S, self._B = M.mid() * self._S, B"),
         }),
         (checks.meditch_lands, {
             "no H in what a duration costs": ("boundary", "if phase.duration in problem.free_names:", "if False:"),
@@ -127,7 +137,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (checks.J_is_that_of_the_root, {
             "J at the centre":
                 ("theorem", "objective.values(root.y, root.flight.ends",
-                 "objective.values(refined.y, root.centre.ends"),
+                 "objective.values(refined.y, root.flight.centre"),
             "defect left out": ("root", "[c - d + e for", "[c + e for"),
             "the least distance": ("theorem", "max(far, default", "min(far, default"),
         }),
@@ -150,7 +160,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
             "half of a step unseen": ("signs", ", (middle, b, depth + 1)]", "]"),
         }),
         (checks.forms_are_positive, {
-            "diagonal alone": ("second_order", "[a - factor * b for a, b", "[a for a, b"),
+            "diagonal alone": ("minimum", "[a - factor * b for a, b", "[a for a, b"),
         }),
         (checks.conjugate_points_are_seen, {
             "Riccati's equation past a conjugate point":
@@ -227,7 +237,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
                  '-slopes[i] if side == "lower" else slopes[i]'),
         }),
         (claims.test_a_corner_that_each_control_alone_would_keep_is_no_minimum, {
-            "corner": ("equations", "if slope.inputs() & (free - {key}):", "if False:"),
+            "corner": ("limits", "if arc.joint:", "if False:"),
         }),
         (claims.test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds, {
             "bound without its derivative": ("equations", "graph.substitute([H], held)[0]", "H"),

@@ -1,10 +1,13 @@
 """The boundary value problem of an extremal as equations F(y) = 0, with their derivatives.
 
-The unknowns y are lambda(0) of each phase, the free parameters, the multipliers nu of the end conditions, and the
-length of every arc of a phase but its last one. Arcs follow each other; the start of each is a function of y and of the
-end of the one before. With L = J + nu . psi + lambda_k(0) . x_k(0) the equations are
+The unknowns y are lambda(0) of each phase, the free parameters, the multipliers nu of the end conditions, the length of
+every arc of a phase but its last one, and what no formula gives of the control, w, where its arc begins. Arcs follow
+each other; the start of each is a function of y and of the end of the one before. With L = J + nu . psi +
+lambda_k(0) . x_k(0) the equations are
 
-    psi = 0,    lambda(T) = dL/dx(T),    dL/dq = 0 (and H added where q is the duration),    dH/du = 0 at a switch.
+    psi = 0,    lambda(T) = dL/dx(T),    dL/dq = 0 (and H added where q is the duration),    dH/du = 0 at a switch,
+
+and dH/dw = 0 where an arc begins.
 """
 
 from __future__ import annotations
@@ -184,8 +187,13 @@ class _Stating:
             if piece.switched:
                 self.length[i] = graph.input(("y", len(names)))
                 names.append(f"{problem.phases[piece.phase].name}, length of arc {i - self.first[piece.phase] + 1}")
+        self.w = list[list[Expression]]()
+        for i, (piece, arc) in enumerate(zip(pieces, self.arcs, strict=True)):
+            self.w.append([graph.input(("y", len(names) + j)) for j in range(len(arc.implicit))])
+            number = i - self.first[piece.phase] + 1
+            names += [f"{arc.phase.name}, {name} at the start of arc {number}" for name in arc.implicit]
+        self.ends = [[graph.input(key) for key in keys] for keys in self._end_keys()]
         self.names = tuple(names)
-        self.ends = [[graph.input(("end", i, j)) for j in range(2 * arc.half)] for i, arc in enumerate(self.arcs)]
 
     def stated(self) -> BoundaryProblem:
         graph, problem = self.graph, self.problem
@@ -230,16 +238,21 @@ class _Stating:
         switching = [self._at(i, self._switching(i, scalar)) for i, scalar in switches]
         for (i, _), e in zip(switches, switching, strict=True):
             met[i].append(e)
-        all_rows = [*conditions, *costates, *stationary, *switching]
+        openings = [self._start(i) for i in range(len(self.arcs))]
+        implicit = [
+            e for opening, arc in zip(openings, self.arcs, strict=True)
+            for e in graph.substitute(arc.stationary, {("z", j): e for j, e in enumerate(opening)})
+        ]  # fmt: skip
+        all_rows = [*conditions, *costates, *stationary, *switching, *implicit]
         rows += [*costate_rows, *(f"stationarity in {name}" for name in problem.free_names)]
         rows += [f"switch of {scalar.control.name} at the end of arc {i + 1}" for i, scalar in switches]
+        rows += [f"{name} at the start of arc {i + 1}" for i, arc in enumerate(self.arcs) for name in arc.implicit]
         y = [("y", i) for i in range(len(self.names))]
-        ends = [[("end", i, j) for j in range(2 * arc.half)] for i, arc in enumerate(self.arcs)]
+        ends = self._end_keys()
         starts, durations = [], []
         for i, piece in enumerate(self.pieces):
             k = piece.phase
-            opening = [*self._opening(k), *self.lam[k]] if i == self.first[k] else self.ends[i - 1]
-            starts.append(Differentiated(graph, opening, [y, ends[i - 1] if i else []]))
+            starts.append(Differentiated(graph, openings[i], [y, ends[i - 1] if i else []]))
             length = self.length.get(i)
             if length is None:
                 whole = self.free.get(problem.phases[k].duration)
@@ -254,6 +267,16 @@ class _Stating:
             meets=tuple(map(tuple, met)), objective=Differentiated(graph, [objective], [y, ends[-1]]),
             signs=Differentiated(graph, [*self.signs.values()], [y, *ends]), signed=tuple(self.signs),
         )  # fmt: skip
+
+    def _end_keys(self) -> list[list[Key]]:
+        return [[("end", i, j) for j in range(len(arc.rates))] for i, arc in enumerate(self.arcs)]
+
+    def _start(self, i: int) -> list[Expression]:
+        """z where arc i begins."""
+        k = self.pieces[i].phase
+        first = i == self.first[k]
+        before = [*self._opening(k), *self.lam[k]] if first else self.ends[i - 1][: 2 * self.arcs[i].half]
+        return [*before, *self.w[i]]
 
     def _equations(self, k: int, psi: list[Expression]) -> list[Expression]:
         """What vanishes where a phase ends; of a range its distance to the bound that it is on, or else nu."""

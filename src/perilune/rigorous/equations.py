@@ -3,7 +3,12 @@
 With H = lambda . f(x, u, p), which the control minimises: x' = f, lambda' = -dH/dx, and a free parameter q in the
 dynamics is a constant state, whose costate collects the integral of dH/dq (`perilune.conditions.pontryagin` states the
 same, and is not used). The control is eliminated in closed form: a direction d that enters H as g . d is -g/|g|; a
-scalar is on the bound that its regime names, or where dH/du = 0 if H is quadratic in it.
+scalar is on the bound that its regime names, or where dH/du = 0 if H is quadratic in it. Where no formula gives all
+scalars that are on no bound, these are states w behind the costate: dH/dw = 0 where the arc begins, and as
+
+    w' = -(H_ww)^-1 (dH/dw)_z z'
+
+keeps it so, all along.
 """
 
 from __future__ import annotations
@@ -49,7 +54,7 @@ class Scalar:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arc:
-    """Canonical equations of a phase in one regime, z = (x, constant states, lambda) in SI.
+    """Canonical equations of a phase in one regime, z = (x, constant states, lambda, w) in SI.
 
     Attributes
     ----------
@@ -59,6 +64,16 @@ class Arc:
         Whose.
     constants
         Names of the free parameters that are states.
+    half
+        Length of lambda.
+    joint
+        Whether what is least for each scalar alone may be no minimum of all, which has to be seen (`minimum`).
+    implicit
+        Names of the scalars w that no formula gives.
+    stationary
+        dH/dw of these.
+    reduced
+        H of z without w, directions eliminated: its inputs are z and ``("u", name)`` of each scalar.
     rates
         z'.
     hamiltonian
@@ -75,16 +90,16 @@ class Arc:
     phase: Phase
     phase_index: int
     constants: tuple[str, ...]
+    half: int
+    joint: bool
+    implicit: tuple[str, ...]
+    stationary: tuple[Expression, ...]
+    reduced: Expression
     rates: tuple[Expression, ...]
     hamiltonian: Expression
     control: Mapping[Any, Expression]
     scalars: tuple[Scalar, ...]
     strengths: tuple[Expression, ...]
-
-    @property
-    def half(self) -> int:
-        """Length of lambda."""
-        return len(self.rates) // 2
 
     @property
     def keys(self) -> list[Key]:
@@ -168,7 +183,7 @@ class Reader:
         f = graph.substitute([duration * rate for rate in f], known)
         limits = {name: (_put(graph, low, known), _put(graph, high, known)) for name, (low, high) in limits.items()}
         H = sum((z[half + i] * rate for i, rate in enumerate(f)), graph.constant(0))
-        control, strengths = _control(graph, phase, H, regimes, limits)
+        control, strengths, reduced, joint, implicit = _control(graph, phase, H, regimes, limits, 2 * half)
         # A free parameter moves what is on a bound that it holds; what is not moves by the minimum, without effect.
         held = {
             ("u", c.name): control["u", c.name] for _, c in scalars(phase.controls) if regimes[c.name] != "interior"
@@ -177,6 +192,8 @@ class Reader:
         zero = graph.constant(0)
         rates = [*f, *([zero] * len(constants)), *(-slope for slope in slopes)]
         rates = graph.substitute(rates, control)
+        stationary = graph.substitute(graph.gradient(reduced, [("u", name) for name in implicit]), control)
+        rates += _kept(graph, stationary, rates)
         found = []
         for _, one in scalars(phase.controls):
             slope = graph.gradient(H, [("u", one.name)])[0]
@@ -185,7 +202,8 @@ class Reader:
             found.append(Scalar(control=one, regime=regimes[one.name], value=control["u", one.name],
                                 limits=limits[one.name], slope=slope, curvature=curvature))  # fmt: skip
         return Arc(
-            graph=graph, phase=phase, phase_index=k, constants=constants, rates=tuple(rates),
+            graph=graph, phase=phase, phase_index=k, constants=constants, half=half, joint=joint, implicit=implicit,
+            stationary=tuple(stationary), reduced=reduced, rates=tuple(rates),
             hamiltonian=graph.substitute([H], control)[0], control=control, scalars=tuple(found), strengths=strengths,
         )  # fmt: skip
 
@@ -209,9 +227,15 @@ Limits = Mapping[str, tuple[Expression | None, Expression | None]]
 
 
 def _control(
-    graph: Graph, phase: Phase, H: Expression, regimes: Regimes, limits: Limits
-) -> tuple[dict[Any, Expression], tuple[Expression, ...]]:
-    """The control that minimises H in these regimes, by key; and how strongly it asks for each direction."""
+    graph: Graph, phase: Phase, H: Expression, regimes: Regimes, limits: Limits, behind: int
+) -> tuple[dict[Any, Expression], tuple[Expression, ...], Expression, bool, tuple[str, ...]]:
+    """The control that minimises H in these regimes.
+
+    Returns
+    -------
+    Each component by key; how strongly it asks for each direction; H without directions; whether its minimum is not
+    that of each scalar alone; and then the scalars that are entries of z themselves, from `behind` on.
+    """
     found: dict[Any, Expression] = {}
     strengths = []
     for direction in phase.controls:
@@ -221,11 +245,28 @@ def _control(
             found |= {("u", name): -g / strength for name, g in zip(direction.names, pull, strict=True)}
             strengths.append(strength)
     reduced = graph.substitute([H], found)[0]
-    own = dict[Any, Expression]()
-    for _, control in scalars(phase.controls):
-        own["u", control.name] = _scalar(graph, phase, reduced, control, regimes[control.name], limits[control.name])
+    own, implicit = dict[Any, Expression](), tuple[str, ...]()
+    every = [control for _, control in scalars(phase.controls)]
+    formulas = [_formula(graph, phase, reduced, control) for control in every]
+    joint = any(formula is None for formula in formulas)
+    if joint:
+        implicit = tuple(control.name for control in every if regimes[control.name] == "interior")
+    for control, formula in zip(every, formulas, strict=True):
+        regime, key = regimes[control.name], ("u", control.name)
+        if control.name in implicit:
+            own[key] = graph.input(("z", behind + implicit.index(control.name)))
+        elif regime != "interior":
+            bound = limits[control.name][regime == "upper"]
+            if bound is None:
+                raise Unsupported(f"the control {control.name} has no {regime} bound")
+            own[key] = bound
+        else:
+            slope, curvature = formula or (H, graph.constant(0))
+            if curvature.vanishes():
+                raise Unsupported(f"the control {control.name} of {phase.name} is singular")
+            own[key] = -graph.substitute([slope], {key: graph.constant(0)})[0] / curvature
     found = {key: graph.substitute([e], own)[0] for key, e in found.items()} | own
-    return found, tuple(graph.substitute(strengths, own))
+    return found, tuple(graph.substitute(strengths, own)), reduced, joint, implicit
 
 
 def _pull(graph: Graph, phase: Phase, H: Expression, direction: Direction, limits: Limits) -> list[Expression]:
@@ -248,22 +289,28 @@ def _pull(graph: Graph, phase: Phase, H: Expression, direction: Direction, limit
     return pull
 
 
-def _scalar(
-    graph: Graph, phase: Phase, H: Expression, control: Bounded, regime: str,
-    limits: tuple[Expression | None, Expression | None],
-) -> Expression:  # fmt: skip
+def _formula(graph: Graph, phase: Phase, H: Expression, control: Bounded) -> tuple[Expression, Expression] | None:
+    """dH/du and d2H/du2 of a scalar, if H is quadratic in it and the least for it alone is that of all together."""
     key, free = ("u", control.name), {("u", name) for name in phase.control_names}
     slope = graph.gradient(H, [key])[0]
     curvature = graph.gradient(slope, [key])[0]
-    if curvature.inputs() & free:
-        raise Unsupported(f"the control {control.name} of {phase.name} has no formula")
-    if slope.inputs() & (free - {key}):  # then what is least for each alone is no minimum of both
-        raise Unsupported(f"the minimum of H over {control.name} of {phase.name} depends on another control")
-    if regime != "interior":
-        found = limits[regime == "upper"]
-        if found is None:
-            raise Unsupported(f"the control {control.name} has no {regime} bound")
-        return found
-    if curvature.vanishes():
-        raise Unsupported(f"the control {control.name} of {phase.name} is singular")
-    return -graph.substitute([slope], {key: graph.constant(0)})[0] / curvature
+    fine = not curvature.inputs() & free and not slope.inputs() & (free - {key})
+    return (slope, curvature) if fine else None
+
+
+def _kept(graph: Graph, stationary: Sequence[Expression], rates: Sequence[Expression]) -> list[Expression]:
+    """w' that keeps dH/dw = 0 as z' moves the rest: by elimination, without a choice of pivots, as H_ww > 0."""
+    count, z = len(stationary), [("z", i) for i in range(len(rates) + len(stationary))]
+    rows = graph.jacobian(stationary, z)
+    right = [-sum((d * rate for d, rate in zip(row, rates, strict=False)), graph.constant(0)) for row in rows]
+    left = [row[len(rates) :] for row in rows]
+    for k in range(count):
+        for i in range(k + 1, count):
+            factor = left[i][k] / left[k][k]
+            left[i] = [a - factor * b for a, b in zip(left[i], left[k], strict=True)]
+            right[i] = right[i] - factor * right[k]
+    found = [graph.constant(0)] * count
+    for k in reversed(range(count)):
+        known = sum((left[k][j] * found[j] for j in range(k + 1, count)), graph.constant(0))
+        found[k] = (right[k] - known) / left[k][k]
+    return found

@@ -1,7 +1,8 @@
 """All arcs of a boundary value problem flown one after the other: plainly for Newton's method, or in enclosures.
 
 Where a box of unknowns is flown, each state is enclosed twice: by its own flight, and by the mean value theorem from
-the flight of the box's centre, z(y) = z(c) + (dz/dy)(box) (y - c); what both allow is smaller.
+the flight of the box's centre, z(y) = z(c) + (dz/dy)(box) (y - c), in a frame that goes with the flow; what both allow
+is smaller.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Any
 from flint import arb, arb_mat
 
 from perilune.rigorous.boundary import BoundaryProblem, matrix
-from perilune.rigorous.flow import Step, coefficients, horner, step
+from perilune.rigorous.equations import Arc
+from perilune.rigorous.flow import NotEnclosed, Step, coefficients, horner, step
 from perilune.rigorous.taylor import Ball
 
 _LONGEST = 0.5  # of a step that the size of the last coefficients suggests, at most this part of the radius
@@ -32,12 +34,15 @@ class Flight:
         z where each step begins, and at the end.
     steps
         Of each arc; none where nothing was proved.
+    centre
+        z at the end of each arc of the centre of the box that was flown.
     """
 
     ends: list[list[Ball]]
     tangents: list[Any]
     nodes: list[list[list[Ball]]]
     steps: list[list[Step]]
+    centre: list[list[Ball]]
 
 
 def middle(values: Sequence[Ball]) -> list[Ball]:
@@ -45,10 +50,7 @@ def middle(values: Sequence[Ball]) -> list[Ball]:
     return [value.mid() for value in values]
 
 
-def enclosed(
-    boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: int, centre: Flight | None = None,
-    tangents: bool = True,
-) -> Flight:  # fmt: skip
+def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: int) -> Flight:
     """Fly all y of a box, proved.
 
     Parameters
@@ -59,52 +61,107 @@ def enclosed(
         The unknowns.
     grid, order
         Where the steps begin, and the order of their remainders.
-    centre
-        The flight of the centre of the box, on the same grid.
-    tangents
-        Whether dz/dy is wanted.
 
     Raises
     ------
     NotEnclosed
         If a step is not enclosed.
     """
-    found = Flight(ends=[], tangents=[], nodes=[], steps=[])
-    aside = [value - value.mid() for value in y]
-    z, D = list[Ball](), arb_mat(0, 0)
+    found = Flight(ends=[], tangents=[], nodes=[], steps=[], centre=[])
+    centre, aside = middle(y), column([value - value.mid() for value in y])
+    z, near, D = list[Ball](), list[Ball](), arb_mat(0, 0)
     for i, arc in enumerate(boundary.arcs):
-        z, D = _start(boundary, i, y, z, D, tangents)
-        V = matrix(boundary.columns[i], D) if tangents else None
+        near = boundary.starts[i].values(centre, near if i else [])
+        z, D = _start(boundary, i, y, z, D)
+        frame = _Frame(near, D)
         (duration,), (by_y,) = boundary.durations[i].slopes(y)
-        nodes, steps = [z], list[Step]()
-        own = arb_mat([[aside[j]] for j in boundary.columns[i]])
+        (lasting,) = boundary.durations[i].values(centre)
+        nodes, steps, unit = [z], list[Step](), identity(len(z))
         for number, begin in enumerate(grid[i]):
             last = number + 1 == len(grid[i])
             length = (duration if last else arb(grid[i][number + 1])) - arb(begin)
-            z, V, proved = step(arc, z, V, arb(begin), length, order)
-            if last and tangents:
-                D = _at_end(boundary, i, V, z, by_y)
-            if centre is not None and tangents:
-                moved = D * arb_mat([[a] for a in aside]) if last else V * own
-                near = centre.nodes[i][number + 1]
-                z = [a.intersection(b + c) for a, b, c in zip(z, near, moved.entries(), strict=True)]
+            around = [a.union(m) for a, m in zip(z, frame.middle, strict=True)]
+            direct, moved, proved = step(arc, around, unit, arb(begin), length, order)
+            own = lasting - arb(begin) if last else length
+            frame.go(coefficients(arc, frame.middle, None, order - 1)[0], proved.remainder, own, moved)
+            by_length = rates(arc, direct) * by_y if last else arb_mat(len(z), len(y))
+            near_by = frame.all(aside, by_length)
+            if not all(a.overlaps(b) for a, b in zip(direct, near_by, strict=True)):
+                raise NotEnclosed("two enclosures of the same flight exclude each other: an error of the prover")
+            z = [a.intersection(b) for a, b in zip(direct, near_by, strict=True)]
             nodes.append(z)
             steps.append(proved)
+            D = frame.tangents + by_length
+        near = frame.near
         found.ends.append(z)
-        found.tangents.append(D if tangents else None)
+        found.tangents.append(D)
         found.nodes.append(nodes)
         found.steps.append(steps)
+        found.centre.append(near)
     return found
+
+
+class _Frame:
+    """All z = m + B (S (y - c) + r), so that rounding is not blown up from step to step.
+
+    Over a step with the tangents P what begins at m + B s ends in z(m) + P B s, by the mean value theorem. B becomes
+    the middle of P B, so that B^-1 P B, in which everything uncertain is, is about 1 (the parallelepiped method, Lohner
+    1988; numbers have digits enough for a B that is nearly singular).
+
+    Parameters
+    ----------
+    near, tangents
+        z(c), and dz/dy, where an arc begins.
+    """
+
+    def __init__(self, near: Sequence[Ball], tangents: Any) -> None:
+        self.middle = middle(near)
+        self._B, self._S = identity(len(near)), tangents
+        self._r = column([a - b for a, b in zip(near, self.middle, strict=True)])
+
+    def go(self, polynomial: Sequence[Sequence[Ball]], remainder: Sequence[Ball], length: Ball, moved: Any) -> None:
+        """A step on, by the polynomial from the middle, its remainder, and the tangents of the step."""
+        order = len(polynomial[0])
+        end = [horner(c, length) + last * length**order for c, last in zip(polynomial, remainder, strict=True)]
+        together = moved * self._B
+        B = together.mid()
+        back = _inverted(B)
+        M = back * together
+        self.middle = middle(end)
+        self._r = M * self._r + back * column([a - b for a, b in zip(end, self.middle, strict=True)])
+        self._S, self._B = M * self._S, B
+
+    @property
+    def near(self) -> list[Ball]:
+        """z(c)."""
+        return [m + off for m, off in zip(self.middle, (self._B * self._r).entries(), strict=True)]
+
+    @property
+    def tangents(self) -> Any:
+        """dz/dy."""
+        return self._B * self._S
+
+    def all(self, aside: Any, more: Any) -> list[Ball]:
+        """z of a whole box, `aside` from its centre; `more` is what else y moves."""
+        off = self._B * (self._S * aside + self._r) + more * aside
+        return [m + own for m, own in zip(self.middle, off.entries(), strict=True)]
+
+
+def _inverted(B: Any) -> Any:
+    try:
+        return B.inv()
+    except ZeroDivisionError:
+        raise NotEnclosed("the tangents of a step are singular in so many digits") from None
 
 
 def plainly(
     boundary: BoundaryProblem, y: Sequence[Ball], order: int, tolerance: float, grid: Grid | None = None
 ) -> tuple[Flight, list[list[float]]]:
     """Fly one y in many digits, with nothing proved: for Newton's method. Returns the flight, and the grid it chose."""
-    found, chosen = Flight(ends=[], tangents=[], nodes=[], steps=[]), list[list[float]]()
+    found, chosen = Flight(ends=[], tangents=[], nodes=[], steps=[], centre=[]), list[list[float]]()
     z, D = list[Ball](), arb_mat(0, 0)
     for i, arc in enumerate(boundary.arcs):
-        z, D = _start(boundary, i, y, z, D, True)
+        z, D = _start(boundary, i, y, z, D)
         V = matrix(boundary.columns[i], D)
         (duration,), (by_y,) = boundary.durations[i].slopes(y)
         begins, nodes, sizes = list[float](), [z], [0.0] * len(z)
@@ -149,29 +206,39 @@ def _length(c: Sequence[Sequence[Ball]], sizes: Sequence[float], tolerance: floa
 
 
 def _start(
-    boundary: BoundaryProblem, i: int, y: Sequence[Ball], before: Sequence[Ball], D: Any, tangents: bool
+    boundary: BoundaryProblem, i: int, y: Sequence[Ball], before: Sequence[Ball], D: Any
 ) -> tuple[list[Ball], Any]:
-    start = boundary.starts[i]
-    known = before if i else []
-    if not tangents:
-        return start.values(y, known), None
-    z, (by_y, by_before) = start.slopes(y, known)
+    z, (by_y, by_before) = boundary.starts[i].slopes(y, before if i else [])
     return z, by_y + by_before * D if i else by_y
 
 
 def _at_end(boundary: BoundaryProblem, i: int, V: Any, z: Sequence[Ball], by_y: Any) -> Any:
     """dz/dy where an arc ends: by what moves its start, and by its duration, whose derivative is `by_y`."""
-    rates = arb_mat([[rate] for rate in boundary.arcs[i].plain.values(z)])
-    D = rates * by_y
+    D = rates(boundary.arcs[i], z) * by_y
     for at, column in enumerate(boundary.columns[i]):
         for row in range(V.nrows()):
             D[row, column] += V[row, at]
     return D
 
 
+def rates(arc: Arc, z: Sequence[Ball]) -> Any:
+    """z', as a column."""
+    return column(arc.plain.values(z))
+
+
+def column(entries: Sequence[Ball]) -> Any:
+    """A matrix of one column."""
+    return arb_mat([[entry] for entry in entries])
+
+
+def identity(size: int) -> Any:
+    """The matrix that changes nothing."""
+    return arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
+
+
 def residual(boundary: BoundaryProblem, y: Sequence[Ball], flown: Flight) -> list[Ball]:
-    """F of a flight."""
-    return boundary.residual.values(y, *flown.ends)
+    """F of the centre of a box that was flown."""
+    return boundary.residual.values(middle(y), *flown.centre)
 
 
 def slopes(boundary: BoundaryProblem, y: Sequence[Ball], flown: Flight) -> tuple[list[Ball], Any]:

@@ -60,9 +60,9 @@ class Step:
 
 
 def coefficients(arc: Arc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list[Coefficients], list[Any]]:
-    """Taylor coefficients of orders 0 to `orders` of state and costate, and of tangents where there are any."""
-    inputs = arc.plain.flow(z, orders)[0]
-    return inputs, [] if V is None else tangents_along(arc, arc.slopes.along(inputs, orders), V, orders)
+    """Taylor coefficients of orders 0 to `orders` of state and costate; of tangents, where there are any, fewer."""
+    inputs, m = arc.plain.flow(z, orders)[0], min(orders, _OF_TANGENTS)
+    return inputs, [] if V is None else tangents_along(arc, arc.slopes.along(inputs, m), V, m)
 
 
 def tangents_along(arc: Arc, slopes: Sequence[Coefficients], V: Any, orders: int) -> list[Any]:

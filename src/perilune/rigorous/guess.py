@@ -18,6 +18,7 @@ from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.taylor import Ball
 
 _ON_BOUND = 1e-7  # of the range of a control
+_INSIDE = 1e-9  # of an arc: behind a jump
 
 
 def pieces_of(solution: Solution) -> tuple[list[Piece], list[float]]:
@@ -105,4 +106,10 @@ def unknowns_of(solution: Solution, boundary: BoundaryProblem, lengths: Sequence
     for phase in problem.phases:
         found += [float(solution.multipliers.get(f"{phase.name}.{c.name}", 0.0)) for c in phase.end_conditions]
     found += [length for length, piece in zip(lengths, boundary.pieces, strict=True) if piece.switched]
+    for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):
+        if arc.implicit:
+            before = sum(own for own, p in zip(lengths[:i], boundary.pieces, strict=False) if p.phase == piece.phase)
+            u = solution.flown(piece.phase, np.array([before + _INSIDE * lengths[i]]))[1]
+            at = dict(zip(arc.phase.control_names, u[:, 0], strict=True))
+            found += [float(at[name]) for name in arc.implicit]
     return [arb(value) for value in found]

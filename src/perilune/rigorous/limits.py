@@ -16,6 +16,7 @@ from perilune.rigorous.boundary import BoundaryProblem
 from perilune.rigorous.equations import Scalar
 from perilune.rigorous.given import exactly
 from perilune.rigorous.graph import Expression
+from perilune.rigorous.minimum import Minimum
 from perilune.rigorous.reading import read
 from perilune.rigorous.root import Root
 from perilune.rigorous.signs import Quantity, Seen, positive, vanishing
@@ -67,6 +68,8 @@ class Limits:
                 yield self._along(i, told, strength)
             for scalar in arc.scalars:
                 yield from self._scalar(i, where, scalar)
+            if arc.joint:
+                yield self._only(i, where)
 
     def _parameters(self) -> Iterator[Statement]:
         y = dict(zip(self.boundary.names, self.box, strict=True))
@@ -129,6 +132,15 @@ class Limits:
             sign, told = (1, "lower") if scalar.regime == "lower" else (-1, "upper")
             yield self._along(i, f"H is least with {name} at its {told} bound ({where})", sign * scalar.slope)
 
+    def _only(self, i: int, where: str) -> Statement:
+        arc = self.boundary.arcs[i]
+        words = f"({', '.join(s.control.name for s in arc.scalars)}) is the only minimum of H ({where})"
+        minimum = Minimum(arc)
+        if not minimum.bounded:
+            return Statement(words=words, proved=False, where="as it has no bounds")
+        at = minimum.unseen(self.steps[i])
+        return Statement(words=words, proved=at is None, where="" if at is None else f"at {at:.6g} s")
+
     def _along(self, i: int, words: str, of: Expression, touching: bool = False) -> Statement:
         quantity = Quantity(self.boundary.arcs[i], of, self.box)
         if of.constant is not None:
@@ -145,7 +157,7 @@ class Limits:
 
     def _at_end(self, i: int) -> dict[Any, Expression]:
         arc = self.boundary.arcs[i]
-        return {("z", j): arc.graph.input(("end", i, j)) for j in range(2 * arc.half)}
+        return {("z", j): arc.graph.input(("end", i, j)) for j in range(len(arc.rates))}
 
 
 def _told(seen: Seen) -> str:

@@ -25,8 +25,6 @@ from perilune.words.outcome import PeriluneError
 _ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
 _FARTHEST, _SMALLER = 1e-6, 4  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
 _QUADRATIC = 1e4  # a step of Newton's method, beside the square of the one before; 210 at most on answered problems
-_ROOM = 4.0  # times the defect is the radius of a box
-_LEAST = 1e-60  # radius of a box, SI
 Tell = Callable[[str], None]
 
 
@@ -46,6 +44,8 @@ class Settings:
         Of the Taylor series.
     tolerance
         Size of a step's last terms beside those that count.
+    box
+        Radius of the box in which the root is proved, beside the unknowns.
     enough
         A step of Newton's method, beside the unknowns, after which there is nothing more to gain.
     newton
@@ -55,6 +55,7 @@ class Settings:
     bits: int = 192
     order: int = 45
     tolerance: float = 1e-62
+    box: float = 1e-37
     enough: float = 1e-46
     newton: int = 8
 
@@ -79,8 +80,8 @@ class Root:
         Balls that hold it.
     box
         Balls in which there is no other.
-    flight, centre
-        Of every y of the box, and of its centre.
+    flight
+        Of every y of the box.
     contraction
         Norm of 1 - C F'(Y), by the radii of the box; below 1.
     defect
@@ -90,7 +91,6 @@ class Root:
     y: list[Ball]
     box: list[Ball]
     flight: Flight
-    centre: Flight
     contraction: float
     defect: float
 
@@ -104,7 +104,7 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
         If it does not converge, or not quadratically.
     """
     grid, moved, y, enough = None, list[float](), middle(y), settings.enough
-    inverse = arb_mat(0, 0)
+    inverse, slowly = arb_mat(0, 0), False
     for number in range(settings.newton):
         flown, chosen = plainly(boundary, y, settings.order, settings.tolerance, grid)
         grid = chosen if number == 0 else grid
@@ -116,11 +116,14 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
         moved.append(largest)
         y = middle([a - b for a, b in zip(y, change, strict=True)])
         tell(f"Newton's method in {settings.bits} bits: step {largest:.2g}, {sum(map(len, chosen))} steps of the flow")
-        # What converges only linearly is not the function that its derivatives are of: one of the two is cut off.
-        if number and largest > max(enough, _QUADRATIC * moved[-2] ** 2):
+        # What converges only linearly is not the function that its derivatives are of: one of the two is cut off. An
+        # unknown that is small beside the others may come out once as if it did, and not again.
+        slow = number > 0 and largest > max(enough, _QUADRATIC * moved[-2] ** 2)
+        if slow and slowly:
             raise NotProved("Newton's method in many digits does not converge quadratically", got=f"steps {moved}")
-        if largest < enough or (number and _QUADRATIC * largest**2 < enough):
+        if not slow and (largest < enough or (number and _QUADRATIC * largest**2 < enough)):
             break
+        slowly = slow
     else:
         raise NotProved("Newton's method in many digits does not converge", got=f"steps {moved}")
     assert grid is not None
@@ -143,7 +146,7 @@ def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Set
         if factor <= 1.0:
             break
         try:
-            return prove_root(boundary, refined, settings, tell, [factor * r for r in first], root.centre)
+            return prove_root(boundary, refined, settings, tell, [factor * r for r in first])
         except (NotProved, NotEnclosed):
             factor *= 1e-3
     return root
@@ -151,7 +154,7 @@ def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Set
 
 def prove_root(
     boundary: BoundaryProblem, refined: Refined, settings: Settings, tell: Tell,
-    radii: Sequence[float] | None = None, centre: Flight | None = None,
+    radii: Sequence[float] | None = None,
 ) -> Root:  # fmt: skip
     """Krawczyk's operator on a box around a refined root.
 
@@ -160,9 +163,7 @@ def prove_root(
     boundary, refined, settings, tell
         What is to be proved, with what effort.
     radii
-        Of the box; by default a few times the defect.
-    centre
-        The proved flight of the centre, where it is known.
+        Of the box; by default those of the settings.
 
     Raises
     ------
@@ -171,17 +172,13 @@ def prove_root(
     NotEnclosed
         If a flight is not enclosed.
     """
-    centre = centre or enclosed(boundary, refined.y, refined.grid, settings.order, tangents=False)
-    F = residual(boundary, refined.y, centre)
+    sizes = [max(abs(float(c)), _ZERO * max(abs(float(c)) for c in refined.y)) for c in refined.y]
+    own = [settings.box * size for size in sizes] if radii is None else list(radii)
+    box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
+    flown = enclosed(boundary, box, refined.grid, settings.order)
+    F = residual(boundary, box, flown)
     off = (refined.inverse * arb_mat([[value] for value in F])).entries()
     defects = [float(value.abs_upper()) for value in off]
-    tell(f"centre enclosed: defect {max(defects):.2g}")
-    # Never below what the numbers themselves are rounded by.
-    rounding = 2.0 ** (10 - settings.bits)
-    least = [_ROOM * d + rounding * abs(float(c)) + _LEAST for c, d in zip(refined.y, defects, strict=True)]
-    own = least if radii is None else list(radii)
-    box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
-    flown = enclosed(boundary, box, refined.grid, settings.order, centre)
     _, J = slopes(boundary, box, flown)
     size = len(box)
     unit = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
@@ -189,11 +186,11 @@ def prove_root(
     moved = (rest * arb_mat([[b - c] for b, c in zip(box, refined.y, strict=True)])).entries()
     krawczyk = [c - d + e for c, d, e in zip(refined.y, off, moved, strict=True)]
     contraction = max(float(e.abs_upper()) / r for e, r in zip(moved, own, strict=True))
-    tell(f"box enclosed: contraction {contraction:.2g}")
+    tell(f"box enclosed: defect {max(defects):.2g}, contraction {contraction:.2g}")
     if not all(b.contains_interior(k) for b, k in zip(box, krawczyk, strict=True)):
         raise NotProved(
             "no root is proved: Krawczyk's operator leaves the box",
             got=f"contraction {contraction:.3g}, defect {max(defects):.3g}",
         )
-    return Root(y=krawczyk, box=box, flight=flown, centre=centre, contraction=contraction,
+    return Root(y=krawczyk, box=box, flight=flown, contraction=contraction,
                 defect=max(d / r for d, r in zip(defects, own, strict=True)))  # fmt: skip

@@ -29,6 +29,7 @@ from perilune.rigorous.flight import Grid
 from perilune.rigorous.flow import NotEnclosed, Step, step
 from perilune.rigorous.given import exactly
 from perilune.rigorous.limits import Statement
+from perilune.rigorous.minimum import positive_definite
 from perilune.rigorous.taylor import Ball, Program
 
 WORDS = "a strict local optimum"
@@ -60,6 +61,8 @@ def local_optimum(
     first = next(iter(boundary.arcs))
     if len(boundary.arcs) > 1 or any(scalar.regime != "interior" for scalar in first.scalars):
         return Statement(words=WORDS, proved=False, where="as the flight has several arcs, or a scalar on its bound")
+    if first.joint:
+        return Statement(words=WORDS, proved=False, where="as no formula gives its control")
     if boundary.sides.free or boundary.sides.ranges:
         return Statement(words=WORDS, proved=False, where="as a parameter is on its bound, or an end is a range")
     where = ""
@@ -239,15 +242,3 @@ def _kernel(normals: Any, weights: Sequence[float]) -> Any:
         for row, i in enumerate(chosen):
             found[i, column] = -solved[row, column]
     return found
-
-
-def positive_definite(form: Any) -> bool:
-    """Whether every symmetric matrix in these balls is positive definite: pivots of its elimination."""
-    rows = form.tolist()
-    for k in range(len(rows)):
-        if not rows[k][k] > 0:
-            return False
-        for i in range(k + 1, len(rows)):
-            factor = rows[i][k] / rows[k][k]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return True
