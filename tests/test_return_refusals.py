@@ -264,3 +264,18 @@ def test_a_burn_longer_than_the_propellant_is_refused() -> None:
 def test_a_site_above_the_interface_is_refused() -> None:
     with pytest.raises(PeriluneError, match=r"site\.altitude is not below interface\.altitude"):
         landing(0.6, 130e3)
+
+
+@pytest.mark.parametrize(
+    ("example", "change", "words"),
+    [
+        ("capsule_return", "orbit.radius=26 m", "comes down into the air by itself"),
+        ("minimum_duration_return", "atmosphere.scale_height=2 km", "as slowly as site.speed_upper"),
+    ],
+)
+def test_an_orbit_within_the_body_and_air_like_a_wall_are_refused_in_words(
+    example: str, change: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(__file__).parent.parent / "examples" / f"{example}.toml"
+    assert run(["check", str(path), "--set", change]) == 3
+    assert words in capsys.readouterr().err

@@ -38,6 +38,7 @@ _STILL, _SLOWEST, _FASTEST = 5.0, 100.0, 2e4  # m/s
 _SURELY_DOWN = math.radians(-1.0)  # a path angle from which no vehicle leaves the air again
 _ANGLES_TRIED, _SPEEDS_TRIED = 6, 4
 _KEPT = 64  # falls
+_BEYOND = 10e3  # m
 
 
 def typical_angle(p: Any) -> float:
@@ -75,10 +76,11 @@ class Fall:
 def _rates(p: Any, air: Air) -> Callable[[float, Any], list[float]]:
     """Rates of a row."""
     heats, mass = hasattr(p, "vehicle_nose_radius"), getattr(p, "separation_mass", p.vehicle_mass)
+    floor = lowest(p) - _BEYOND  # below it the air is no denser, so that trial steps beyond the end stay numbers
 
     def slope(_: float, y: Any) -> list[float]:
         height, _, v, gamma, _ = y
-        r, density = p.body_radius + height, float(air.density(height, p, NUMERIC))
+        r, density = p.body_radius + height, float(air.density(max(height, floor), p, NUMERIC))
         pull, velocity = p.body_gravitational_parameter / (r * r), (v, 0.0, 0.0)
         slowed = drag_acceleration(density, velocity, mass, p, NUMERIC)
         level = v + carried(p, r)

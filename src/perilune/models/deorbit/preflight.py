@@ -57,7 +57,7 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
         found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
         if not hasattr(p, "transition_longest_coast"):
             found.append(_burns_down(p, m, low))
-    if air is not None and _of_one(p, low):
+    if air is not None and _of_one(p, low) and low > p.body_radius:
         fallen = fall(p, air)
         if not hasattr(p, "vehicle_lift_to_drag"):
             found += (*borne_at_least(p, air, fallen), *leaves_again(p, air, fallen))
