@@ -98,7 +98,9 @@ def _raw(rng: np.random.Generator, address: str) -> bool:
         body = answer.partition(b"\r\n\r\n")[2]
         as_is = (known and host and origin) or token.encode() in content
         demand(as_is, f"let in: {content[:300]!r}")
-        demand(status == b"101" or not body or any(map(body.startswith, files.values())), f"handed out: {content[:300]!r}")
+        demand(
+            status == b"101" or not body or any(map(body.startswith, files.values())), f"handed out: {content[:300]!r}"
+        )
         if not changed:
             demand(bool(known and host and origin), f"let in by another host or origin: {content[:300]!r}")
     return status in (b"200", b"101")
