@@ -7,10 +7,12 @@ coefficient is read there. The numbers are the same.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 Instruction = tuple[Any, ...]  # as a program has them
+_LEAVES = ("input", "const", "table")
 _LEAST = 4  # knots of a table that is read; of fewer the choices cost less
 
 
@@ -72,11 +74,11 @@ class _Chains:
 def with_tables(
     program: tuple[Instruction, ...], outputs: tuple[int, ...]
 ) -> tuple[tuple[Instruction, ...], tuple[int, ...]]:
-    """Instructions and outputs of a program, its long chains read off tables; what they were made of is left in it."""
+    """Instructions and outputs of a program, its long chains read off tables; what they were made of is left out."""
     chains = {n: c for n, c in _Chains(program).found.items() if len(c.knots) >= _LEAST}
     if not chains:
         return program, outputs
-    instructions, place = list[Instruction](), list[int]()
+    instructions, place = list[Instruction](), dict[int, int]()
     known = dict[tuple[float, ...], int]()
 
     def table(values: tuple[float, ...]) -> int:
@@ -85,12 +87,23 @@ def with_tables(
             instructions.append(("table", tuple(value.hex() for value in values)))
         return known[values]
 
-    for number, instruction in enumerate(program):
+    for number in _used(program, outputs, chains):
+        instruction = program[number]
         if (chain := chains.get(number)) is not None:
             at = table(chain.knots), table(tuple(value + 0.0 for value in chain.values))
             instruction = ("read", place[chain.x], *at)
-        elif instruction[0] not in ("input", "const", "table"):
+        elif instruction[0] not in _LEAVES:
             instruction = (instruction[0], *(place[i] for i in instruction[1:]))
-        place.append(len(instructions))
+        place[number] = len(instructions)
         instructions.append(instruction)
     return tuple(instructions), tuple(place[i] for i in outputs)
+
+
+def _used(program: tuple[Instruction, ...], outputs: tuple[int, ...], chains: Mapping[int, _Chain]) -> list[int]:
+    """Which values are asked for once chains are read: of the many that a chain is made of none but x."""
+    used = set(outputs)
+    for number in reversed(range(len(program))):
+        if number in used:
+            op, *operands = program[number]
+            used |= {chains[number].x} if number in chains else set() if op in _LEAVES else {*operands}
+    return sorted(used)
