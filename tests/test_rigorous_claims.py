@@ -18,11 +18,13 @@ from prover_checks import room, settings
 FREE = {"u": "interior", "v": "interior"}
 
 
-def problem(phase: pl.Phase, objective: Any, given: dict[str, tuple[float, str]], **options: Any) -> pl.Problem:
+def problem(
+    phase: pl.Phase, objective: Any, given: dict[str, tuple[float, str]], unit: str = "m", **options: Any
+) -> pl.Problem:
     return pl.Problem(
         name="claimed", phases=(phase,), start=lambda p, m: (0.0,) * len(phase.states),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        objective=objective, objective_unit="m", **options,
+        given={name: pl.Given(value=value, unit=own) for name, (value, own) in given.items()},
+        objective=objective, objective_unit=unit, **options,
     )  # fmt: skip
 
 
@@ -53,6 +55,32 @@ def test_a_corner_that_each_control_alone_would_keep_is_no_minimum() -> None:
     for side, sign in (("lower", -1), ("upper", 1)):
         _, missing = proved(stated, {"u": side, "v": side}, [1.0])
         assert not missing if sign > 0 else any("(u, v) is the only minimum of H" in words for words in missing)
+
+
+def test_controls_without_a_formula_are_states_and_the_only_minimum() -> None:
+    """Straight to (3 m, 4 m) at 1 m/s by an angle: 5 s; and x' = u + v at a cost of u^2 + v^2 + u v: u = v = 1/2."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="y", unit="m")),
+        controls=(pl.Bounded(name="a", unit="rad", lower=-1.5, upper=1.5),),
+        dynamics=lambda x, u, p, m: (p.w * m.cos(u.a), p.w * m.sin(u.a)), duration="T",
+        end=lambda x, p, m: (x.x - 3 * p.l, x.y - 4 * p.l),
+        end_conditions=(pl.Variable(name="along", unit="m"), pl.Variable(name="up", unit="m")),
+    )  # fmt: skip
+    free = (pl.Free(name="T", unit="s", lower=0.0, upper=50.0, typical=5.0),)
+    stated = problem(phase, lambda x, p, m: p.w * p.T, {"w": (1.0, "m/s"), "l": (1.0, "m")}, free=free)
+    root, missing = proved(stated, {"a": "interior"}, [-0.6, -0.8, 5.0, -0.6, -0.8, 0.9])
+    assert not missing and root.y[2].overlaps(arb(5)) and root.y[5].overlaps(arb.atan2(arb(4), arb(3)))
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
+        controls=tuple(pl.Bounded(name=name, unit="m/s", lower=-9.0, upper=9.0) for name in "uv"),
+        dynamics=lambda x, u, p, m: (u.u + u.v, u.u * u.u + u.v * u.v + u.u * u.v), duration="T",
+        end=lambda x, p, m: (x.x - p.l,), end_conditions=(pl.Variable(name="along", unit="m"),),
+    )  # fmt: skip
+    stated = problem(
+        phase, lambda x, p, m: x.c, {"T": (1.0, "s"), "l": (1.0, "m")}, unit="m^2/s",
+    )  # fmt: skip
+    root, missing = proved(stated, {"u": "interior", "v": "interior"}, [-1.5, 1.0, -1.5, 0.5, 0.5])
+    assert not missing and all(w.overlaps(arb(0.5)) and w.rad() < 1e-20 for w in root.y[3:])
 
 
 def test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds() -> None:

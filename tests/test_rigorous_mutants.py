@@ -238,6 +238,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (claims.test_a_corner_that_each_control_alone_would_keep_is_no_minimum, {
             "corner": ("limits", "if arc.joint:", "if False:"),
+            "faces at bounds left out": ("minimum", '(side == "upper" and B[i] < bound)', 'side == "upper"'),
         }),
         (claims.test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds, {
             "bound without its derivative": ("equations", "graph.substitute([H], held)[0]", "H"),
