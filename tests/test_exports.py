@@ -19,6 +19,8 @@ from command_line import HYBRID, ROOT, read_json
 from perilune.cli import run
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.path import LOST, legs
+from perilune.io.exports.table import flight_table
+from perilune.io.exports.tabular import write_netcdf
 from perilune.models.bodies import MARS, Body
 from perilune.models.landing import Orbit, Vehicle, hybrid_landing
 from perilune.problem.solution import Solution
@@ -102,6 +104,21 @@ def test_a_planar_flight_says_which_plane_was_chosen(hybrid: Solution, tmp_path:
     comments = " ".join(line.removeprefix("COMMENT ") for line in text.splitlines() if line.startswith("COMMENT"))
     assert "its plane is the equator" in comments and "IAU/IAG elements" in comments and "level 0" in comments
     assert text.isascii() and max(map(len, text.splitlines())) <= 254
+
+
+def test_names_of_the_problem_break_no_message(hybrid: Solution, tmp_path: Path) -> None:
+    """A line break in one began a keyword of its own; letters beyond ASCII were a fault."""
+    called = replace(hybrid, problem=hybrid.problem.changed(name="Möndlein\nSTOP_TIME = never", title="é\nMETA_STOP"))
+    lines = pl.export(called, tmp_path / "flight.oem", epoch=EPOCH).read_text("ascii").splitlines()
+    assert "OBJECT_NAME = M?ndlein STOP_TIME = never" in lines and lines.count("META_STOP") == 1
+
+
+def test_a_column_that_netcdf_cannot_call_is_refused_in_words(hybrid: Solution, tmp_path: Path) -> None:
+    table = flight_table(hybrid)
+    greek = replace(table, fields=(replace(table.fields[0], name="λ"), *table.fields[1:]))
+    with pytest.raises(PeriluneError, match=r"ASCII letters only\n *got: λ"):
+        write_netcdf(greek, {}, None, tmp_path / "x.nc")
+    assert not (tmp_path / "x.nc").exists()
 
 
 def test_an_epoch_is_read_as_it_is_meant(hybrid: Solution, tmp_path: Path) -> None:

@@ -197,3 +197,36 @@ def test_the_middle_of_a_range_and_the_shares_of_it() -> None:
     assert Bounded(name="force", upper=-2.0).middle(p) == (-2.0, math.inf)
     assert Bounded(name="force").middle(p) == (0.0, math.inf)
     assert [throttle.share(u, p) for u in (0.2, 0.6, 1.0)] == pytest.approx([0.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("states", "controls", "words"),
+    [
+        (("time", "v"), "push", "time cannot be the name of a state[\\s\\S]*the time since the phase began"),
+        (("phase", "v"), "push", "phase cannot be the name of a state"),
+        (("x", "H"), "push", "H cannot be the name of a state[\\s\\S]*the Hamiltonian"),
+        (("x", "lambda_x"), "push", "lambda_x cannot be the name of a state[\\s\\S]*the costate of x"),
+        (("x", "push"), "push", "push cannot be the name of a control[\\s\\S]*the name of a state"),
+        (("x", "x"), "push", "two states of the phase swing are called x"),
+        (("x", "_v"), "push", "nor begin with _"),
+        (("x", "v"), "lambda", "a word of Python"),
+    ],
+)
+def test_a_name_that_a_table_has_for_something_else_is_refused(states: Any, controls: str, words: str) -> None:
+    """It stood in tables and files in place of the time, the phase, a costate or H, or was lost."""
+    with pytest.raises(PeriluneError, match=words):
+        phase = replace(slider().phases[0], name="swing", states=tuple(Variable(name=name) for name in states))
+        slider(phases=(replace(phase, controls=(Bounded(name=controls),)),))
+
+
+@pytest.mark.parametrize("name", ["", "two words", "../out", "a\nb", cast("Any", 5)])
+def test_a_phase_is_called_as_a_part_of_a_file_name_may_be(name: Any) -> None:
+    """Tables are named by it."""
+    with pytest.raises(PeriluneError, match="name"):
+        slider(phases=(replace(slider().phases[0], name=name),))
+
+
+@pytest.mark.parametrize("changes", [{"name": 5}, {"title": None}])
+def test_a_problem_is_called_by_a_text(changes: Any) -> None:
+    with pytest.raises(PeriluneError, match=f"not the {next(iter(changes))} of a problem"):
+        slider(**changes)

@@ -14,6 +14,7 @@ from typing import Any
 from perilune.problem.controls import scalars
 from perilune.problem.dimensions import Clash, clash, mixed_comparison
 from perilune.problem.form import Stated, stated
+from perilune.problem.names import check_names
 from perilune.problem.phase import Phase
 from perilune.problem.views import check_views
 from perilune.words.asked import demand, refused
@@ -30,6 +31,7 @@ def check_structure(problem: Any) -> None:
         demand(phase, Phase, "a phase")
     if not problem.phases:
         raise PeriluneError("a problem needs at least one phase", got="none")
+    check_names(problem)
     if len(problem.links) != len(problem.phases) - 1:
         raise PeriluneError(
             "each phase after the first needs a link from the one before",

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import wraps
 from inspect import signature
+from keyword import iskeyword
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -214,6 +215,8 @@ def demand_identifier(value: Any) -> None:
         raise refused(value, "a text", "a name")
     if not value.isidentifier():
         raise PeriluneError("a name must be a Python identifier", got=repr(value[:60]))
+    if iskeyword(value) or value.startswith("_"):
+        raise PeriluneError("a name must not be a word of Python, nor begin with _", got=repr(value[:60]))
 
 
 def demand_whole(settings: Any, **least: int) -> None:

@@ -16,8 +16,10 @@ from perilune.io.exports.path import Leg, legs, space_of
 from perilune.io.format import hash_of
 from perilune.models.orientation import axes_in_space, told_orientation
 from perilune.problem.solution import Solution
+from perilune.words.bounded import one_line
 
 _WIDTH = 200  # the standard allows 254 characters
+_NAMED = 80  # of them for the name of the problem
 NAME = "an orbit ephemeris message (OEM)"
 
 
@@ -59,14 +61,18 @@ def _told(solution: Solution, about: Mapping[str, str], body: str, lost: float) 
 def _comments(texts: Iterator[str]) -> Iterator[str]:
     """Comments in lines of letters that the standard knows."""
     for text in texts:
-        left = text.replace("Δ", "Delta ").encode("ascii", "replace").decode().split()
         line = "COMMENT"
-        for word in left:
+        for word in _plain(text).split():
             if len(line) + len(word) >= _WIDTH:
                 yield line
                 line = "COMMENT"
             line += f" {word}"
         yield line
+
+
+def _plain(text: str) -> str:
+    """One line of letters that the standard knows: names are those of who stated the problem."""
+    return one_line(text.replace("Δ", "Delta "), most=10_000).encode("ascii", "replace").decode()
 
 
 def _segment(leg: Leg, name: str, body: str, epoch: datetime) -> list[str]:
@@ -75,8 +81,8 @@ def _segment(leg: Leg, name: str, body: str, epoch: datetime) -> list[str]:
     # Two times nearer than a nanosecond are one here.
     rows = dict(zip(stamps, kilometres, strict=True))
     return [
-        "META_START", f"COMMENT phase {leg.phase}", f"OBJECT_NAME = {name}", "OBJECT_ID = UNKNOWN",
-        f"CENTER_NAME = {body.upper()}", "REF_FRAME = ICRF", "TIME_SYSTEM = UTC",
+        "META_START", f"COMMENT phase {_plain(leg.phase)}", f"OBJECT_NAME = {_plain(name)[:_NAMED]}",
+        "OBJECT_ID = UNKNOWN", f"CENTER_NAME = {body.upper()}", "REF_FRAME = ICRF", "TIME_SYSTEM = UTC",
         f"START_TIME = {stamps[0]}", f"STOP_TIME = {stamps[-1]}",
         "INTERPOLATION = HERMITE", "INTERPOLATION_DEGREE = 3", "META_STOP", "",
         *(" ".join([at, *map(repr, row)]) for at, row in rows.items()), "",

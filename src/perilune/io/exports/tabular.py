@@ -78,6 +78,12 @@ def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime |
     """By SciPy, as the conventions have it."""
     from scipy.io import netcdf_file
 
+    for name in (f.name for f in table.fields):
+        if not name.isascii():
+            raise PeriluneError(
+                "NetCDF as it is written here has names of ASCII letters only", got=name,
+                advice="csv or parquet, or another name in the problem",
+            )  # fmt: skip
     with netcdf_file(str(path), "w", version=2) as file:
         for name, text in _file_attributes(table, about, epoch).items():
             setattr(file, name, text.encode())

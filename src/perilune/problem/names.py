@@ -1,0 +1,61 @@
+"""How the phases of a problem and their quantities may be called.
+
+Tables, figures and files have one column for each name, beside their own: a quantity of such a name would stand in its
+place, or be lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from perilune.problem.phase import Phase
+from perilune.words.asked import demand_identifier, refused
+from perilune.words.outcome import PeriluneError
+
+_OWN = {"time": "the time since the phase began", "phase": "the phase of a row", "H": "the Hamiltonian"}
+_KINDS = {"state": "a state", "control": "a control", "output": "an output"}
+
+
+def check_names(problem: Any) -> None:
+    """Refuse names that are none, and quantities of one phase that are called alike or as columns of the program's own.
+
+    Raises
+    ------
+    PeriluneError
+        For the first.
+    """
+    if not isinstance(problem.name, str):
+        raise refused(problem.name, "a text", "the name of a problem")
+    if not isinstance(problem.title, str):
+        raise refused(problem.title, "a text", "the title of a problem")
+    for phase in problem.phases:
+        demand_identifier(phase.name.replace("-", "_") if isinstance(phase.name, str) else phase.name)
+        for kind, names in (("state", phase.state_names), ("control", phase.control_names)):
+            _check_distinct(phase, kind, names)
+        _check_columns(phase)
+
+
+def _check_distinct(phase: Phase, kind: str, names: Iterable[str]) -> None:
+    seen = set[str]()
+    for name in names:
+        if name in seen:
+            raise PeriluneError(f"two {kind}s of the phase {phase.name} are called {name}")
+        demand_identifier(name)
+        seen.add(name)
+
+
+def _check_columns(phase: Phase) -> None:
+    taken = _OWN | {f"lambda_{name}": f"the costate of {name}" for name in phase.state_names}
+    kinds = {
+        "state": phase.state_names, "control": phase.control_names,
+        "output": [v.name for v in phase.output_variables],
+    }  # fmt: skip
+    for kind, names in kinds.items():
+        for name in names:
+            if name in taken:
+                raise PeriluneError(
+                    f"{name} cannot be the name of {_KINDS[kind]} of the phase {phase.name}",
+                    got=f"it is the name of {taken[name]} in tables and files", advice="another name",
+                )  # fmt: skip
+            taken[name] = _KINDS[kind]
