@@ -7,10 +7,10 @@ import pytest
 from perilune.kernels.code import native
 
 
-@pytest.fixture(autouse=True, scope="session")
-def _cache_of_the_session(tmp_path_factory: pytest.TempPathFactory):
+@pytest.fixture(autouse=True, scope="module")  # not of the session: others behind it share what all have compiled
+def _cache_of_the_kernels(tmp_path_factory: pytest.TempPathFactory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PERILUNE_CACHE", str(tmp_path_factory.mktemp("kernels")))
+        patch.setenv("PERILUNE_CACHE", str(tmp_path_factory.getbasetemp() / "kernels"))
         yield
 
 
