@@ -226,6 +226,16 @@ def test_a_phase_is_called_as_a_part_of_a_file_name_may_be(name: Any) -> None:
         slider(phases=(replace(slider().phases[0], name=name),))
 
 
+def test_a_column_has_one_unit_in_all_phases() -> None:
+    """The unit of the last phase stood above the numbers of all."""
+    (first,) = slider().phases
+    told: Any = {"outputs": lambda x, u, p, m: (x.v,)}
+    one = replace(first, name="one", **told, output_variables=(Variable(name="q", unit="m/s"),))
+    two = replace(first, name="two", **told, output_variables=(Variable(name="q", unit="m"),))
+    with pytest.raises(PeriluneError, match=r"q has another unit in the phase two[\s\S]*got: m\n *expected: m/s"):
+        slider(phases=(one, two), links=(lambda x, p, m: tuple(x),))
+
+
 @pytest.mark.parametrize("changes", [{"name": 5}, {"title": None}])
 def test_a_problem_is_called_by_a_text(changes: Any) -> None:
     with pytest.raises(PeriluneError, match=f"not the {next(iter(changes))} of a problem"):

@@ -34,6 +34,7 @@ def check_names(problem: Any) -> None:
         for kind, names in (("state", phase.state_names), ("control", phase.control_names)):
             _check_distinct(phase, kind, names)
         _check_columns(phase)
+    _check_units(problem.phases)
 
 
 def _check_distinct(phase: Phase, kind: str, names: Iterable[str]) -> None:
@@ -59,3 +60,16 @@ def _check_columns(phase: Phase) -> None:
                     got=f"it is the name of {taken[name]} in tables and files", advice="another name",
                 )  # fmt: skip
             taken[name] = _KINDS[kind]
+
+
+def _check_units(phases: Iterable[Phase]) -> None:
+    """A column goes on from phase to phase, with one unit."""
+    units = dict[str, str]()
+    for phase in phases:
+        steered = [(name, control.unit) for control in phase.controls for name in control.names]
+        for name, unit in (*((v.name, v.unit) for v in (*phase.states, *phase.output_variables)), *steered):
+            if units.setdefault(name, unit) != unit:
+                raise PeriluneError(
+                    f"{name} has another unit in the phase {phase.name} than before", got=unit or "none",
+                    expected=units[name] or "none", advice="another name: tables have one column for both",
+                )  # fmt: skip
