@@ -134,6 +134,9 @@
     }
     if (!flight) { waits([]); return; }
     text($("title"), flight.title); late ? waits(["below is the flight before"]) : source(flight); numbers(flight);
+    drawn(flight);
+  }
+  function drawn(flight) {
     Draw.path($("path"), [flight, ...state.pins.map((p) => p.flight)]);
     const flat = !flight.views.ground && Draw.series(flight, "east").length && Draw.series(flight, "north").length;
     $("ground-box").hidden = !flight.views.ground && !flat;
@@ -282,7 +285,8 @@
   addEventListener("hashchange", () => { if (location.hash.slice(1) !== hash()) { remember(); restore(linked()); } }); // a link into an open page
   document.querySelector(".skip").onclick = (event) => { event.preventDefault(); $("knobs").focus(); $("knobs").scrollIntoView(); }; // the address holds values
   new ResizeObserver(([head]) => document.documentElement.style.setProperty("--head", `${head.target.offsetHeight}px`)).observe(document.querySelector("header"));
-  addEventListener("resize", () => { Draw.forget(); show(); });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { Draw.forget(); show(); });
+  const anew = () => { Draw.forget(); show(); if (state.refused && state.flight) { drawn(state.flight); } }; // the flight before, behind a refusal, too
+  addEventListener("resize", anew);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", anew);
   connect();
 })();
