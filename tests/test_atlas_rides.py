@@ -286,11 +286,20 @@ def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_
     assert found.objective == pytest.approx([_all_of_bryson_denham(c) + least for c in ceilings.tolist()], abs=1e-7)
 
 
-def test_an_answer_of_arcs_does_not_vouch_for_what_breaks_the_path_in_another_well(tmp_path: Path) -> None:
-    """Of two wells of the speed one was mapped with its touch alone, where the ride is; any arcs did for an answer."""
+@pytest.mark.parametrize(
+    ("steep", "slow", "fast", "paid", "crossed"),
+    [(168.8, 0.792, 1.355, 4.715, -13.921), (105.356, 0.564, 1.215, 8.995, -1.953)],
+)
+def test_an_answer_of_arcs_does_not_vouch_for_what_breaks_the_path_in_another_well(
+    tmp_path: Path, steep: float, slow: float, fast: float, paid: float, crossed: float
+) -> None:
+    """Of two wells of the speed one was mapped with its touch alone, where the ride is; any arcs did for an answer.
+
+    In the second case the ride of the better well was found, and lost: followed beyond a bound it led to the other.
+    """
 
     def price(v: Any, l: Any) -> Any:
-        return 168.8 * (v - 0.792) ** 2 * (v - 1.355) ** 2 - 4.715 * v - 13.921 * l * v
+        return steep * (v - slow) ** 2 * (v - fast) ** 2 - paid * v + crossed * l * v
 
     plain = bryson_denham(0.2)
     given = {name: one for name, one in plain.given.items() if name != "speed"}

@@ -7,8 +7,10 @@ neither is left. Whether an answer that is known is that one, or better than it,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
 from perilune.atlas.sheets import SLACK, Borders, Sheet
@@ -19,18 +21,29 @@ from perilune.words.types import Matrix, Vector
 _TURNS = 8  # times that bounds are taken and let go
 
 
-def kept(chart: Chart, borders: Borders, sheets: Sequence[Sheet], number: int, values: Matrix, y: Matrix) -> Vector:
-    """J of what extremals become, canonical, (lanes,); NaN where that is not found, or is no minimum that is known of.
+@dataclass(frozen=True)
+class Kept:
+    """What extremals become, in lanes: number of the sheet, -1 where that is not found; unknowns; J, canonical."""
+
+    sheet: NDArray[np.int64]
+    y: Matrix
+    cost: Vector
+
+
+def kept(chart: Chart, borders: Borders, sheets: Sequence[Sheet], first: Sheet, values: Matrix, y: Matrix) -> Kept:
+    """What extremals become, or what Newton's method leads to from what is none; no maximum that is known of.
 
     Parameters
     ----------
-    chart, borders, sheets, number
-        Whose, and the number of the sheet on which the extremals lie.
+    chart, borders, sheets
+        Whose.
+    first
+        What is held to begin with.
     values, y
         Of the parameters, (lanes, d), and the unknowns there, (lanes, n).
     """
     cost, y, going = np.full(len(y), np.nan), y.copy(), np.arange(len(y))
-    own, which = [sheets[number]], np.zeros(len(y), dtype=np.int64)
+    own, which, number = [first], np.zeros(len(y), dtype=np.int64), np.full(len(y), -1)
     for _ in range(_TURNS):
         if not len(going):
             break
@@ -42,14 +55,14 @@ def kept(chart: Chart, borders: Borders, sheets: Sequence[Sheet], number: int, v
         done &= borders.margins_of(own, which[going], found) >= -SLACK
         for k in np.nonzero(done)[0].tolist():
             alike = Sheet(holds=own[which[going[k]]].holds, orientation=found.orientation[k], nature=Nature.UNPROVED)
-            if any(sheet.minimum and sheet.alike(alike) for sheet in sheets):
-                cost[going[k]] = found.cost[k]
+            if (its := next((i for i, s in enumerate(sheets) if s.minimum and s.alike(alike)), None)) is not None:
+                cost[going[k]], number[going[k]] = found.cost[k], its
         on = np.nonzero(found.converged & crossed.any(axis=1))[0]
         turns, turn = np.unique(np.column_stack([which[going[on]], crossed[on]]), axis=0, return_inverse=True)
         which[going[on]] = len(own) + turn.reshape(-1)
         own += [_turned(own[row[0]], [borders.bounds[i] for i in np.nonzero(row[1:])[0]]) for row in turns]
         going = going[on]
-    return cost
+    return Kept(number, y, cost)
 
 
 def _turned(sheet: Sheet, crossed: Sequence[tuple[str, str]]) -> Sheet:

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.cells import WHOLE, Status
+from perilune.atlas.charted import Charted
+from perilune.atlas.descending import Known
 from perilune.atlas.hermite import interpolated
 from perilune.atlas.polish import Polished
-from perilune.atlas.read import SERVING, Brick, Charted, Reader
+from perilune.atlas.read import SERVING, Brick, Reader
 from perilune.problem.preflight import possible, preflight
 from perilune.words.asked import demand_numbers
 from perilune.words.outcome import PeriluneError
@@ -104,7 +106,7 @@ def answers(atlas: Reader, points: Matrix) -> Answers:
 class _Offered:
     """What one branch of a sheet gives for J and y at points; NaN and inf where nothing, J alone where it `breaks`.
 
-    `first` is the number of the first sheet of its chart.
+    `first` is the number of the first sheet of its chart; of what breaks y is in `broken`.
     """
 
     charted: Charted
@@ -113,6 +115,7 @@ class _Offered:
     y: Matrix
     cost: Vector
     breaks: NDArray[np.bool_]
+    broken: Matrix
 
 
 class _Work:
@@ -147,13 +150,14 @@ class _Work:
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
         doubt, going = np.full(len(some), np.inf), np.ones(len(some), dtype=bool)
-        breaking = list[tuple[Charted, NDArray[np.int64], Vector]]()
+        breaking = list[tuple[int, NDArray[np.int64], Vector, Matrix]]()
         arcs = {
             id(offer.charted): np.zeros(len(some), dtype=np.int64) for offer in offers
         }  # that keep the path, by charts
         for offer in offers:
             arcs[id(offer.charted)] += offer.charted.of_arcs & np.isfinite(offer.y[:, 0]) & ~offer.breaks
         turning = list[tuple[int, NDArray[np.int64], Matrix]]()
+        self.some, self.known = some, Known.none(atlas.charted, len(some))
         for rank in range(len(offers)):
             chosen = order[rank]
             here = cost[chosen, np.arange(len(some))]
@@ -165,27 +169,32 @@ class _Work:
                 ends, breaks = np.isnan(offer.y[lanes, 0]), offer.breaks[lanes]
                 which = lanes[ends & ~breaks]
                 doubt[which] = np.minimum(doubt[which], here[which])
-                breaking.append((offer.charted, lanes[breaks], here[lanes[breaks]]))
+                breaking.append((number, lanes[breaks], here[lanes[breaks]], offer.broken[lanes[breaks]]))
                 if len(lanes := lanes[~ends]):
+                    active = offer.charted.chart.active
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
                     sound = polished.reached & np.isfinite(polished.cost)
                     here[lanes] = cost[number, lanes] = np.where(sound, polished.cost, here[lanes])
                     outside = polished.beyond.any(axis=1) & (polished.cost < self.cost[some[lanes]])
                     if (turns := outside | (polished.gains & ~polished.beyond.any(axis=1))).any():
-                        turning.append((number, lanes[turns], polished.y[turns]))
+                        turning.append((number, lanes[turns], polished.y[turns][:, active]))
                     which, breaks = lanes[polished.doubtful], lanes[polished.breaking]
                     doubt[which] = np.minimum(doubt[which], here[which])
-                    breaking.append((offer.charted, breaks, here[breaks]))
+                    breaking.append((number, breaks, here[breaks], polished.y[polished.breaking][:, active]))
                     arcs[id(offer.charted)][lanes] -= offer.charted.of_arcs & ~polished.answers
-        # What lies beyond a bound, or gains by leaving one, is no answer; what it becomes where it keeps it may be one.
+        told = [(offers[number].charted, lanes, its) for number, lanes, its, _ in breaking]
+        self._cast(doubt, told, arcs, self.cost[some], self.of_arcs[some])
+        breaking = breaking if atlas.descents.names else []
+        best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
-            charted, best = offers[number].charted, self.cost[some[lanes]]
-            becomes = charted.kept(offers[number].sheet, self.points[some[lanes]] / charted.chart.scale, y)
-            becomes = np.where(np.isfinite(becomes), becomes, cost[number, lanes])
-            left = ~(equal(becomes, best) & np.isfinite(best))
-            doubt[lanes[left]] = np.minimum(doubt[lanes[left]], becomes[left])
-        self._cast(doubt, breaking, arcs, self.cost[some], self.of_arcs[some])
+            self._become(doubt, offers[number], lanes, cost[number, lanes], y, best, turns=True)
+        for number, lanes, its, y in breaking:
+            outdoes = (its < best.cost[lanes]) | (best.chart[lanes] < 0)
+            outdoes &= (best.chart[lanes] < 0) | (not offers[number].charted.breaks_controls_alone)
+            self._become(doubt, offers[number], lanes[outdoes], its[outdoes], y[outdoes], best, turns=False)
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
+        with np.errstate(invalid="ignore"):
+            doubtful &= ~(found & equal(doubt, self.cost[some]))
         # What is damaged might have held a better one.
         damaged = self._where(some, lambda place: bool(atlas.damage(place)))
         self.answered[some[found]] = Answered.YES
@@ -193,6 +202,35 @@ class _Work:
         self.answered[some[damaged | (~found & self._where(some, atlas.missing))]] = Answered.NOT_BUILT
         none = some[self.answered[some] != Answered.YES]
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
+
+    def _become(
+        self,
+        doubt: Vector,
+        offer: _Offered,
+        lanes: NDArray[np.int64],
+        cost: Vector,
+        y: Matrix,
+        best: Known,
+        *,
+        turns: bool,
+    ) -> None:
+        """Let extremals that are no answers cast doubt, or what they become answer, as one by one."""
+        if not len(lanes):
+            return
+        atlas, points = self.atlas, self.points[self.some[lanes]]
+        number = atlas.charted.index(offer.charted)
+        extremals = Known.none(atlas.charted, len(lanes))
+        extremals.chart[:], extremals.y[number][:], extremals.cost[:] = number, y, cost
+        extremals.sheet[:] = offer.sheet if turns else -1
+        becomes = atlas.descents.become(points, extremals, atlas.begins(points), best.of(lanes))
+        found = becomes.chart >= 0
+        doubt[lanes] = np.minimum(doubt[lanes], np.where(found, becomes.cost, cost))
+        known = self.cost[self.some[lanes]]
+        better = found & (becomes.cost < known) & ~(np.isfinite(known) & equal(becomes.cost, known))
+        for chart, sheet in np.unique(np.column_stack([becomes.chart, becomes.sheet])[better], axis=0).tolist():
+            charted, its = atlas.charted[chart], better & (becomes.chart == chart) & (becomes.sheet == sheet)
+            first = sum(len(other.sheets) for other in atlas.charted[:chart])
+            self._polished(self.some[lanes[its]], _no_offer(charted, sheet, first, 0), becomes.y[chart][its])
 
     @staticmethod
     def _cast(
@@ -232,6 +270,9 @@ class _Work:
         self.free[kept] = charted.free(polished.y[better])
         self.slopes[kept] = polished.slopes[better] * problem.objective_size / chart.scale
         self.rank[kept], self.of_arcs[points[better & ~alike]] = rank, of_arcs
+        number, lanes = self.atlas.charted.index(charted), np.searchsorted(self.some, kept)
+        self.known.chart[lanes], self.known.sheet[lanes] = number, offer.sheet
+        self.known.y[number][lanes], self.known.cost[lanes] = polished.y[better][:, chart.active], self.cost[kept]
         return polished
 
     def _offers(self, some: NDArray[np.int64]) -> list[_Offered]:
@@ -281,7 +322,7 @@ class _Work:
 
 def _no_offer(charted: Charted, sheet: int, first: int, count: int) -> _Offered:
     y, cost = np.full((count, charted.unknowns), np.nan), np.full(count, np.inf)
-    return _Offered(charted, sheet, first, y, cost, np.zeros(count, dtype=bool))
+    return _Offered(charted, sheet, first, y, cost, np.zeros(count, dtype=bool), y.copy())
 
 
 def _fill(offer: _Offered, brick: Brick, root: int, lanes: NDArray[np.int64], inside: Matrix, step: Vector) -> None:
@@ -294,6 +335,8 @@ def _fill(offer: _Offered, brick: Brick, root: int, lanes: NDArray[np.int64], in
         share = (inside[serving] - said["low"]) / said["size"]
         given = interpolated(brick.nodes["terms"][said["corners"]], share, said["size"] * step)
         offer.y[lanes[serving]], offer.cost[lanes[serving]] = given[:, :-1], given[:, -1]
-    offer.breaks[lanes] = status == Status.BREAKS
+    offer.breaks[lanes] = breaks = status == Status.BREAKS
+    for i in np.nonzero(breaks)[0].tolist():
+        offer.broken[lanes[i]] = brick.given(int(cells[i]), inside[i], step)[:-1]
     for i in np.nonzero((status == Status.ENDS) | (status == Status.BREAKS))[0].tolist():
         offer.cost[lanes[i]] = brick.least(int(cells[i]), inside[i], step)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.atlas.read import Charted
+from perilune.atlas.charted import Charted
 from perilune.atlas.region import Region
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 
 from perilune.atlas.cells import WHOLE, Status
-from perilune.atlas.hermite import interpolated
+from perilune.atlas.charted import Charted
+from perilune.atlas.descending import Known
 from perilune.atlas.many import Answers, answers, clearly_worse, equal
 from perilune.atlas.polish import Polished
-from perilune.atlas.read import SERVING, Charted, Reader, may_be_answers
+from perilune.atlas.read import SERVING, Reader, may_be_answers
 from perilune.atlas.reflight import SLACK
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
@@ -230,17 +231,17 @@ class Atlas(Reader):
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        best = min(alike, key=lambda one: (one.charted.rank, one.cost), default=None)
         doubts += _unanswered(best, alike, breaking, offers)
-        # What lies beyond a bound, or gains by leaving one, is no answer; what it becomes where it keeps it may be one.
-        for one in [one for one in outside if best is None or one.cost < best.cost] + gaining:
-            assert one.polished is not None
-            becomes = one.charted.kept(one.number, (at / one.charted.chart.scale)[None], one.polished.y)[0]
-            one.cost = float(becomes) if np.isfinite(becomes) else one.cost
-            doubts += [one] if best is None or not equal(one.cost, best.cost) else []
+        breaking = breaking if self.descents.names else []
+        turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
+        doubts += self._become(at, best, turns, breaking, tried)
+        best = min(tried, key=lambda one: one.cost, default=None)
+        alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
+        best = min(alike, key=lambda one: (one.charted.rank, one.cost), default=None)
         doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
-        if best is None or damaged or (doubt is not None and doubt.cost < best.cost):
+        outdone = best is None or (doubt is not None and doubt.cost < best.cost and not equal(doubt.cost, best.cost))
+        if best is None or damaged or outdone:
             raise self._nothing(at, doubt)
         return self._answer(at, best, sorted(tried, key=lambda one: one.cost), offers, began)
 
@@ -301,19 +302,57 @@ class Atlas(Reader):
             for sheet, root in brick.minima:
                 cell = brick.leaf(root, where)
                 if brick.status[cell] in SERVING:
-                    corner, size, terms = brick.cell(cell)
-                    share, length = (inside - corner) / size, size * (high - low) / WHOLE / charted.chart.scale
-                    given = interpolated(terms, share[None], length[None])
-                    y, missed = charted.at_bounds(sheet, (at / charted.chart.scale)[None], given[:, :-1])
-                    cost = -np.inf if missed[0] else float(given[0, -1])  # then it is polished in any case
+                    size = brick.cell(cell)[1]
+                    given = brick.given(cell, inside, (high - low) / WHOLE / charted.chart.scale)
+                    y, missed = charted.at_bounds(sheet, (at / charted.chart.scale)[None], given[None, :-1])
+                    cost = -np.inf if missed[0] else float(given[-1])  # then it is polished in any case
                     offers.append(_Offer(charted, sheet, y[0], cost, size * part))
                 elif brick.status[cell] == Status.BREAKS:
-                    least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
-                    offers.append(_Offer(charted, sheet, None, least, low, breaks=True))
+                    step = (high - low) / WHOLE / charted.chart.scale
+                    y, least = brick.given(cell, inside, step)[:-1], brick.least(cell, inside, step)
+                    offers.append(_Offer(charted, sheet, y, least, low, breaks=True))
                 elif brick.status[cell] == Status.ENDS:
                     least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
                     offers.append(_Offer(charted, sheet, None, least, low))
         return sorted(offers, key=lambda offer: offer.cost)
+
+    def _become(
+        self, at: Vector, best: _Offer | None, turns: Sequence[_Offer], breaking: Sequence[_Offer], tried: list[_Offer]
+    ) -> list[_Offer]:
+        """Those of the extremals that are no answers which cast doubt.
+
+        What lies beyond a bound, or gains by leaving one, and what breaks the path becomes another where it keeps all
+        of that. If it is one that is known or worse than that it is no matter; if it is better it joins what is tried.
+        """
+        doubts = list[_Offer]()
+        breaking = [one for one in breaking if best is None or one.cost < best.cost]
+        breaking = [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
+        if not (turns or breaking):
+            return doubts
+        known, begins = self._known(best, -1), self.begins(at[None])
+        for one, sheet in [(one, one.number) for one in turns] + [(one, -1) for one in breaking]:
+            becomes = self.descents.become(at[None], self._known(one, sheet), begins, known)
+            if (number := int(becomes.chart[0])) < 0:
+                doubts.append(one)
+            elif best is None or (becomes.cost[0] < best.cost and not equal(becomes.cost[0], best.cost)):
+                charted, other, y = self.charted[number], int(becomes.sheet[0]), becomes.y[number]
+                polished = charted.polish((at / charted.chart.scale)[None], np.array([other]), y)
+                if polished.answers[0]:
+                    cost = float(polished.cost[0])
+                    tried.append(_Offer(charted, other, y[0], cost, one.cell, polished=polished))
+                else:
+                    one.cost = float(becomes.cost[0])
+                    doubts.append(one)
+        return doubts
+
+    def _known(self, one: _Offer | None, sheet: int) -> Known:
+        """An extremal as what follows them knows it."""
+        known = Known.none(self.charted, 1)
+        if one is not None:
+            number = self.charted.index(one.charted)
+            known.chart[0], known.sheet[0], known.cost[0] = number, sheet, one.cost
+            known.y[number][0] = one.y if one.polished is None else one.polished.y[0, one.charted.chart.active]
+        return known
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,36 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.cells import WHOLE, Status, halved_at, leaves
-from perilune.atlas.chart import Chart
+from perilune.atlas.charted import Charted
 from perilune.atlas.columns import (
     cell_type,
     header_region,
     node_type,
     seed_type,
-    sheets_of,
     survey_region,
-    widths_of,
 )
-from perilune.atlas.course import course_from
-from perilune.atlas.hermite import bits
-from perilune.atlas.keeping import kept
+from perilune.atlas.descending import Descents
+from perilune.atlas.hermite import bits, interpolated
 from perilune.atlas.lines import told_of_damage
-from perilune.atlas.polish import Polished, Polisher
-from perilune.atlas.reflight import SLACK, Reflights
+from perilune.atlas.reflight import SLACK
 from perilune.atlas.region import Region
-from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.io.reload import read_problem
-from perilune.methods.answer import composed
-from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution, Statistics
-from perilune.problem.symbolic import free_scales
-from perilune.shooting.extremals import Found
-from perilune.shooting.function import Root
-from perilune.structures.carry import joined
-from perilune.structures.restate import renumbered, sums_of
-from perilune.structures.structure import margins
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -106,6 +93,11 @@ class Brick:
         promised = nodes["terms"][:, 0, -1] + (slopes * (place - nodes["place"]) * step).sum(axis=1)
         return float(np.minimum(nodes["terms"][:, 0, -1], promised).min())
 
+    def given(self, number: int, place: Vector, step: Vector) -> Vector:
+        """What a cell with all its corners gives at a place: unknowns, J; `step` is that of the lattice, canonical."""
+        corner, size, terms = self.cell(number)
+        return interpolated(terms, ((place - corner) / size)[None], (size * step)[None])[0]
+
     def cell(self, number: int) -> tuple[Vector, Vector, NDArray[np.float64]]:
         """Its low corner, its size, and values and derivatives at its corners."""
         found = self._seen.get(number)
@@ -116,102 +108,6 @@ class Brick:
             terms = np.asarray(self.nodes["terms"][said["corners"]])[None]
             found = self._seen[number] = (said["low"].astype(float), said["size"].astype(float), terms)
         return found
-
-
-class Charted:
-    """One chart of an atlas, as queries need it."""
-
-    def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
-        self.sheets: tuple[Sheet, ...] = sheets_of(said)
-        self.unknowns: int = said["unknowns"]
-        self.chart: Chart = Chart(problem, region.names, widths_of(said, region), course_from(said))
-        if self.unknowns != len(self.chart.places):
-            raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
-        self.borders: Borders = Borders(self.chart)
-        reflights = Reflights(self.chart, tuple(map(int, said["times"])))
-        self.polish: Polisher = Polisher(self.chart, self.borders, reflights, self.sheets)
-        self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
-        names = [name for name, _ in self.chart.conditions.unknowns]
-        self._own_places = np.array([names.index(name) for name, _ in self.chart.own.unknowns])
-        plan = self.chart.shooting.plan
-        self._free = [i for i, name in enumerate(self.chart.free.free_names) if name not in region.names]
-        kept = [*self._free, *range(plan.free, plan.held)]
-        self._own_choice = [*kept, *(plan.held + i for i in kept)]
-
-    @property
-    def of_arcs(self) -> bool:
-        """Whether its extremals are made of several arcs."""
-        return self.chart.course.structure is not None
-
-    @cached_property
-    def rank(self) -> tuple[int, int]:
-        """Which of several charts that have the same J answers: the least; how often it touches, and its arcs.
-
-        A flight that touches twice in place of riding has the same J, and no proof of level 3.
-        """
-        structure = self.chart.course.structure
-        if structure is None:
-            return 0, 1
-        return sum(len(arc.touches) for arcs in structure.phases for arc in arcs), structure.count
-
-    @cached_property
-    def breaks_controls_alone(self) -> bool:
-        """Whether its extremals can break bounds of singular controls and nothing else: all others keep these."""
-        return not any(margins(self.chart.user, k) for k in range(len(self.chart.user.phases)))
-
-    @cached_property
-    def labels(self) -> list[str]:
-        """What tells each sheet, in words."""
-        return ["; ".join(filter(None, (self.chart.course.text, sheet.label))) for sheet in self.sheets]
-
-    def at_bounds(self, number: int, values: Matrix, y: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
-        """What cells of a sheet give, and where that misses a bound: there a step of Newton's method behind it."""
-        if (missed := self.borders.missed(self.sheets[number], values, y)).any():
-            holds = self.borders.holds(self.sheets, np.full(len(y), number), values)
-            y = np.where(missed[:, None], self.chart.at(values, y, holds).stepped, y)
-        return y, missed
-
-    def kept(self, number: int, values: Matrix, y: Matrix) -> Vector:
-        """J of what extremals beyond a bound, or that gain by leaving one, become where they keep it; NaN if unknown.
-
-        `y` are all unknowns of the chart.
-        """
-        return kept(self.chart, self.borders, self.sheets, number, values, y[:, self.chart.active])
-
-    def free(self, y: Matrix) -> Matrix:
-        """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
-        chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]
-        at = {name: value for name, value in zip(chart.problem.free_names, (own * self._sizes).T, strict=True)}
-        sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
-        return np.column_stack([np.zeros((len(y), 0)), *(
-            sum((at[part] for part in sums[name]), np.zeros(len(y))) if name in sums else at[name]
-            for name in chart.user.free_names
-        )])  # fmt: skip
-
-    def solution(self, problem: Problem, roots: Sequence[Found], statistics: Statistics) -> Solution:
-        """Extremals of the chart as a solution of the user's problem at their values."""
-        chart, structure = self.chart, self.chart.course.structure
-        if structure is None:
-            return composed(Indirect.name, problem, chart.own, roots, statistics)
-        found = composed(Indirect.name, renumbered(chart.problem, problem, structure), chart.own, roots, statistics)
-        return joined(problem, found, structure)
-
-    def own_unknowns(self, y: Matrix) -> Matrix:
-        """Of all unknowns of the chart those of the problem itself, (lanes, n)."""
-        return y[:, self._own_places]
-
-    def root(self, polished: Polished) -> Root:
-        """A polished extremal as a root of the problem itself, where the axes are given."""
-        return Root(
-            y=self.own_unknowns(polished.y)[0],
-            residual=polished.flown.residual[:1],
-            inverse=np.full((0, 0), np.nan),
-            slopes=np.zeros(len(self._free)),
-            ranges=np.zeros(0),
-            cost=float(polished.cost[0]),
-            choice=polished.choice[0, self._own_choice],
-            converged=True,
-        )
 
 
 class Reader:
@@ -259,7 +155,7 @@ class Reader:
         self.region: Region = survey_region(self._first, self.survey)
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
-        for name in ("charted", "_surveyed"):
+        for name in ("charted", "descents", "_surveyed"):
             self.__dict__.pop(name, None)
 
     @cached_property
@@ -267,6 +163,29 @@ class Reader:
         """Its charts."""
         with told_of_damage(MANIFEST):
             return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
+
+    @cached_property
+    def descents(self) -> Descents:
+        """What follows extremals that are no answers over its charts."""
+        return Descents(self.charted)
+
+    def begins(self, points: Matrix) -> list[Matrix]:
+        """The node of each chart that is nearest to points [SI], good or bad: values of the axes, and unknowns there.
+
+        Canonical, NaN where a chart has none, (points, d + n) each.
+        """
+        d, places = points.shape[1], self.region.bricks_of(points)
+        found = [np.full((len(points), d + charted.unknowns), np.nan) for charted in self.charted]
+        for number, charted in enumerate(self.charted):
+            there = np.array([key[1:] for key in self.said if key[0] == number]).reshape(-1, d)
+            for place in np.unique(places, axis=0) if len(there) else ():
+                near = there[np.abs(there - place).sum(axis=1).argmin()]
+                if (brick := self.brick(number, tuple(near.tolist()))) is not None and len(brick.nodes):
+                    rows = np.nonzero((places == place).all(axis=1))[0]
+                    away = (brick.nodes["values"] - points[rows, None]) / (self.region.high - self.region.low)
+                    nodes = brick.nodes[np.abs(away).sum(axis=2).argmin(axis=1)]
+                    found[number][rows] = np.hstack([nodes["values"] / charted.chart.scale, nodes["terms"][:, 0, :-1]])
+        return found
 
     def damage(self, brick: tuple[int, ...]) -> list[str]:
         """What is damaged at a place, in words; of bricks that were looked at."""

@@ -28,6 +28,7 @@ from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet, held_at
 from perilune.atlas.walking import MOST, carried, carried_on, from_one, reached_at, walked
+from perilune.atlas.wells import other_wells
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.problem.extremal import Extremal, Nature
@@ -175,6 +176,8 @@ class Survey:
         found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=widths)
         for point in solved:
             found = self._with(found, corners, point.values, point.extremals)
+        if course.structure is not None:  # what flies in one piece has its families followed by each solve
+            found = self._with_wells(found, corners)
         if not found.sheets:
             return found
         found = _with_promised(found, corners / chart.scale)
@@ -208,6 +211,23 @@ class Survey:
                 y = chart.told(np.array(extremal.unknowns))
                 holds = held_at(borders, at / chart.scale, y)
                 left.append((at / chart.scale, y, Sheet(holds=holds, orientation=0.0, nature=extremal.nature)))
+        return self._with_these(known, corners, left)
+
+    def _with_wells(self, known: Found, corners: Matrix) -> Found:
+        """The same with the sheets in other wells of J along parameters between bounds."""
+        number = 0
+        while number < len(known.sheets):
+            reached = np.nonzero(np.isfinite(known.y[number, :, 0]))[0]
+            if known.sheets[number].minimum and len(reached):
+                values, y = corners[reached] / known.chart.scale, known.y[number, reached]
+                for one in other_wells(known.chart, known.borders, known.sheets[number], values, y):
+                    known = self._with_these(known, corners, [one])
+            number += 1
+        return known
+
+    def _with_these(self, known: Found, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]) -> Found:
+        """The same with the sheets on which extremals lie, canonical, and those behind the folds of these."""
+        chart, borders = known.chart, known.borders
         while left and len(known.sheets) < _MOST_SHEETS:
             values, y, sheet = left.pop(0)
             holds = borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None])

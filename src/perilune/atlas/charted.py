@@ -1,0 +1,118 @@
+"""One chart of an atlas, as queries need it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.chart import Chart
+from perilune.atlas.columns import sheets_of, widths_of
+from perilune.atlas.course import course_from
+from perilune.atlas.polish import Polished, Polisher
+from perilune.atlas.reflight import Reflights
+from perilune.atlas.region import Region
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.methods.answer import composed
+from perilune.methods.indirect import Indirect
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution, Statistics
+from perilune.problem.symbolic import free_scales
+from perilune.shooting.extremals import Found
+from perilune.shooting.function import Root
+from perilune.structures.carry import joined
+from perilune.structures.restate import renumbered, sums_of
+from perilune.structures.structure import margins
+from perilune.words.types import Matrix
+
+
+class Charted:
+    """One chart of an atlas, as queries need it."""
+
+    def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
+        self.sheets: tuple[Sheet, ...] = sheets_of(said)
+        self.unknowns: int = said["unknowns"]
+        self.chart: Chart = Chart(problem, region.names, widths_of(said, region), course_from(said))
+        if self.unknowns != len(self.chart.places):
+            raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
+        self.borders: Borders = Borders(self.chart)
+        reflights = Reflights(self.chart, tuple(map(int, said["times"])))
+        self.polish: Polisher = Polisher(self.chart, self.borders, reflights, self.sheets)
+        self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
+        names = [name for name, _ in self.chart.conditions.unknowns]
+        self._own_places = np.array([names.index(name) for name, _ in self.chart.own.unknowns])
+        plan = self.chart.shooting.plan
+        self._free = [i for i, name in enumerate(self.chart.free.free_names) if name not in region.names]
+        kept = [*self._free, *range(plan.free, plan.held)]
+        self._own_choice = [*kept, *(plan.held + i for i in kept)]
+
+    @property
+    def of_arcs(self) -> bool:
+        """Whether its extremals are made of several arcs."""
+        return self.chart.course.structure is not None
+
+    @cached_property
+    def rank(self) -> tuple[int, int]:
+        """Which of several charts that have the same J answers: the least; how often it touches, and its arcs.
+
+        A flight that touches twice in place of riding has the same J, and no proof of level 3.
+        """
+        structure = self.chart.course.structure
+        if structure is None:
+            return 0, 1
+        return sum(len(arc.touches) for arcs in structure.phases for arc in arcs), structure.count
+
+    @cached_property
+    def breaks_controls_alone(self) -> bool:
+        """Whether its extremals can break bounds of singular controls and nothing else: all others keep these."""
+        return not any(margins(self.chart.user, k) for k in range(len(self.chart.user.phases)))
+
+    @cached_property
+    def labels(self) -> list[str]:
+        """What tells each sheet, in words."""
+        return ["; ".join(filter(None, (self.chart.course.text, sheet.label))) for sheet in self.sheets]
+
+    def at_bounds(self, number: int, values: Matrix, y: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
+        """What cells of a sheet give, and where that misses a bound: there a step of Newton's method behind it."""
+        if (missed := self.borders.missed(self.sheets[number], values, y)).any():
+            holds = self.borders.holds(self.sheets, np.full(len(y), number), values)
+            y = np.where(missed[:, None], self.chart.at(values, y, holds).stepped, y)
+        return y, missed
+
+    def free(self, y: Matrix) -> Matrix:
+        """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
+        chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]
+        at = {name: value for name, value in zip(chart.problem.free_names, (own * self._sizes).T, strict=True)}
+        sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
+        return np.column_stack([np.zeros((len(y), 0)), *(
+            sum((at[part] for part in sums[name]), np.zeros(len(y))) if name in sums else at[name]
+            for name in chart.user.free_names
+        )])  # fmt: skip
+
+    def solution(self, problem: Problem, roots: Sequence[Found], statistics: Statistics) -> Solution:
+        """Extremals of the chart as a solution of the user's problem at their values."""
+        chart, structure = self.chart, self.chart.course.structure
+        if structure is None:
+            return composed(Indirect.name, problem, chart.own, roots, statistics)
+        found = composed(Indirect.name, renumbered(chart.problem, problem, structure), chart.own, roots, statistics)
+        return joined(problem, found, structure)
+
+    def own_unknowns(self, y: Matrix) -> Matrix:
+        """Of all unknowns of the chart those of the problem itself, (lanes, n)."""
+        return y[:, self._own_places]
+
+    def root(self, polished: Polished) -> Root:
+        """A polished extremal as a root of the problem itself, where the axes are given."""
+        return Root(
+            y=self.own_unknowns(polished.y)[0],
+            residual=polished.flown.residual[:1],
+            inverse=np.full((0, 0), np.nan),
+            slopes=np.zeros(len(self._free)),
+            ranges=np.zeros(0),
+            cost=float(polished.cost[0]),
+            choice=polished.choice[0, self._own_choice],
+            converged=True,
+        )

@@ -1,0 +1,331 @@
+"""What an extremal that is no answer becomes where it keeps the path and its bounds: down along J, in its own well.
+
+An extremal that breaks the path, or lies beyond a bound, has free parameters between bounds. With these held where it
+has them, or at the bound, there are flights that keep the path, of one of the charts; from there J falls to an answer
+of the same well. It is that one if on the straight way back from the answer J rises all along, by charts whose flights
+keep the path there; where it first turns on the way another answer lies, which may be known or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.chart import Holds
+from perilune.atlas.charted import Charted
+from perilune.atlas.keeping import kept
+from perilune.atlas.reflight import SLACK
+from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.walking import MOST
+from perilune.problem.extremal import Nature
+from perilune.structures.structure import margins
+from perilune.words.types import Matrix, Vector
+
+_STEPS = 16  # of a way from bound to bound
+_APART, _NEAR = 0.5, 0.05  # how far a root may lie from the tangent: of the step there, and of 1 + |y|
+_FLOWN = 1e-6  # canonical, by which the second flight on the way may miss its ends
+_NOTHING = 1e-9  # of 1 + |J|: a slope that is none
+_BARE = Sheet(holds={}, orientation=0.0, nature=Nature.UNPROVED)
+
+Lanes = NDArray[np.int64]
+
+
+@dataclass
+class Known:
+    """An extremal of a chart in each lane: the number of the chart, -1 for none, its unknowns by charts, its J."""
+
+    chart: Lanes
+    y: list[Matrix]
+    cost: Vector
+    sheet: Lanes
+
+    @classmethod
+    def none(cls, charted: Sequence[Charted], count: int) -> Known:
+        """None in any lane."""
+        y = [np.full((count, one.unknowns), np.nan) for one in charted]
+        return cls(np.full(count, -1), y, np.full(count, np.nan), np.full(count, -1))
+
+    def put(self, lanes: Lanes, others: Known, its: Lanes) -> None:
+        """Take some lanes of others."""
+        for name in ("chart", "cost", "sheet"):
+            getattr(self, name)[lanes] = getattr(others, name)[its]
+        for own, other in zip(self.y, others.y, strict=True):
+            own[lanes] = other[its]
+
+    def of(self, lanes: Lanes) -> Known:
+        """Some of the lanes."""
+        return Known(self.chart[lanes], [y[lanes] for y in self.y], self.cost[lanes], self.sheet[lanes])
+
+
+@dataclass
+class _Way:
+    """What there is on straight ways, (lanes, places): of which chart, its unknowns by charts, J and dJ along it."""
+
+    chart: Lanes
+    y: list[NDArray[np.float64]]
+    cost: Matrix
+    rises: Matrix
+
+
+class Descents:
+    """Descents over all charts of an atlas."""
+
+    def __init__(self, charted: Sequence[Charted]) -> None:
+        self._charted = charted
+        each = [_bounded(one.borders) for one in charted]
+        self.names: list[str] = [name for name in each[0] if all(name in own for own in each)] if each else []
+        self._of = [_Families(one, self.names) for one in charted]
+
+    def become(self, points: Matrix, outdoing: Known, begins: Sequence[Matrix], best: Known) -> Known:
+        """What becomes of extremals; of chart -1 where that is not found.
+
+        Parameters
+        ----------
+        points
+            Values of the axes [SI], (lanes, d).
+        outdoing
+            The extremals; those of a sheet lie beyond bounds, or gain by leaving one.
+        begins
+            An extremal of each chart, near or far, NaN where none is known: canonical values of the axes, unknowns.
+        best
+            The best answer that is known, if any.
+        """
+        target = np.zeros((len(points), len(self.names)))
+        for number, family in enumerate(self._of):
+            if (lanes := np.nonzero(outdoing.chart == number)[0]).size:
+                target[lanes] = family.clipped(points[lanes], outdoing.y[number][lanes])
+        found, held = Known.none(self._charted, len(points)), np.nonzero(outdoing.sheet >= 0)[0]
+        led = self._settled(points[held], outdoing.of(held))
+        here = (
+            self._confirmed(points[held], target[held], [y[held] for y in begins], led)
+            if self.names
+            else led.chart >= 0
+        )
+        found.put(held[here], led, np.nonzero(here)[0])
+        if not self.names:
+            return found
+        left = np.nonzero(found.chart < 0)[0]
+        known, turned = self._down(points[left], target[left], [y[left] for y in begins], best.of(left))
+        found.put(left[known], best, left[known])
+        lanes = np.nonzero((turned.chart >= 0) & ~known)[0]
+        candidates, lanes = self._settled(points[left[lanes]], turned.of(lanes)), left[lanes]
+        here = self._confirmed(points[lanes], target[lanes], [y[lanes] for y in begins], candidates)
+        found.put(lanes[here], candidates, np.nonzero(here)[0])
+        return found
+
+    def _confirmed(self, points: Matrix, target: Matrix, begins: Sequence[Matrix], answers: Known) -> NDArray[np.bool_]:
+        """Whether answers are what is at targets, (lanes,)."""
+        lanes = np.nonzero(answers.chart >= 0)[0]
+        found = np.zeros(len(points), dtype=bool)
+        if len(lanes):
+            some = [y[lanes] for y in begins]
+            found[lanes] = self._down(points[lanes], target[lanes], some, answers.of(lanes))[0]
+        return found
+
+    def _settled(self, points: Matrix, guesses: Known) -> Known:
+        """Where Newton's method leads to from guesses, as bounds are held and let go; of chart -1 where to nothing."""
+        found = Known.none(self._charted, len(points))
+        for number, sheet in np.unique(np.column_stack([guesses.chart, guesses.sheet]), axis=0).tolist():
+            if number >= 0:
+                one, lanes = self._charted[number], np.nonzero((guesses.chart == number) & (guesses.sheet == sheet))[0]
+                first, values = one.sheets[sheet] if sheet >= 0 else _BARE, points[lanes] / one.chart.scale
+                led = kept(one.chart, one.borders, one.sheets, first, values, guesses.y[number][lanes])
+                good = led.sheet >= 0
+                found.chart[lanes[good]], found.sheet[lanes[good]] = number, led.sheet[good]
+                found.y[number][lanes[good]], found.cost[lanes[good]] = led.y[good], led.cost[good]
+        return found
+
+    def _down(
+        self, points: Matrix, target: Matrix, begins: Sequence[Matrix], best: Known
+    ) -> tuple[NDArray[np.bool_], Known]:
+        """Whether J falls all along from targets to answers, and else what there is where it is the least first."""
+        if not len(points):
+            return np.zeros(0, dtype=bool), Known.none(self._charted, 0)
+        starts = target.copy()
+        for number, family in enumerate(self._of):
+            if (lanes := np.nonzero(best.chart == number)[0]).size:
+                starts[lanes] = family.clipped(points[lanes], best.y[number][lanes])
+        way = self._way(points, starts, target, begins, best)
+        last = way.chart.shape[1] - 1
+        known, turned = np.zeros(len(points), dtype=bool), Known.none(self._charted, len(points))
+        for lane in range(len(points)):
+            none = np.nonzero(way.chart[lane] < 0)[0]
+            falls = np.nonzero(way.rises[lane] < -_NOTHING * (1.0 + np.abs(way.cost[lane])))[0]
+            until = max(none.max(initial=-1), falls.max(initial=-1))
+            known[lane] = until < 0 and best.chart[lane] >= 0
+            at = min(until + 1, last) if falls.max(initial=-1) > none.max(initial=-1) else -1
+            if best.chart[lane] < 0 and not len(none):
+                at = last
+            if not known[lane] and at >= 0 and (number := int(way.chart[lane, at])) >= 0:
+                turned.chart[lane], turned.y[number][lane] = number, way.y[number][lane, at]
+        return known, turned
+
+    def _way(self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: Known) -> _Way:
+        """Along straight ways the best of what keeps the path, of all charts, from starts to ends."""
+        spread = np.max([family.spread(points) for family in self._of], axis=0)
+        far = (np.abs(ends - starts) / spread).max(axis=1, initial=0.0)
+        steps = max(2, int(np.ceil(_STEPS * far.max(initial=0.0))))
+        shape, n = (len(points), steps + 1), range(len(self._charted))
+        way = _Way(
+            np.full(shape, -1), [np.full((*shape, self._charted[i].unknowns), np.nan) for i in n],
+            np.full(shape, np.inf), np.full(shape, np.nan),
+        )  # fmt: skip
+        own = best.chart
+        for number, family in enumerate(self._of):  # first that of the answer, which most often says all
+            begin = np.hstack([points / self._charted[number].chart.scale, best.y[number]])
+            self._flown(number, family, np.nonzero(own == number)[0], points, starts, ends, begin, way)
+        for number, family in enumerate(self._of):
+            left = np.nonzero((own != number) & (way.chart < 0).any(axis=1) & np.isfinite(begins[number][:, 0]))[0]
+            self._flown(number, family, left, points, starts, ends, begins[number], way)
+        return way
+
+    @staticmethod
+    def _flown(
+        number: int,
+        family: _Families,
+        lanes: Lanes,
+        points: Matrix,
+        starts: Matrix,
+        ends: Matrix,
+        begins: Matrix,
+        way: _Way,
+    ) -> None:
+        """Put in what one chart has of some ways, where that keeps the path and is better than what there is."""
+        if not len(lanes):
+            return
+        found, cost, rises = family.along(
+            points[lanes], begins[lanes], starts[lanes], ends[lanes], way.chart.shape[1] - 1
+        )
+        with np.errstate(invalid="ignore"):
+            better = np.isfinite(cost) & (cost < way.cost[lanes])
+        way.y[number][lanes] = found
+        way.chart[lanes] = np.where(better, number, way.chart[lanes])
+        way.rises[lanes] = np.where(better, rises, way.rises[lanes])
+        way.cost[lanes] = np.where(better, cost, way.cost[lanes])
+
+
+class _Families:
+    """Extremals of one chart with some parameters held."""
+
+    def __init__(self, charted: Charted, names: Sequence[str]) -> None:
+        self._charted, self._chart = charted, charted.chart
+        self._at = [charted.borders.names.index(name) for name in names]
+        user = charted.chart.user
+        self._plain = not charted.of_arcs and not any(margins(user, k) for k in range(len(user.phases)))
+
+    def spread(self, points: Matrix) -> Matrix:
+        """Lengths between bounds, (lanes, k)."""
+        lower, upper = self._charted.borders.at(points / self._chart.scale)
+        return np.maximum(upper[:, self._at] - lower[:, self._at], np.finfo(float).tiny)
+
+    def clipped(self, points: Matrix, y: Matrix) -> Matrix:
+        """Values of what is followed at extremals, within their bounds, (lanes, k)."""
+        values = points / self._chart.scale
+        lower, upper = self._charted.borders.at(values)
+        return np.clip(self._at_places(values, y), lower[:, self._at], upper[:, self._at])
+
+    def _at_places(self, values: Matrix, y: Matrix) -> Matrix:
+        found = self._chart.at(values, y, Holds(self._nothing(len(y))))
+        return self._chart.shooting.held_values(found.roots)[0][:, self._at]
+
+    def _nothing(self, count: int) -> Matrix:
+        return np.zeros((count, 2 * self._chart.shooting.plan.held))
+
+    def along(
+        self, points: Matrix, begins: Matrix, starts: Matrix, ends: Matrix, steps: int
+    ) -> tuple[NDArray[np.float64], Matrix, Matrix]:
+        """Unknowns, J and dJ along the way at places from starts to ends; J is NaN where no flight keeps the path."""
+        there, first, last = (np.hstack([points / self._chart.scale, at]) for at in (ends, starts, ends))
+        d = points.shape[1]
+        values, y = np.hsplit(begins, [d])
+        begin = np.hstack([values, self._at_places(values, y)])
+        back = np.linalg.norm(begin - there, axis=1) < np.linalg.norm(begin - first, axis=1)
+        first[back], last[back] = last[back], first[back]
+        if (begin != first).any():
+            y = self._walked(y, begin, first, max(steps, _STEPS // 2))[0][:, -1]
+        found, cost, rises = self._walked(y, first, last, steps)
+        for rows in (found, cost, rises):
+            rows[back] = rows[back, ::-1]
+        rises[back] *= -1.0
+        if not self._plain:
+            each, places = np.repeat(points, steps + 1, axis=0), _between(starts, ends, steps)
+            choices = self._held(places.reshape(len(each), -1))
+            good = self._kept(each, found.reshape(len(each), -1), choices)
+            cost[~good.reshape(cost.shape)] = np.nan
+        return found, cost, rises
+
+    def _held(self, at: Matrix) -> Matrix:
+        held, choice = self._chart.shooting.plan.held, self._nothing(len(at))
+        choice[:, self._at], choice[:, [held + k for k in self._at]] = 1.0, at
+        return choice
+
+    def _walked(
+        self, y: Matrix, starts: Matrix, ends: Matrix, steps: int
+    ) -> tuple[NDArray[np.float64], Matrix, Matrix]:
+        """Unknowns, J and dJ along the way at places from starts to ends, NaN from where they are lost.
+
+        Places are values of the axes, and then of what is followed.
+        """
+        chart, plan, d = self._chart, self._chart.shooting.plan, len(self._chart.names)
+        places, here = _between(starts, ends, steps), y.copy()
+        out = np.full((len(y), steps + 1, y.shape[1]), np.nan)
+        cost, rises = np.full((2, len(y), steps + 1), np.nan)
+        lanes, tangents = np.nonzero(np.isfinite(y).all(axis=1))[0], np.zeros((len(y), y.shape[1], places.shape[2]))
+        for number in range(steps + 1):
+            if not len(lanes):
+                break
+            move = places[lanes, number] - places[lanes, max(number - 1, 0)]
+            step = np.einsum("lnk,lk->ln", tangents[lanes], move)
+            values, held = np.hsplit(places[lanes, number], [d])
+            found = chart.solve(values, here[lanes] + step, Holds(self._held(held)), limit=MOST)
+            with np.errstate(invalid="ignore"):
+                moved = np.linalg.norm(found.y - here[lanes] - step, axis=1)
+                near = _APART * np.linalg.norm(step, axis=1) + _NEAR * (1.0 + np.linalg.norm(here[lanes], axis=1))
+                good = found.converged & (moved <= near)
+            columns = found.roots.plan.columns
+            inverse = found.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
+            slopes = chart.shooting.held_values(found.roots)[1][:, self._at]
+            lanes, some = lanes[good], np.nonzero(good)[0]
+            tangents[lanes, :, :d] = found.slopes[some].transpose(0, 2, 1)
+            tangents[lanes, :, d:] = inverse[some][:, chart.places[:, None], plan.held_rows[self._at][None]]
+            here[lanes] = out[lanes, number] = found.y[some]
+            cost[lanes, number] = found.cost[some]
+            rises[lanes, number] = (slopes[some] * (ends - starts)[lanes, d:]).sum(axis=1)
+        return out, cost, rises
+
+    def _kept(self, points: Matrix, y: Matrix, choice: Matrix) -> NDArray[np.bool_]:
+        """Which flights keep the path, and have arcs that are some."""
+        one, chart = self._charted, self._chart
+        good: NDArray[np.bool_] = np.all(np.isfinite(y), axis=1)
+        lanes = np.nonzero(good)[0]
+        if not len(lanes):
+            return good
+        values = points[lanes] / chart.scale
+        choices = chart.choice(values, Holds(choice[lanes]))
+        found = chart.at(values, y[lanes], Holds(choice[lanes]))
+        at, rises = chart.shooting.held_values(found.roots)
+        margin = one.borders.margins(
+            [_BARE], np.zeros(len(lanes), dtype=np.int64), found.roots.y, at, rises, choices, one.borders.at(values)
+        )
+        flown = one.polish.reflights(chart.whole(values, y[lanes]), chart.p[None], choices)
+        with np.errstate(invalid="ignore"):
+            good[lanes] = np.minimum(np.minimum(margin, flown.pays), np.minimum(flown.path, flown.minimum)) >= -SLACK
+            good[lanes] &= flown.residual <= _FLOWN
+        return good
+
+
+def _between(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
+    """Places on straight ways, (lanes, steps + 1, k)."""
+    share = np.linspace(0.0, 1.0, steps + 1)[None, :, None]
+    return starts[:, None] + share * (ends - starts)[:, None]
+
+
+def _bounded(borders: Borders) -> list[str]:
+    """Names of what the user states that lies between two bounds."""
+    chart = borders.chart
+    given = np.array([[chart.user.given[name].value for name in chart.names]])
+    lower, upper = borders.at(given / chart.scale)
+    return [borders.names[k] for k in np.nonzero(borders.users & np.isfinite(upper[0] - lower[0]))[0].tolist()]
