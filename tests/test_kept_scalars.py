@@ -92,7 +92,7 @@ def _plane(size: bool) -> pl.Problem:
         return x.vx, x.vy, u.a, u.b, 0.5 * (u.a * u.a + u.b * u.b)
 
     def by_size(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-        return x.vx, x.vy, u.size * u.c, u.size * u.s, 0.5 * u.size * u.size
+        return x.vx, x.vy, u.size * u.e, u.size * u.n, 0.5 * u.size * u.size
 
     common: dict[str, Any] = {
         "name": "plane", "states": states, "duration": "T",
@@ -100,7 +100,7 @@ def _plane(size: bool) -> pl.Problem:
         "end_conditions": variables(there="m", rest="m/s", height="m", level="m/s"),
     }  # fmt: skip
     if size:
-        controls = pl.Bounded(name="size", unit="m/s^2", lower=0.0, upper="most"), pl.Direction(names=("c", "s"))
+        controls = pl.Bounded(name="size", unit="m/s^2", lower=0.0, upper="most"), pl.Direction(names=("e", "n"))
         phase = pl.Phase(**common, controls=controls, dynamics=by_size)
     else:
         phase = pl.Phase(
@@ -132,7 +132,7 @@ def test_what_knows_a_direction_too_is_not_kept() -> None:
     problem = _plane(size=True)
     phase = replace(
         problem.phases[0],
-        path=lambda x, u, p, m: (p.most - u.size * u.c,),
+        path=lambda x, u, p, m: (p.most - u.size * u.e,),
         path_conditions=variables(across="m/s^2"),
     )
     assert keepable_conditions(replace(problem, phases=(phase,))) == ()
