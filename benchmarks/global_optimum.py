@@ -27,11 +27,8 @@ from viable import Viable
 ORDINARY = Path(__file__).parent.parent / "examples" / "ordinary_lander.toml"
 STEPS, HALVED, ORDER, LANES = 100, 12, 5, 2000
 _LATER = 2e-3  # s: so much longer than the known flight the others are flown
-_ROOT, _ROOT_STEPS, _NEAR = (
-    0.0005,
-    300,
-    1e-6,
-)  # half of its side, and into how many steps its flight is cut; how near the theorem has to be
+_ROOT, _ROOT_STEPS = 0.0005, 300  # half of the side of the known flight's box, and into how many steps it is flown
+_NEAR = 1e-6  # how near to the answer the theorem has to be
 _SLOW = 2.0**-10  # 1/s: costates of r are so many times those of velocities, that boxes are about round
 _FIRST = 4  # the faces of the cube are halved so often before anything is flown
 _LOST = (4e5, 6e2, 6e2)  # a box whose r, u, v are as uncertain as that is split without flying on [m, m/s, m/s]

@@ -261,7 +261,8 @@ def _control(
                 raise Unsupported(f"the control {control.name} has no {regime} bound")
             own[key] = bound
         else:
-            slope, curvature = formula or (H, graph.constant(0))
+            assert formula is not None  # else it would be a state
+            slope, curvature = formula
             if curvature.vanishes():
                 raise Unsupported(f"the control {control.name} of {phase.name} is singular")
             own[key] = -graph.substitute([slope], {key: graph.constant(0)})[0] / curvature

@@ -17,7 +17,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from perilune.rigorous.boundary import BoundaryProblem
-from perilune.rigorous.flight import Flight, Grid, enclosed, middle, plainly, residual, slopes
+from perilune.rigorous.flight import Flight, Grid, column, enclosed, identity, middle, plainly, residual, slopes
 from perilune.rigorous.flow import NotEnclosed
 from perilune.rigorous.taylor import Ball
 from perilune.words.outcome import PeriluneError
@@ -69,6 +69,12 @@ class Refined:
     grid: Grid
     steps: list[float] = field(default_factory=list)
 
+    @property
+    def sizes(self) -> list[float]:
+        """Of the unknowns; one that may be zero beside the others has a part of the largest."""
+        each = [abs(float(c)) for c in self.y]
+        return [max(size, _ZERO * max(each)) for size in each]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Root:
@@ -110,7 +116,7 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
         grid = chosen if number == 0 else grid
         F, J = slopes(boundary, y, flown)
         inverse = _inverse(J)
-        change = (inverse * arb_mat([[value.mid()] for value in F])).entries()
+        change = (inverse * column(middle(F))).entries()
         least = _ZERO * max(abs(float(a)) for a in y)
         largest = max(abs(float(b)) / max(abs(float(a)), least) for a, b in zip(y, change, strict=True))
         moved.append(largest)
@@ -140,8 +146,7 @@ def _inverse(J: Any) -> Any:
 def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Settings, tell: Tell) -> Root:
     """The same root in a box that is as large as it can be proved to be the only one in, about."""
     first = [float(b.rad()) for b in root.box]
-    sizes = [max(abs(float(c)), _ZERO * max(abs(float(c)) for c in refined.y)) for c in refined.y]
-    factor = min(_FARTHEST * size / r for size, r in zip(sizes, first, strict=True))
+    factor = min(_FARTHEST * size / r for size, r in zip(refined.sizes, first, strict=True))
     for _ in range(_SMALLER):
         if factor <= 1.0:
             break
@@ -172,18 +177,15 @@ def prove_root(
     NotEnclosed
         If a flight is not enclosed.
     """
-    sizes = [max(abs(float(c)), _ZERO * max(abs(float(c)) for c in refined.y)) for c in refined.y]
-    own = [settings.box * size for size in sizes] if radii is None else list(radii)
+    own = [settings.box * size for size in refined.sizes] if radii is None else list(radii)
     box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
     flown = enclosed(boundary, box, refined.grid, settings.order)
     F = residual(boundary, box, flown)
-    off = (refined.inverse * arb_mat([[value] for value in F])).entries()
+    off = (refined.inverse * column(F)).entries()
     defects = [float(value.abs_upper()) for value in off]
     _, J = slopes(boundary, box, flown)
-    size = len(box)
-    unit = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
-    rest = unit - refined.inverse * J
-    moved = (rest * arb_mat([[b - c] for b, c in zip(box, refined.y, strict=True)])).entries()
+    rest = identity(len(box)) - refined.inverse * J
+    moved = (rest * column([b - c for b, c in zip(box, refined.y, strict=True)])).entries()
     krawczyk = [c - d + e for c, d, e in zip(refined.y, off, moved, strict=True)]
     contraction = max(float(e.abs_upper()) / r for e, r in zip(moved, own, strict=True))
     tell(f"box enclosed: defect {max(defects):.2g}, contraction {contraction:.2g}")

@@ -25,7 +25,7 @@ from flint import arb, arb_mat
 
 from perilune.rigorous.boundary import BoundaryProblem, Differentiated
 from perilune.rigorous.equations import Arc, Reader
-from perilune.rigorous.flight import Grid
+from perilune.rigorous.flight import Grid, identity
 from perilune.rigorous.flow import NotEnclosed, Step, step
 from perilune.rigorous.given import exactly
 from perilune.rigorous.limits import Statement
@@ -209,7 +209,7 @@ def _regular(c: Sequence[Any], missing: Any, away: Ball) -> bool:
     except ZeroDivisionError:
         return False
     size = inverse.nrows()
-    unit = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
+    unit = identity(size)
     parts = [(c[0] + missing) * inverse - unit, *(own * inverse * away**k for k, own in enumerate(c[1:], start=1))]
     E = [sum(entry.abs_upper() for entry in entries) for entries in zip(*(p.entries() for p in parts), strict=True)]
     sums = [arb(1)] * size
@@ -224,7 +224,7 @@ def _kernel(normals: Any, weights: Sequence[float]) -> Any:
     """A basis of the kernel of a matrix, as columns."""
     half = len(weights)
     if normals is None:
-        return arb_mat([[int(i == j) for j in range(half)] for i in range(half)])
+        return identity(half)
     count, chosen = normals.nrows(), list[int]()
     scaled = np.array([[float(normals[i, j].mid()) / weights[j] ** 0.5 for j in range(half)] for i in range(count)])
     for _ in range(count):  # the largest pivot of what is left
