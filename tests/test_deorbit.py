@@ -20,6 +20,7 @@ from perilune.io.physics import physics_document
 from perilune.models import standard_atmosphere
 from perilune.models.atmosphere import tabulated
 from perilune.models.bodies import Planet
+from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
     Atmosphere,
@@ -273,8 +274,15 @@ def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
     printed = replace(SITE, longitude=math.radians(-158.0))
     error = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=printed)
     assert "out of the plane" in error.got and "km or more out of the plane" in error.what
-    assert 25.0 < float(error.got.split()[-2]) < 40.0
-    assert "h after t = 0" in error.advice
+    away = float(error.got.split()[-2])
+    assert 25.0 < away < 40.0
+    assert float(re.findall(r"stays (\d+) km", error.what)[0]) == pytest.approx(math.radians(away) * 6371.0, rel=2e-3)
+    passes = opportunities(returning(vehicle=replace(VEHICLE, dry_mass=400.0), site=printed), 3.0)
+    assert all(one.verdict != "reachable" for one in passes) and "no pass within 3 days is surely" in error.advice
+    nearest = min(passes, key=lambda one: abs(one.away))
+    off, hours = (float(number) for number in re.findall(r"([\d.]+) (?:deg off|h after)", error.advice))
+    assert off == pytest.approx(math.degrees(abs(nearest.away)), abs=0.05)
+    assert hours == pytest.approx(nearest.ignition / 3600.0, abs=0.05)
     polar = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=replace(SITE, latitude=math.radians(75.0)))
     assert "never comes over its latitude" in polar.advice
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given as given_by, strategies as st
 from scipy.optimize import brentq
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive, keepable_conditions
+from perilune.conditions.scalars import pivots
 from problems.entry import limited_entry
 from test_control_law import given, slide, variables
 
@@ -126,6 +130,18 @@ def test_a_condition_that_two_controls_hold_together() -> None:
     assert solution.objective == pytest.approx(pl.solve(_plane(size=True), level=0).objective, abs=1e-10)
     u = solution.trajectories[0].control(np.linspace(0.0, 1.0, 200))
     assert 0.1 < np.mean(np.hypot(*u.T) > 5.2 - 1e-9) < 0.9  # on the circle for a part of the time
+
+
+@given_by(
+    st.integers(1, 4).flatmap(lambda n: st.lists(st.sets(st.integers(0, n - 1)), max_size=n).map(lambda h: (n, h)))
+)
+def test_each_condition_is_held_by_a_control_of_its_own(drawn: tuple[int, list[set[int]]]) -> None:
+    """Against all ways to give each condition another control, tried one by one."""
+    count, acting = drawn
+    symbols = [ca.SX.sym(f"u{i}") for i in range(count)]
+    holding = pivots(symbols, [sum((symbols[i] for i in sorted(some)), ca.SX(1.0)) for some in acting])
+    ways = [way for way in permutations(range(count), len(acting)) if all(map(set.__contains__, acting, way))]
+    assert (holding is None) if not ways else (tuple(holding or ()) in ways)
 
 
 def test_what_knows_a_direction_too_is_not_kept() -> None:

@@ -173,7 +173,8 @@ class ArcSystem:
             for mode in self.modes:
                 grown = _closed(grown, _jacobian(mode).sparsity())
             for event, before in self.carried:
-                grown = _closed(grown, self._saltation(event, before)[2].sparsity())  # [2]: the saltation matrix
+                slope, change, gradient = self._saltation(event, before)[2]
+                grown = _closed(grown, (slope + ca.mtimes(change, gradient)).sparsity())
             if grown.nnz() == pattern.nnz():
                 return pattern
             pattern = grown
@@ -247,15 +248,18 @@ class ArcSystem:
         """(Y, p) -> Y after an event met in a mode, one of those `carried`."""
         import casadi as ca
 
-        z, p, matrix, after = self._saltation(event, before)
+        z, p, (slope, change, gradient), after = self._saltation(event, before)
         y, _, columns, _ = self._symbols()
-        at = ca.Function("at", [z, p], [after, matrix])(y[: self.nz], p)
-        new = [ca.densify(at[0])]
+        whole = ca.Function("at", [z, p], [after, slope, change, gradient])(y[: self.nz], p)
+        new = [ca.densify(whole[0])]
         if self.size > self.nz:
-            new.append(ca.project(ca.mtimes(at[1], columns), self.pattern).nz[:])
+            # One product with the gradient for each column: the matrix itself would take one for each entry.
+            moved = ca.mtimes(whole[1], columns) + ca.mtimes(whole[2], ca.mtimes(whole[3], columns))
+            new.append(ca.project(moved, self.pattern).nz[:])
         return ca.Function(f"transition{event}_{before}", [y, p], [ca.vertcat(*new)])
 
-    def _saltation(self, number: int, before: int) -> tuple[Any, Any, Any, Any]:
+    def _saltation(self, number: int, before: int) -> tuple[Any, Any, tuple[Any, Any, Any], Any]:
+        """Return z, p, the parts of dJ/dz + change gradient, and the state after."""
         import casadi as ca
 
         event = self.events[number]
@@ -267,8 +271,8 @@ class ArcSystem:
             for mode, at in ((before, z), (event.switches.get(before, before), after))
         )
         gradient = ca.jacobian(event.function(z, p), z)
-        matrix = slope + ca.mtimes(new - ca.mtimes(slope, old), gradient) / ca.mtimes(gradient, old)
-        return z, p, matrix, after
+        change = (new - ca.mtimes(slope, old)) / ca.mtimes(gradient, old)
+        return z, p, (slope, change, gradient), after
 
     def _unknowns(self, mode: int) -> int:
         solved = self.solved[mode]
@@ -290,8 +294,8 @@ class ArcSystem:
     # -- programs
     # --------------------------------------------------------------------------------------------------
     def field_program(self, mode: int) -> Program:
-        """Return the cheaper form of the field."""
-        return min((trace(form) for form in self.field(mode)), key=lambda program: program.cost)
+        """Return the shorter form of the field: reading both would tell the same at three times the time."""
+        return trace(min(self.field(mode), key=lambda form: form.n_instructions()))
 
 
 def _text(function: Any) -> bytes:

@@ -229,9 +229,9 @@ def _next_pass(p: Any, found: Sequence[Pass]) -> str:
         return "the plane of the orbit never comes over its latitude: a higher orbit.inclination"
     days = _AHEAD / _DAY
     if not found:
-        return f"no pass within {days:g} days can be made"
+        return f"no pass within {days:g} days is surely within reach"
     least = min(found, key=lambda one: abs(one.away))
     return (
-        f"no pass within {days:g} days can be made; the nearest is {math.degrees(abs(least.away)):.1f} deg off,"
-        f" {least.ignition / 3600:.1f} h after t = 0"
+        f"no pass within {days:g} days is surely within reach; the nearest is"
+        f" {math.degrees(abs(least.away)):.1f} deg off, {least.ignition / 3600:.1f} h after t = 0"
     )
