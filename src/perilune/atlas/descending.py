@@ -14,23 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.chart import Holds
 from perilune.atlas.charted import Charted
+from perilune.atlas.held import BARE, HeldFamilies
 from perilune.atlas.keeping import kept
-from perilune.atlas.reflight import SLACK
-from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.walking import MOST
-from perilune.problem.extremal import Nature
-from perilune.structures.structure import margins
+from perilune.atlas.sheets import Borders
+from perilune.atlas.walking import Lanes
 from perilune.words.types import Matrix, Vector
 
 _STEPS = 16  # of a way from bound to bound
-_APART, _NEAR = 0.5, 0.05  # how far a root may lie from the tangent: of the step there, and of 1 + |y|
-_FLOWN = 1e-6  # canonical, by which the second flight on the way may miss its ends
 _NOTHING = 1e-9  # of 1 + |J|: a slope that is none
-_BARE = Sheet(holds={}, orientation=0.0, nature=Nature.UNPROVED)
-
-Lanes = NDArray[np.int64]
 
 
 @dataclass
@@ -77,7 +69,7 @@ class Descents:
         self._charted = charted
         each = [_bounded(one.borders) for one in charted]
         self.names: list[str] = [name for name in each[0] if all(name in own for own in each)] if each else []
-        self._of = [_Families(one, self.names) for one in charted]
+        self._of = [HeldFamilies(one, self.names) for one in charted]
 
     def become(self, points: Matrix, outdoing: Known, begins: Sequence[Matrix], best: Known) -> Known:
         """What becomes of extremals; of chart -1 where that is not found.
@@ -131,7 +123,7 @@ class Descents:
         for number, sheet in np.unique(np.column_stack([guesses.chart, guesses.sheet]), axis=0).tolist():
             if number >= 0:
                 one, lanes = self._charted[number], np.nonzero((guesses.chart == number) & (guesses.sheet == sheet))[0]
-                first, values = one.sheets[sheet] if sheet >= 0 else _BARE, points[lanes] / one.chart.scale
+                first, values = one.sheets[sheet] if sheet >= 0 else BARE, points[lanes] / one.chart.scale
                 led = kept(one.chart, one.borders, one.sheets, first, values, guesses.y[number][lanes])
                 good = led.sheet >= 0
                 found.chart[lanes[good]], found.sheet[lanes[good]] = number, led.sheet[good]
@@ -165,8 +157,9 @@ class Descents:
 
     def _way(self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: Known) -> _Way:
         """Along straight ways the best of what keeps the path, of all charts, from starts to ends."""
-        spread = np.max([family.spread(points) for family in self._of], axis=0)
-        far = (np.abs(ends - starts) / spread).max(axis=1, initial=0.0)
+        bounds = [family.bounds(points) for family in self._of]
+        spread = np.max([upper - lower for lower, upper in bounds], axis=0)
+        far = (np.abs(ends - starts) / np.maximum(spread, np.finfo(float).tiny)).max(axis=1, initial=0.0)
         steps = max(2, int(np.ceil(_STEPS * far.max(initial=0.0))))
         shape, n = (len(points), steps + 1), range(len(self._charted))
         way = _Way(
@@ -185,7 +178,7 @@ class Descents:
     @staticmethod
     def _flown(
         number: int,
-        family: _Families,
+        family: HeldFamilies,
         lanes: Lanes,
         points: Matrix,
         starts: Matrix,
@@ -205,122 +198,6 @@ class Descents:
         way.chart[lanes] = np.where(better, number, way.chart[lanes])
         way.rises[lanes] = np.where(better, rises, way.rises[lanes])
         way.cost[lanes] = np.where(better, cost, way.cost[lanes])
-
-
-class _Families:
-    """Extremals of one chart with some parameters held."""
-
-    def __init__(self, charted: Charted, names: Sequence[str]) -> None:
-        self._charted, self._chart = charted, charted.chart
-        self._at = [charted.borders.names.index(name) for name in names]
-        user = charted.chart.user
-        self._plain = not charted.of_arcs and not any(margins(user, k) for k in range(len(user.phases)))
-
-    def spread(self, points: Matrix) -> Matrix:
-        """Lengths between bounds, (lanes, k)."""
-        lower, upper = self._charted.borders.at(points / self._chart.scale)
-        return np.maximum(upper[:, self._at] - lower[:, self._at], np.finfo(float).tiny)
-
-    def clipped(self, points: Matrix, y: Matrix) -> Matrix:
-        """Values of what is followed at extremals, within their bounds, (lanes, k)."""
-        values = points / self._chart.scale
-        lower, upper = self._charted.borders.at(values)
-        return np.clip(self._at_places(values, y), lower[:, self._at], upper[:, self._at])
-
-    def _at_places(self, values: Matrix, y: Matrix) -> Matrix:
-        found = self._chart.at(values, y, Holds(self._nothing(len(y))))
-        return self._chart.shooting.held_values(found.roots)[0][:, self._at]
-
-    def _nothing(self, count: int) -> Matrix:
-        return np.zeros((count, 2 * self._chart.shooting.plan.held))
-
-    def along(
-        self, points: Matrix, begins: Matrix, starts: Matrix, ends: Matrix, steps: int
-    ) -> tuple[NDArray[np.float64], Matrix, Matrix]:
-        """Unknowns, J and dJ along the way at places from starts to ends; J is NaN where no flight keeps the path."""
-        there, first, last = (np.hstack([points / self._chart.scale, at]) for at in (ends, starts, ends))
-        d = points.shape[1]
-        values, y = np.hsplit(begins, [d])
-        begin = np.hstack([values, self._at_places(values, y)])
-        back = np.linalg.norm(begin - there, axis=1) < np.linalg.norm(begin - first, axis=1)
-        first[back], last[back] = last[back], first[back]
-        if (begin != first).any():
-            y = self._walked(y, begin, first, max(steps, _STEPS // 2))[0][:, -1]
-        found, cost, rises = self._walked(y, first, last, steps)
-        for rows in (found, cost, rises):
-            rows[back] = rows[back, ::-1]
-        rises[back] *= -1.0
-        if not self._plain:
-            each, places = np.repeat(points, steps + 1, axis=0), _between(starts, ends, steps)
-            choices = self._held(places.reshape(len(each), -1))
-            good = self._kept(each, found.reshape(len(each), -1), choices)
-            cost[~good.reshape(cost.shape)] = np.nan
-        return found, cost, rises
-
-    def _held(self, at: Matrix) -> Matrix:
-        held, choice = self._chart.shooting.plan.held, self._nothing(len(at))
-        choice[:, self._at], choice[:, [held + k for k in self._at]] = 1.0, at
-        return choice
-
-    def _walked(
-        self, y: Matrix, starts: Matrix, ends: Matrix, steps: int
-    ) -> tuple[NDArray[np.float64], Matrix, Matrix]:
-        """Unknowns, J and dJ along the way at places from starts to ends, NaN from where they are lost.
-
-        Places are values of the axes, and then of what is followed.
-        """
-        chart, plan, d = self._chart, self._chart.shooting.plan, len(self._chart.names)
-        places, here = _between(starts, ends, steps), y.copy()
-        out = np.full((len(y), steps + 1, y.shape[1]), np.nan)
-        cost, rises = np.full((2, len(y), steps + 1), np.nan)
-        lanes, tangents = np.nonzero(np.isfinite(y).all(axis=1))[0], np.zeros((len(y), y.shape[1], places.shape[2]))
-        for number in range(steps + 1):
-            if not len(lanes):
-                break
-            move = places[lanes, number] - places[lanes, max(number - 1, 0)]
-            step = np.einsum("lnk,lk->ln", tangents[lanes], move)
-            values, held = np.hsplit(places[lanes, number], [d])
-            found = chart.solve(values, here[lanes] + step, Holds(self._held(held)), limit=MOST)
-            with np.errstate(invalid="ignore"):
-                moved = np.linalg.norm(found.y - here[lanes] - step, axis=1)
-                near = _APART * np.linalg.norm(step, axis=1) + _NEAR * (1.0 + np.linalg.norm(here[lanes], axis=1))
-                good = found.converged & (moved <= near)
-            columns = found.roots.plan.columns
-            inverse = found.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
-            slopes = chart.shooting.held_values(found.roots)[1][:, self._at]
-            lanes, some = lanes[good], np.nonzero(good)[0]
-            tangents[lanes, :, :d] = found.slopes[some].transpose(0, 2, 1)
-            tangents[lanes, :, d:] = inverse[some][:, chart.places[:, None], plan.held_rows[self._at][None]]
-            here[lanes] = out[lanes, number] = found.y[some]
-            cost[lanes, number] = found.cost[some]
-            rises[lanes, number] = (slopes[some] * (ends - starts)[lanes, d:]).sum(axis=1)
-        return out, cost, rises
-
-    def _kept(self, points: Matrix, y: Matrix, choice: Matrix) -> NDArray[np.bool_]:
-        """Which flights keep the path, and have arcs that are some."""
-        one, chart = self._charted, self._chart
-        good: NDArray[np.bool_] = np.all(np.isfinite(y), axis=1)
-        lanes = np.nonzero(good)[0]
-        if not len(lanes):
-            return good
-        values = points[lanes] / chart.scale
-        choices = chart.choice(values, Holds(choice[lanes]))
-        found = chart.at(values, y[lanes], Holds(choice[lanes]))
-        at, rises = chart.shooting.held_values(found.roots)
-        margin = one.borders.margins(
-            [_BARE], np.zeros(len(lanes), dtype=np.int64), found.roots.y, at, rises, choices, one.borders.at(values)
-        )
-        flown = one.polish.reflights(chart.whole(values, y[lanes]), chart.p[None], choices)
-        with np.errstate(invalid="ignore"):
-            good[lanes] = np.minimum(np.minimum(margin, flown.pays), np.minimum(flown.path, flown.minimum)) >= -SLACK
-            good[lanes] &= flown.residual <= _FLOWN
-        return good
-
-
-def _between(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
-    """Places on straight ways, (lanes, steps + 1, k)."""
-    share = np.linspace(0.0, 1.0, steps + 1)[None, :, None]
-    return starts[:, None] + share * (ends - starts)[:, None]
 
 
 def _bounded(borders: Borders) -> list[str]:

@@ -1,25 +1,149 @@
-"""Carrying one sheet over the region: along straight lines, and from corner to corner of bricks.
+"""Following extremals: along straight lines of parameters, and one sheet from corner to corner of bricks.
 
 Each walk goes by the tangent plane and Newton's method, in lanes; its step is halved where that fails.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.cells import same
-from perilune.atlas.chart import Chart
+from perilune.atlas.chart import Chart, Extremals, Holds
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.words.types import Matrix, Vector
 
+Lanes = NDArray[np.int64]
 Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
 
 MOST = 20  # evaluations of a step
 _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
 _APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of the step there, and of 1 + |y|
+
+
+class Walk:
+    """Extremals on straight ways, in lanes, each where it has come to.
+
+    Parameters
+    ----------
+    chart
+        Whose.
+    holds
+        What lanes hold at places: values of the axes, and behind them of the free parameters that `at` counts.
+    places, y
+        Where they begin, and unknowns there, canonical, (lanes, d + k) and (lanes, n).
+    at
+        Numbers of the free parameters that are held where the ways have them.
+    sides
+        On which side of folds each lane stays; either, if None. With them it is asked whether a long step leads back.
+    near
+        How far a root may lie from the tangent plane, of 1 + |y|, beside half of the step.
+    astray
+        Times as far Newton's method may lead on the way; anywhere if None.
+
+    Attributes
+    ----------
+    y, cost, rises
+        Unknowns, J and its derivatives by what is held (lanes, k), where each lane is.
+    good
+        Which lanes began at an extremal.
+    """
+
+    def __init__(
+        self,
+        chart: Chart,
+        holds: Callable[[Lanes, Matrix], Holds],
+        places: Matrix,
+        y: Matrix,
+        *,
+        at: Sequence[int] = (),
+        sides: Vector | None = None,
+        near: float = _NEAR,
+        astray: float | None = None,
+    ) -> None:
+        self._chart, self._holds, self._at, self._d = chart, holds, list(at), len(chart.names)
+        self._sides, self._near, self._astray = sides, near, astray
+        count, n = y.shape
+        self.y, self.cost, self.rises = y.copy(), np.full(count, np.nan), np.full((count, len(at)), np.nan)
+        self._places, self._tangents = places.copy(), np.zeros((count, places.shape[1], n))
+        self.good: NDArray[np.bool_] = np.all(np.isfinite(y), axis=1)
+        lanes = np.nonzero(self.good)[0]
+        if len(lanes):
+            found = self._solved(lanes, places[lanes], y[lanes])
+            self.good[lanes] = found.converged
+            self._put(lanes, places[lanes], found)
+
+    def go(self, lanes: Lanes, targets: Matrix, shortest: float = _SHORTEST) -> Vector:
+        """Lead some lanes to other places, (lanes, d + k); which share of its way each goes, by `shortest` at least."""
+        starts = self._places[lanes]
+        way, share, stride = targets - starts, np.zeros(len(lanes)), np.where(self.good[lanes], 1.0, 0.0)
+        for _ in range(_ROUNDS):
+            some = np.nonzero((share < 1.0) & (stride >= shortest))[0]
+            if not len(some):
+                break
+            ahead, own = np.minimum(1.0, share[some] + stride[some]), lanes[some]
+            there = starts[some] + ahead[:, None] * way[some]
+            there[ahead == 1.0] = targets[some[ahead == 1.0]]
+            step = np.einsum("lk,lkn->ln", there - self._places[own], self._tangents[own])
+            guess, length = self.y[own] + step, 1.0 + np.linalg.norm(self.y[own], axis=1)
+            within = _APART * np.linalg.norm(step, axis=1) + self._near * length
+            reach = {} if self._astray is None else {"reach": self._astray * within}
+            found = self._solved(own, there, guess, **reach)
+            with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
+                moved = np.linalg.norm(found.y - guess, axis=1)
+            good = found.converged & (moved <= within)
+            if self._sides is not None:
+                good &= found.orientation == self._sides[own]
+                far = np.nonzero(good & (moved > self._near * length))[0]
+                good[far] = self._leads_back(own[far], there[far], found.of(far))
+            self._put(own[good], there[good], found.of(np.nonzero(good)[0]))
+            share[some[good]] = ahead[good]
+            stride[some] *= np.where(good, 2.0, 0.5)
+        return share
+
+    def along(
+        self, targets: Matrix, steps: int, shortest: float
+    ) -> tuple[NDArray[np.float64], Matrix, NDArray[np.float64]]:
+        """Lead all lanes to other places; `y`, `cost` and `rises` at as many steps, NaN from where a lane is lost."""
+        places, lanes = straight(self._places, targets, steps), np.nonzero(self.good)[0]
+        seen = [np.full((len(rows), steps + 1, *rows.shape[1:]), np.nan) for rows in (self.y, self.cost, self.rises)]
+        for number in range(steps + 1):
+            if number and len(lanes):
+                self.good[lanes] = self.go(lanes, places[lanes, number], shortest) == 1.0
+                lanes = lanes[self.good[lanes]]
+            for out, rows in zip(seen, (self.y, self.cost, self.rises), strict=True):
+                out[lanes, number] = rows[lanes]
+        return seen[0], seen[1], seen[2]
+
+    def _leads_back(self, lanes: Lanes, there: Matrix, found: Extremals) -> NDArray[np.bool_]:
+        """Whether a way leads back: another layer may lie where a steep one was to lead, and from there none does."""
+        if not len(lanes):
+            return np.zeros(0, dtype=bool)
+        back = self._places[lanes]
+        guess = found.y + np.einsum("lk,lkn->ln", back - there, self._slopes(found))
+        again = self._solved(lanes, back, guess)
+        return again.converged & same(self.y[lanes], again.y)
+
+    def _solved(self, lanes: Lanes, places: Matrix, y: Matrix, **settings: Any) -> Extremals:
+        return self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=MOST, **settings)
+
+    def _slopes(self, found: Extremals) -> NDArray[np.float64]:
+        """Derivatives of unknowns by places, (lanes, d + k, n)."""
+        if not self._at:
+            return found.slopes
+        columns, plan = found.roots.plan.columns, self._chart.shooting.plan
+        inverse = found.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
+        by_held = inverse[:, self._chart.places[:, None], plan.held_rows[self._at][None]]
+        return np.concatenate([found.slopes, by_held.transpose(0, 2, 1)], axis=1)
+
+    def _put(self, lanes: Lanes, places: Matrix, found: Extremals) -> None:
+        self._places[lanes], self.y[lanes], self._tangents[lanes] = places, found.y, self._slopes(found)
+        if self._at:
+            self.cost[lanes] = found.cost
+            self.rises[lanes] = self._chart.shooting.held_values(found.roots)[1][:, self._at]
 
 
 def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:
@@ -33,7 +157,7 @@ def walked(
     chart: Chart,
     borders: Borders,
     sheets: Sequence[Sheet],
-    which: NDArray[np.int64],
+    which: Lanes,
     starts: Matrix,
     y: Matrix,
     targets: Matrix,
@@ -51,47 +175,28 @@ def walked(
         An extremal of each: values, and unknowns there, canonical.
     targets
         Values to which the lines lead, (walks, d), canonical.
-    shortest
-        Share of its way by which a walk goes at least.
-    near
-        How far a root may lie from the tangent plane, of 1 + |y|, beside half of the step.
-    astray
-        Times as far Newton's method may lead on the way; anywhere if None.
+    shortest, near, astray
+        Of `Walk`.
 
     Returns
     -------
     y, share
         Unknowns where each walk ended, (walks, n), and which share of its way that is, (walks,).
     """
-    first = chart.solve(starts, y, borders.holds(sheets, which, starts), limit=MOST)
-    here, slopes = first.y.copy(), first.slopes.copy()
-    share, stride = np.zeros(len(targets)), np.where(first.converged, 1.0, 0.0)
-    way, orientations = targets - starts, np.array([sheet.orientation for sheet in sheets])
-    for _ in range(_ROUNDS):
-        lanes = np.nonzero((share < 1.0) & (stride >= shortest))[0]
-        if not len(lanes):
-            break
-        ahead = np.minimum(1.0, share[lanes] + stride[lanes])
-        values = starts[lanes] + ahead[:, None] * way[lanes]
-        values[ahead == 1.0] = targets[lanes[ahead == 1.0]]
-        step = np.einsum("ld,ldn->ln", values - (starts[lanes] + share[lanes, None] * way[lanes]), slopes[lanes])
-        guess = here[lanes] + step
-        within = _APART * np.linalg.norm(step, axis=1) + near * (1.0 + np.linalg.norm(here[lanes], axis=1))
-        reach = {} if astray is None else {"reach": astray * within}
-        found = chart.solve(values, guess, borders.holds(sheets, which[lanes], values), limit=MOST, **reach)
-        with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
-            moved = np.linalg.norm(found.y - guess, axis=1)
-        good = found.converged & (found.orientation == orientations[which[lanes]]) & (moved <= within)
-        far = np.nonzero(good & (moved > near * (1.0 + np.linalg.norm(here[lanes], axis=1))))[0]
-        if len(far):  # another layer may lie where a steep one was to lead; from there no way leads back
-            back, own = starts[lanes[far]] + share[lanes[far], None] * way[lanes[far]], which[lanes[far]]
-            guess = found.y[far] + np.einsum("ld,ldn->ln", back - values[far], found.slopes[far])
-            again = chart.solve(back, guess, borders.holds(sheets, own, back), limit=MOST)
-            good[far] = again.converged & same(here[lanes[far]], again.y)
-        reached = lanes[good]
-        here[reached], slopes[reached], share[reached] = found.y[good], found.slopes[good], ahead[good]
-        stride[lanes] *= np.where(good, 2.0, 0.5)
-    return here, share
+    sides = np.array([sheet.orientation for sheet in sheets])[which]
+
+    def holds(lanes: Lanes, values: Matrix) -> Holds:
+        return borders.holds(sheets, which[lanes], values)
+
+    walk = Walk(chart, holds, starts, y, sides=sides, near=near, astray=astray)
+    share = walk.go(np.arange(len(starts)), targets, shortest)
+    return walk.y, share
+
+
+def straight(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
+    """Places on straight ways, (lanes, steps + 1, k)."""
+    share = np.linspace(0.0, 1.0, steps + 1)[None, :, None]
+    return starts[:, None] + share * (ends - starts)[:, None]
 
 
 def from_one(start: Vector, y: Vector, targets: Matrix) -> tuple[NDArray[np.int64], Matrix, Matrix, Matrix]:

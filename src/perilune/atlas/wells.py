@@ -10,16 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from perilune.atlas.chart import Chart, Extremals, Holds
+from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.walking import MOST
+from perilune.atlas.walking import MOST, Lanes, Walk
 from perilune.problem.extremal import Nature
 from perilune.words.types import Matrix, Vector
 
-_STEPS, _SHORTEST = 24, 2.0**-4  # of a family between its bounds, and the shortest of them
-_APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent: of the step there, and of 1 + |y|
+_STEPS, _SHORTEST = 24, 2.0**-4  # of a family to one of its bounds, and the shortest of them
 _NOTHING = 1e-12  # of 1 + |J|: a slope that is none
 
 
@@ -49,11 +47,10 @@ def other_wells(
             continue
         others = {name: side for name, side in sheet.holds.items() if name != borders.names[k]}
         alone = Sheet(holds=others, orientation=0.0, nature=Nature.UNPROVED)
-        holds = borders.holds([alone], which[lanes], values[lanes])
+        family = _Family(chart, k, values[lanes], borders.holds([alone], which[lanes], values[lanes]))
         for side, ends in (("lower", low), ("upper", high)):
-            family = _Family(chart, k, values[lanes], holds)
             at_bound = Sheet(holds={**others, borders.names[k]: side}, orientation=0.0, nature=Nature.UNPROVED)
-            for inside, lane, found in family.minima(y[lanes], ends[lanes], (high - low)[lanes] / _STEPS):
+            for inside, lane, found in family.minima(y[lanes], ends[lanes]):
                 yield values[lanes[lane]], found, alone if inside else at_bound
 
 
@@ -63,57 +60,36 @@ class _Family:
     def __init__(self, chart: Chart, k: int, values: Matrix, holds: Holds) -> None:
         self._chart, self._k, self._values, self._holds = chart, k, values, holds
 
-    def minima(self, y: Matrix, ends: Vector, steps: Vector) -> Iterator[tuple[bool, int, Vector]]:
+    def minima(self, y: Matrix, ends: Vector) -> Iterator[tuple[bool, int, Vector]]:
         """Whether it lies between the bounds, its lane, and unknowns of each minimum on the way to some ends."""
-        everywhere = np.arange(len(y))
-        at = self._at(self._chart.at(self._values, y, self._holds))
-        here, slope, tangent, there = self._held(everywhere, at, y)
-        going, share = np.nonzero(there)[0], np.ones(len(y))
-        way = np.where(ends >= at, 1.0, -1.0)
-        while len(going):
-            stride = np.minimum(share[going] * steps[going], np.abs(ends - at)[going])
-            ahead = np.where(stride >= np.abs(ends - at)[going], ends[going], at[going] + way[going] * stride)
-            step = (ahead - at[going])[:, None] * tangent[going]
-            found, its_slope, its_tangent, good = self._held(going, ahead, here[going] + step)
-            moved = np.linalg.norm(found - here[going] - step, axis=1)
-            near = _APART * np.linalg.norm(step, axis=1) + _NEAR * (1.0 + np.linalg.norm(here[going], axis=1))
-            with np.errstate(invalid="ignore"):
-                good &= moved <= near
-            some, rises = going[good], its_slope[good] * way[going[good]]
-            falls = slope[some] * way[some]
-            if len(turns := np.nonzero((falls < 0) & (rises > 0))[0]):
-                weight = (-falls[turns] / (rises[turns] - falls[turns]))[:, None]
-                guess = here[some[turns]] + weight * (found[good][turns] - here[some[turns]])
-                between = np.column_stack([at[some[turns]], ahead[good][turns]])
-                yield from self._let_go(some[turns], guess, between)
-            here[some], slope[some], tangent[some] = found[good], its_slope[good], its_tangent[good]
-            at[some] = ahead[good]
-            share[going] = np.where(good, np.minimum(2.0 * share[going], 1.0), 0.5 * share[going])
-            for lane in some[(at[some] == ends[some]) & (rises < 0)].tolist():
-                yield False, lane, here[lane]
-            going = going[(at[going] != ends[going]) & (share[going] >= _SHORTEST)]
+        begins, last = self._at(self._values, y, self._holds), np.column_stack([self._values, ends])
+        walk = Walk(self._chart, self._held, np.column_stack([self._values, begins]), y, at=[self._k])
+        found, cost, slopes = walk.along(last, _STEPS, _SHORTEST)
+        rises = slopes[:, :, 0] * np.sign(ends - begins)[:, None]
+        with np.errstate(invalid="ignore"):
+            rises = np.where(np.abs(rises) > _NOTHING * (1.0 + np.abs(cost)), rises, 0.0)
+            lanes, turns = np.nonzero((rises[:, :-1] < 0) & (rises[:, 1:] > 0))
+            falling = np.nonzero(rises[:, -1] < 0)[0]
+        weight = rises[lanes, turns] / (rises[lanes, turns] - rises[lanes, turns + 1])
+        guess = found[lanes, turns] + weight[:, None] * (found[lanes, turns + 1] - found[lanes, turns])
+        share = np.stack([turns, turns + 1]) / _STEPS
+        if len(lanes):
+            yield from self._let_go(lanes, guess, begins[lanes] + share * (ends - begins)[lanes])
+        for lane in falling.tolist():
+            yield False, lane, found[lane, -1]
 
-    def _at(self, found: Extremals) -> Vector:
+    def _at(self, values: Matrix, y: Matrix, holds: Holds) -> Vector:
+        found = self._chart.at(values, y, holds)
         return self._chart.shooting.held_values(found.roots)[0][:, self._k].copy()
 
-    def _held(
-        self, lanes: NDArray[np.int64], at: Vector, y: Matrix
-    ) -> tuple[Matrix, Vector, Matrix, NDArray[np.bool_]]:
-        """Unknowns where the parameter is held, dJ by it, their derivatives by it, and whether that was found."""
-        shooting, plan = self._chart.shooting, self._chart.shooting.plan
+    def _held(self, lanes: Lanes, places: Matrix) -> Holds:
         choice = self._holds.choice[lanes].copy()
-        choice[:, self._k], choice[:, plan.held + self._k] = 1.0, at
-        found = self._chart.solve(self._values[lanes], y, Holds(choice), limit=MOST)
-        slope = shooting.held_values(found.roots)[1][:, self._k]
-        columns = found.roots.plan.columns
-        inverse = found.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
-        tangent = inverse[:, self._chart.places, plan.held_rows[self._k]]
-        slope = np.where(np.abs(slope) > _NOTHING * (1.0 + np.abs(found.cost)), slope, 0.0)
-        return found.y, slope, tangent, found.converged
+        choice[:, self._k], choice[:, self._chart.shooting.plan.held + self._k] = 1.0, places[:, -1]
+        return Holds(choice)
 
-    def _let_go(self, lanes: NDArray[np.int64], y: Matrix, between: Matrix) -> Iterator[tuple[bool, int, Vector]]:
-        choice = self._holds.choice[lanes]
-        found = self._chart.solve(self._values[lanes], y, Holds(choice), limit=MOST)
-        at, (low, high) = self._at(found), np.sort(between, axis=1).T
+    def _let_go(self, lanes: Lanes, y: Matrix, between: Matrix) -> Iterator[tuple[bool, int, Vector]]:
+        holds = Holds(self._holds.choice[lanes])
+        found = self._chart.solve(self._values[lanes], y, holds, limit=MOST)
+        at, (low, high) = self._at(self._values[lanes], found.y, holds), np.sort(between, axis=0)
         for i in np.nonzero(found.converged & (at >= low) & (at <= high))[0].tolist():
             yield True, int(lanes[i]), found.y[i]
