@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,45 @@ def test_controls_without_a_formula_are_states_and_the_only_minimum() -> None:
     )  # fmt: skip
     root, missing = proved(stated, {"u": "interior", "v": "interior"}, [-1.5, 1.0, -1.5, 0.5, 0.5])
     assert not missing and all(w.overlaps(arb(0.5)) and w.rad() < 1e-20 for w in root.y[3:])
+
+
+@pytest.mark.parametrize(
+    ("tilt", "drift", "start", "only"),
+    [(0.1, 0.0, -1.0, True), (0.1, 0.0, 1.0, False), (-0.1, 0.0, -1.0, False), (-1e-9, 0.0, -1.0, False),
+     (1.001, -1.0, -1.0, True), (1 - 1e-9, -1.0, -1.0, False), (0.1, -0.2, -1.0, False)],
+)  # fmt: skip
+def test_another_minimum_of_h_that_is_lower_at_any_time_is_seen(
+    tilt: float, drift: float, start: float, only: bool
+) -> None:
+    """H = (u^2 - 1)^2 + (tilt + drift t) u is least near -1 while the factor is positive; there is a minimum near 1."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="s"), pl.Variable(name="c")),
+        controls=(pl.Bounded(name="u", lower=-2.0, upper=2.5),), duration="T",
+        dynamics=lambda x, u, p, m: (1 / p.T, ((u.u**2 - 1) ** 2 + (p.tilt + p.drift * x.s) * u.u) / p.T),
+    )  # fmt: skip
+    given = {"T": (1.0, "s"), "tilt": (tilt, "1"), "drift": (drift, "1")}
+    root, missing = proved(problem(phase, lambda x, p, m: x.c, given, unit="1"), {"u": "interior"}, [0.0, 1.0, start])
+    u = root.flight.ends[-1][-1]
+    assert (4 * u * (u * u - 1) + arb(tilt) + arb(drift)).contains(arb(0)) and u.rad() < 1e-9
+    assert missing == [] if only else missing == ["(u) is the only minimum of H (go)"]
+
+
+def test_an_arc_begins_with_no_control_of_the_one_before_but_by_a_formula() -> None:
+    """Where a comes to its bound 1, b does not, though it stands behind the costate then where a stood before."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="s"), pl.Variable(name="c")),
+        controls=tuple(pl.Bounded(name=name, lower=-1.0, upper=1.0) for name in "ab"), duration="T",
+        dynamics=lambda x, u, p, m: (1 / p.T, ((u.a - x.s) ** 2 + u.a**4 * u.b**4 + u.b**2) / p.T),
+    )  # fmt: skip
+    stated, one = problem(phase, lambda x, p, m: x.c, {"T": (2.0, "s")}, unit="1"), room("boundary").Piece
+    pieces = [one(phase=0, regimes={"a": "interior", "b": "interior"}, switched="a"),
+              one(phase=0, regimes={"a": "upper", "b": "interior"})]  # fmt: skip
+    boundary = room("boundary").boundary_problem(stated, pieces)
+    flight = SimpleNamespace(steps=[], ends=[])
+    limits = room("limits").Limits(boundary, SimpleNamespace(flight=flight, y=[]))
+    a, b = boundary.arcs[0].scalars[0], boundary.arcs[1].scalars[1]
+    room_of = [room("signs").Quantity(arc, 1 - one.value, []) for arc, one in zip(boundary.arcs, (a, b), strict=True)]
+    assert limits._zeros(0, room_of[0], 0) == 1 and limits._zeros(1, room_of[1], -1) == 0
 
 
 def test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds() -> None:
@@ -232,7 +272,10 @@ def test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it(
 
 @pytest.mark.parametrize(("at_start", "half_turns"), [(True, 0), (True, 1), (False, 0), (False, 1)])
 def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_start: bool, half_turns: int) -> None:
-    """Least integral of |u|^2/2 between (1/2, 0) and the unit circle, where the flight begins or ends."""
+    """Least integral of |u|^2/2 between (1/2, 0) and the unit circle, where the flight begins or ends.
+
+    And of a speed that is best left at 0, called as a state is.
+    """
 
     def inside(p: Any) -> tuple[Any, Any]:
         return (0.5 * p.l, 0 * p.l)
@@ -240,7 +283,7 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
     phase = pl.Phase(
         name="go", states=tuple(pl.Variable(name=n, unit=u) for n, u in (("x", "m"), ("y", "m"), ("c", "m^2/s"))),
         controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="v", unit="m/s")),
-        dynamics=lambda x, u, p, m: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v)), duration="T",
+        dynamics=lambda x, u, p, m: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v + p.x * p.x)), duration="T",
         end=(lambda x, p, m: (x.x - inside(p)[0], x.y)) if at_start else (
             lambda x, p, m: ((x.x * x.x + x.y * x.y) / p.l - p.l,)),
         end_conditions=tuple(pl.Variable(name=n, unit="m") for n in ("one", "two")[: 2 if at_start else 1]),
@@ -249,11 +292,11 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
         name="circle", phases=(phase,), objective=lambda x, p, m: x.c, objective_unit="m^2/s",
         start=lambda p, m: (p.l * m.cos(p.q), p.l * m.sin(p.q), 0.0) if at_start else (*inside(p), 0.0),
         given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")},
-        free=(pl.Free(name="q", typical=1.0),) if at_start else (),
+        free=(pl.Free(name="x", unit="m/s"), *([pl.Free(name="q", typical=1.0)] if at_start else [])),
     )  # fmt: skip
     side = 1 - 2 * half_turns
     speed = (0.5 - side) * (1 if at_start else -1)
-    told = [np.pi * half_turns, -speed, 0.0] if at_start else [-speed / (2 * side)]
+    told = [0.0, 0.0, *([np.pi * half_turns, -speed, 0.0] if at_start else [-speed / (2 * side)])]
     rough, root = settings(24, 1e-36), room("root")
     with ctx.workprec(rough.bits):
         boundary = room("boundary").boundary_problem(stated, [room("boundary").Piece(phase=0, regimes=FREE)])

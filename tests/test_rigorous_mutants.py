@@ -49,6 +49,7 @@ def mutated(name: str, old: str, new: str) -> Iterator[None]:
 
 
 Mutant = tuple[str, str, str]  # a file, a place in it, what stands there then
+_well = claims.test_another_minimum_of_h_that_is_lower_at_any_time_is_seen
 _side = claims.test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond
 _convex = claims.test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it
 _circle = claims.test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none
@@ -113,6 +114,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (checks.a_frame_turns_with_the_flow, {
             "rounding forgotten": ("flight", "M * self._r + back *", "M * self._r * arb(0) + back *"),
             "rounding not turned": ("flight", "+ back * column", "+ column"),
+            "frame of the step before forgotten": ("flight", "together = moved * self._B", "together = moved"),
         }),
         (checks.frames_keep_remainders, {
             "remainder of a step left out": ("flight", "+ last * length**order for c", "+ 0 * last for c"),
@@ -180,6 +182,9 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (partial(_circle, True, 1), {
             "curvature of the start left out": ("second_order", "* self.moved + self.curved", "* self.moved"),
+            "costates by their names":
+                ("second_order", "list(y[:n])",
+                 '[named[f"{phase.name}.lambda_{name}(0)"] for name in phase.state_names]'),
         }),
         (partial(_circle, False, 1), {
             "curvature of the end left out":
@@ -239,6 +244,30 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (claims.test_a_corner_that_each_control_alone_would_keep_is_no_minimum, {
             "corner": ("limits", "if arc.joint:", "if False:"),
             "faces at bounds left out": ("minimum", '(side == "upper" and B[i] < bound)', 'side == "upper"'),
+        }),
+        (partial(_well, 0.1, 0.0, 1.0, False), {
+            "lower halves of boxes unseen": ("minimum", "left[i].lower().union(left[i].mid()), ", "*(), "),
+            "the control's own box alone":
+                ("minimum", "[[a.union(b) for a, b in zip(low, high, strict=True)]]", "[W]"),
+            "convexity around a box unseen":
+                ("minimum", "if not other or positive_definite(arb_mat(form)) else B", ""),
+            "a box in doubt taken":
+                ("minimum", "if widths[i] <= 1.0:\n                return False",
+                 "if widths[i] <= 1.0:\n                continue"),
+        }),
+        (partial(_well, -0.1, 0.0, -1.0, False), {
+            "upper halves of boxes unseen": ("minimum", ", left[i].mid().union(left[i].upper()))", ",)"),
+        }),
+        (partial(_well, 1 - 1e-9, -1.0, -1.0, False), {
+            "minimum in the middle of steps alone": ("minimum", "step.at(span)", "step.at(span.mid())"),
+            "minimum in the first halves of steps alone": ("minimum", ", ((a + b) / 2, b, depth + 1)]", "]"),
+        }),
+        (partial(_well, 1.001, -1.0, -1.0, True), {
+            "control that turns the other way": ("equations", "right = [-sum(", "right = [sum("),
+            "control that does not turn": ("equations", "right = [-sum(", "right = [0 * sum("),
+        }),
+        (claims.test_an_arc_begins_with_no_control_of_the_one_before_but_by_a_formula, {
+            "control of the arc before": ("limits", "2 * arc.half if side else len(arc.rates)", "len(arc.rates)"),
         }),
         (claims.test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds, {
             "bound without its derivative": ("equations", "graph.substitute([H], held)[0]", "H"),

@@ -22,6 +22,7 @@ from flint import arb, arb_mat
 from perilune.problem.problem import Problem
 from perilune.rigorous.equations import Arc, Key, Reader, Regimes, Scalar
 from perilune.rigorous.graph import Expression, Graph
+from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.taylor import Ball, Program
 
 
@@ -133,9 +134,14 @@ class BoundaryProblem:
     signed: tuple[str, ...]
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """How the names of unknowns end that no solution tells: costates of constant states."""
-        return tuple(f".lambda_{name}(0)" for arc in self.arcs for name in arc.constants)
+    def untold(self) -> set[int]:
+        """Which entries of y no solution tells: costates of constant states, which may be called as states are."""
+        found, at = set[int](), 0
+        for k in range(len(self.problem.phases)):
+            arc = next(arc for arc in self.arcs if arc.phase_index == k)
+            found |= set(range(at + len(arc.phase.states), at + arc.half))
+            at += arc.half
+        return found
 
     @cached_property
     def columns(self) -> tuple[tuple[int, ...], ...]:
@@ -295,7 +301,9 @@ class _Stating:
                 if upper is not None:
                     self.signs[f"{name} is below its upper bound"] = upper - value
             else:
-                found.append(value - (bound or 0))
+                if bound is None:
+                    raise Unsupported(f"{name} has no {side} bound")
+                found.append(value - bound)
                 told = f"{name} would cost less beyond its {side} bound, where it is"
                 self.signs[told] = nu if side == "upper" else -nu
         return found

@@ -153,11 +153,11 @@ class Limits:
         at = i + side
         if at < 0 or (side and self.boundary.pieces[at].phase != self.boundary.pieces[i].phase):
             return 0
-        return vanishing(quantity, self.boundary.meets[at], self._at_end(at))
-
-    def _at_end(self, i: int) -> dict[Any, Expression]:
-        arc = self.boundary.arcs[i]
-        return {("z", j): arc.graph.input(("end", i, j)) for j in range(len(arc.rates))}
+        # What no formula gives of the control begins anew with an arc: behind the costate stands something else.
+        arc = self.boundary.arcs[at]
+        count = 2 * arc.half if side else len(arc.rates)
+        known = {("z", j): arc.graph.input(("end", at, j)) for j in range(count)}
+        return vanishing(quantity, self.boundary.meets[at], known)
 
 
 def _told(seen: Seen) -> str:

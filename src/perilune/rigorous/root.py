@@ -179,14 +179,15 @@ def prove_root(
     """
     own = [settings.box * size for size in refined.sizes] if radii is None else list(radii)
     box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
+    centre = middle(box)  # of which F is: in fewer bits than before it is another number
     flown = enclosed(boundary, box, refined.grid, settings.order)
     F = residual(boundary, box, flown)
     off = (refined.inverse * column(F)).entries()
     defects = [float(value.abs_upper()) for value in off]
     _, J = slopes(boundary, box, flown)
     rest = identity(len(box)) - refined.inverse * J
-    moved = (rest * column([b - c for b, c in zip(box, refined.y, strict=True)])).entries()
-    krawczyk = [c - d + e for c, d, e in zip(refined.y, off, moved, strict=True)]
+    moved = (rest * column([b - c for b, c in zip(box, centre, strict=True)])).entries()
+    krawczyk = [c - d + e for c, d, e in zip(centre, off, moved, strict=True)]
     contraction = max(float(e.abs_upper()) / r for e, r in zip(moved, own, strict=True))
     tell(f"box enclosed: defect {max(defects):.2g}, contraction {contraction:.2g}")
     if not all(b.contains_interior(k) for b, k in zip(box, krawczyk, strict=True)):

@@ -88,7 +88,7 @@ class _Form:
         self.arc: Arc = reader.arc(0, piece.regimes, whole=True)
         half, n = self.arc.half, len(phase.states)
         named = dict(zip(boundary.names, y, strict=True))
-        costates = [named[f"{phase.name}.lambda_{name}(0)"] for name in phase.state_names]
+        costates = list(y[:n])  # not by name: a free parameter may be called as a state is
         self.free = [named[name] for name in problem.free_names]
         free = {name: graph.input(("p", name)) for name in problem.free_names}
         keys = [("p", name) for name in problem.free_names]

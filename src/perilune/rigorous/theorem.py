@@ -127,7 +127,7 @@ def _proved(
 
 def _distance(boundary: BoundaryProblem, root: Root, guess: Sequence[Ball]) -> float:
     """From the guess, but for costates of constant states, which no solution tells."""
-    told = [i for i, name in enumerate(boundary.names) if not name.endswith(boundary.untold)]
+    told = [i for i in range(len(guess)) if i not in boundary.untold]
     least = _NEARLY_ZERO * max(float(guess[i].abs_upper()) for i in told)
     far = [float((root.y[i] - guess[i]).abs_upper()) / max(float(guess[i].abs_upper()), least) for i in told]
     return max(far, default=math.nan)
