@@ -477,7 +477,7 @@ def test_every_colour_of_a_word_stands_out_from_its_ground() -> None:
     assert len(themes) == 2
     for theme in themes:
         colours = {name: _light(colour) for name, colour in re.findall(r"--(\w+): (#\w+)", theme)}
-        for word in ("ink", "soft", "go", "hot", "good", "bad"):
+        for word in ("ink", "soft", "go", "hot", "good", "bad", "pin1", "pin2"):
             for ground in ("paper", "box"):
                 low, high = sorted((colours[word], colours[ground]))
                 assert (high + 0.05) / (low + 0.05) >= 4.5, (word, ground)

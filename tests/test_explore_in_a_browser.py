@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -179,6 +180,49 @@ def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
         assert abs(north[-1]) < 1e-3
 
 
+_INK = """([view, name]) => {
+  const box = document.querySelector(view + " canvas"), copy = document.createElement("canvas");
+  if (!box) { return 0; } // which is not in sight yet
+  copy.width = box.width; copy.height = box.height + 1;
+  const c = copy.getContext("2d", { willReadFrequently: true });
+  c.drawImage(box, 0, 0); c.fillStyle = Draw.css(name); c.fillRect(0, box.height, 1, 1);
+  const ink = c.getImageData(0, box.height, 1, 1).data, seen = c.getImageData(0, 0, box.width, box.height).data;
+  let count = 0;
+  for (let i = 0; i < seen.length; i += 4) {
+    count += seen[i + 3] > 90 && [0, 1, 2].every((k) => Math.abs(seen[i + k] - ink[k]) < 24);
+  }
+  return count;
+}"""  # how much of the first plot of a view is drawn in a colour
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_every_view_draws_two_pinned_flights_beside_the_one_that_moves(
+    page: Any, alone: Path, width: int, scheme: str
+) -> None:
+    """In lines of their own, which a legend names by what is not as it is now."""
+    page.set_viewport_size({"width": width, "height": 844})
+    page.emulate_media(color_scheme=scheme)
+    page.goto(alone.as_uri())
+    until(page, "perilune.frames > 0")
+    for share in (0.05, 0.95, 0.5):
+        _drag(page, share, share, 0.1)
+        until(page, "perilune.shown === perilune.number")
+        if share != 0.5:
+            page.click("#pin")
+    moved = "retro.specific_impulse"
+    said = rf"now\s*pinned 1: {moved} 27\S+ s\s*pinned 2: {moved} 28\S+ s"
+    assert re.fullmatch(said, page.inner_text("article:has(#states) .legend"))
+    for view in ("#states", "#controls", "#costates"):
+        page.locator(view).scroll_into_view_if_needed()
+        for name in ("--go", "--pin1", "--pin2"):
+            until(page, f"({_INK})({[view, name]}) > 20")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.click("#pin")
+    page.locator("#costates").scroll_into_view_if_needed()
+    until(page, f"({_INK})(['#costates', '--pin1']) === 0")
+    assert page.locator(".legend:visible").count() == 0
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, width: int, scheme: str) -> None:
     """No server; nothing wider than the screen; the jump is in it."""
@@ -201,7 +245,7 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     page.evaluate("perilune.flight.extremals = [{ objective: -957.0, nature: 'best' }]")  # where nothing is maximised
     page.click("#pin")
     assert "objective [kg]" in page.inner_text("#extremals")
-    assert "180 deg\npinned 180 deg" in page.inner_text("#numbers")
+    assert "180 deg\npinned 1: 180 deg" in page.inner_text("#numbers")
     for said in ("nosuch=3", "vehicle.thrust=440N", "vehicle.thrust=1e9"):  # a link of another page, or mistyped
         page.goto(f"{alone.as_uri()}#{said}")
         until(page, f"document.getElementById('source').innerText.includes('not as the link says: {said}')")

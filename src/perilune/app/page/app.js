@@ -10,7 +10,11 @@
   const text = (node, said) => { node.textContent = said; };
   const called = (flight, name) => flight.labels[name] || name.replaceAll("_", " ");
   const told = (v, unit) => `${Draw.fine(v)}${unit && unit !== "1" ? " " + unit : ""}`;
-  const spoken = ({ value, unit }) => unit === "rad" && value !== null ? [value * 180 / Math.PI, "deg"] : [value, unit];
+  const typed = (v) => v !== 0 && !(Math.abs(v) >= 1e-4 && Math.abs(v) < 1e8) ? v.toExponential(6).replace(/\.?0*e\+?/, "e") : String(+v.toPrecision(7)); // as a field has room for
+  function result({ value, unit }) {
+    const [v, said] = unit === "rad" ? [value * 180 / Math.PI, "deg"] : [value, unit];
+    return value === null ? "none" : `${+v.toPrecision(7)} ${said === "1" ? "" : said}`.trim();
+  }
 
   // -- asking ---------------------------------------------------------------------------------------------------
   function ask() {
@@ -92,7 +96,7 @@
     const set = () => {
       const v = exact(knob, state.values[knob.name]);
       slider.min = Math.min(knob.low / knob.size, v); slider.max = Math.max(knob.high / knob.size, v); slider.value = v; slider.setAttribute("aria-valuetext", told(v, knob.unit));
-      number.title = String(v); if (document.activeElement !== number) { number.value = +v.toPrecision(7); }
+      number.title = String(v); if (document.activeElement !== number) { number.value = typed(v); }
     };
     knob.set = set; set();
     let held = false;
@@ -107,7 +111,7 @@
     number.onchange = () => {
       const v = parseFloat(number.value), taken = Number.isFinite(v), what = number.validity.badInput ? "That is no number that can be used" : "No number was typed";
       if (taken) { held = false; move(v); held = false; save(); }
-      number.value = +exact(knob, state.values[knob.name]).toPrecision(7);
+      number.value = typed(exact(knob, state.values[knob.name]));
       text(wrong, taken ? "" : `${what}: it stays at ${told(+number.value, knob.unit)}.`);
     };
     return box;
@@ -137,10 +141,11 @@
     drawn(flight);
   }
   function drawn(flight) {
-    Draw.path($("path"), [flight, ...state.pins.map((p) => p.flight)]);
+    const flights = [flight, ...state.pins.map((pin) => pin.flight)];
+    legends(flight); Draw.path($("path"), flights);
     const flat = !flight.views.ground && Draw.series(flight, "east").length && Draw.series(flight, "north").length;
     $("ground-box").hidden = !flight.views.ground && !flat;
-    if (!$("ground-box").hidden) { Draw.whenSeen($("ground"), () => from_above(flight, flat)); }
+    if (!$("ground-box").hidden) { Draw.whenSeen($("ground"), () => from_above(flights, flat)); }
     histories(flight); extremals(flight); lights(flight); map();
     requestAnimationFrame(Draw.look); // what came last may have moved others into sight
   }
@@ -158,11 +163,10 @@
     $("source").replaceChildren(...parts.flatMap((node, i) => i ? ["; ", node] : [node]));
   }
   function numbers(flight) {
-    $("numbers").replaceChildren(...Object.entries(flight.results).map(([name, result]) => {
+    $("numbers").replaceChildren(...Object.entries(flight.results).map(([name, one]) => {
       const box = document.createElement("div"), label = document.createElement("span"), value = document.createElement("b");
-      text(label, called(flight, name)); const [v, unit] = spoken(result);
-      text(value, v === null ? "none" : `${+v.toPrecision(7)} ${unit === "1" ? "" : unit}`); box.title = result.description || ""; box.append(label, value);
-      for (const pin of state.pins) { const other = pin.flight.results[name]; if (other && other.value !== null) { const em = document.createElement("em"); text(em, `pinned ${told(...spoken(other))}`); box.append(em); } }
+      text(label, called(flight, name)); text(value, result(one)); box.title = one.description || ""; box.append(label, value);
+      state.pins.forEach((pin, k) => { const other = pin.flight.results[name]; if (other) { const em = document.createElement("em"); em.className = `pin${k + 1}`; text(em, `pinned ${k + 1}: ${result(other)}`); box.append(em); } });
       return box;
     }));
   }
@@ -182,15 +186,26 @@
     panels("states", flight, [...others, ...rest].slice(0, 10)); panels("controls", flight, turned.slice(0, 6));
     panels("costates", flight, [...adjoint.filter((n) => n !== "H").slice(0, 9), ...adjoint.filter((n) => n === "H")]);
   }
+  function legends(flight) { // which line is which flight, and what of the pinned ones is not as it is now
+    const entries = state.pins.map(({ values }, k) => {
+      const other = state.knobs.filter((one) => values[one.name] !== (flight.values[one.name] ?? one.value));
+      const said = other.slice(0, 3).map((one) => `${one.key} ${told(exact(one, values[one.name]), one.unit)}`);
+      return [`pin${k + 1}`, `pinned ${k + 1}: ${[...said, ...(other.length > 3 ? [`${other.length - 3} more`] : [])].join(", ") || "the same values"}`];
+    });
+    for (const box of document.querySelectorAll(".legend")) {
+      box.hidden = !entries.length;
+      box.replaceChildren(...[["now", "now"], ...entries].map(([kind, words]) => { const entry = document.createElement("span"); entry.className = kind; entry.append(document.createElement("i"), words); return entry; }));
+    }
+  }
   function panels(id, flight, names) {
     const parent = $(id);
     for (const box of [...parent.children]) { if (!names.includes(box.dataset.name)) { box.remove(); } }
     for (const name of names) {
       let box = [...parent.children].find((child) => child.dataset.name === name);
       if (!box) { box = document.createElement("div"); box.dataset.name = name; parent.append(box); }
-      const own = series(flight, name), curves = [{ name, values: own.values }];
+      const own = series(flight, name), curves = [own, ...state.pins.map((pin) => series(pin.flight, name))];
       const least = name === "H" ? 1e-6 * Math.abs(flight.objective) / (own.x[own.x.length - 1] || 1) : 0;
-      if (own.x.length) { Draw.lines(box, `${id}-${name}`, called(flight, name), own.unit, own.x, curves, 128, null, least); }
+      if (own.x.length) { Draw.lines(box, `${id}-${name}`, called(flight, name), own.unit, curves, 128, null, least); }
     }
   }
   function extremals(flight) {
@@ -202,7 +217,7 @@
     if (family && family.values.length > 2) {
       const others = flight.roots.slice(1).filter((e) => family.name in e.free).map((e) => [e.free[family.name], sign * e.objective, Draw.css("--ink")]);
       const mark = [...others, [flight.free[family.name], sign * flight.objective]];
-      Draw.lines($("family"), "family", `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} along ${family.name.replaceAll("_", " ")}${family.unit === "1" ? "" : ` [${family.unit}]`}`, flight.unit, family.values, [{ name: "extremals with it held", values: family.objective.map((v) => sign * v) }], 170, mark);
+      Draw.lines($("family"), "family", `${state.maximised ? state.maximised.replaceAll("_", " ") : "J"} along ${family.name.replaceAll("_", " ")}${family.unit === "1" ? "" : ` [${family.unit}]`}`, flight.unit, [{ x: family.values, values: family.objective.map((v) => sign * v) }], 170, mark);
     }
   }
   function lights(flight) {
@@ -232,19 +247,19 @@
   // The landing site may be dragged: on the globe by its longitude and latitude, from above by where the approach begins.
   let back = null, frame = null, dragging = false;
   const knob = (name) => state.knobs.find((k) => k.name === name);
-  function from_above(flight, flat) {
+  function from_above(flights, flat) {
     const moves = flat ? knob("approach_east") && knob("approach_north") : knob("site_longitude") && knob("site_latitude");
     text($("ground-title"), flat ? "From above" : "Ground track");
     if (flat) {
-      const shown = Draw.plan($("ground"), flight, offset(), dragging ? frame : null);
+      const shown = Draw.plan($("ground"), flights, [state, ...state.pins].map(offset), dragging ? frame : null);
       frame = shown.box; if (!dragging) { back = shown.back; }
       text($("ground-words"), `a line every ${Draw.fine(shown.step)} m${moves ? "; drag the landing site" : ""}`);
     } else {
-      const found = Draw.ground($("ground"), flight, state.coasts); if (!dragging) { back = found; }
+      const found = Draw.ground($("ground"), flights, state.coasts); if (!dragging) { back = found; }
       text($("ground-words"), moves ? "Drag the landing site." : "");
     }
   }
-  const offset = () => ["approach_east", "approach_north"].map((name) => knob(name) ? state.first[name] - state.values[name] : 0);
+  const offset = ({ values }) => ["approach_east", "approach_north"].map((name) => knob(name) ? state.first[name] - values[name] : 0);
   function toSite(event) {
     const box = $("ground").getBoundingClientRect(), to = back && back(event.clientX - box.left, event.clientY - box.top);
     if (!to) { return; }
@@ -262,7 +277,7 @@
     const a = document.createElement("a"); a.href = URL.createObjectURL(new Blob([content], { type: kind })); a.download = name; a.click(); setTimeout(() => URL.revokeObjectURL(a.href), 1000);
   }
   $("undo").onclick = undo; $("redo").onclick = redo; $("reset").onclick = () => { remember(); restore(state.first); };
-  $("pin").onclick = () => { if (!state.flight) { return; } if (state.pins.length >= 2) { state.pins = []; } else { state.pins.push({ values: { ...state.values }, flight: state.flight }); } text($("pin"), state.pins.length >= 2 ? "Unpin all" : "Pin"); show(); };
+  $("pin").onclick = () => { if (!state.flight) { return; } if (state.pins.length >= 2) { state.pins = []; } else { state.pins.push({ values: { ...state.first, ...state.flight.values }, flight: state.flight }); } text($("pin"), state.pins.length >= 2 ? "Unpin all" : "Pin"); whole(); };
   $("link").onclick = async () => { save(); try { await navigator.clipboard.writeText(location.href); text($("link"), "Copied"); } catch { text($("link"), "Copy the address above"); } setTimeout(() => text($("link"), "Copy link"), 1500); };
   $("csv").onclick = () => {
     if (!frozen) { fetched("flight.csv", "text/csv"); return; }
@@ -285,7 +300,8 @@
   addEventListener("hashchange", () => { if (location.hash.slice(1) !== hash()) { remember(); restore(linked()); } }); // a link into an open page
   document.querySelector(".skip").onclick = (event) => { event.preventDefault(); $("knobs").focus(); $("knobs").scrollIntoView(); }; // the address holds values
   new ResizeObserver(([head]) => document.documentElement.style.setProperty("--head", `${head.target.offsetHeight}px`)).observe(document.querySelector("header"));
-  const anew = () => { Draw.forget(); show(); if (state.refused && state.flight) { drawn(state.flight); } }; // the flight before, behind a refusal, too
+  const whole = () => { show(); if (state.refused && state.flight) { numbers(state.flight); drawn(state.flight); } }; // the flight before, behind a refusal, too
+  const anew = () => { Draw.forget(); whole(); };
   addEventListener("resize", anew);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", anew);
   connect();

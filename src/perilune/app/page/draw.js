@@ -2,7 +2,7 @@
 "use strict";
 const Draw = (() => {
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const colours = () => [css("--go"), css("--hot"), css("--good"), "#a855f7", "#0891b2"];
+  const PINS = [{ colour: "--pin1", dash: [7, 4] }, { colour: "--pin2", dash: [2, 3] }]; // of flights that are kept beside the one that moves
   const fine = (v) => v === null || v === undefined ? "none" : Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(3) : String(+v.toPrecision(5));
   const plots = new Map();
 
@@ -32,14 +32,20 @@ const Draw = (() => {
     return ticks.map((v, i) => i ? `+${short(v - ticks[0], 2)}` : short(v, 4));
   }
 
-  function lines(box, key, title, unit, x, curves, height = 150, mark = null, least = 0) {
-    box.style.minHeight = `${height}px`;
-    whenSeen(box, () => drawn(box, key, title, unit, x, curves, height, mark, least));
+  // Curves over times of their own as uPlot takes them: over all times, undefined (which is no gap) at those of others.
+  function joined(curves) {
+    if (curves.length === 1) { return [curves[0].x, curves[0].values]; }
+    const all = curves.flatMap((c, k) => c.x.map((t, i) => [t, k, i])).sort((a, b) => a[0] - b[0] || a[1] - b[1] || a[2] - b[2]);
+    return [all.map((at) => at[0]), ...curves.map((c, k) => all.map((at) => at[1] === k ? c.values[at[2]] : undefined))];
   }
-  function drawn(box, key, title, unit, x, curves, height, mark, least) {
-    const known = plots.get(key), names = curves.map((c) => c.name).join("|"), width = box.clientWidth || 300;
-    const data = [x, ...curves.map((c) => c.values)];
-    if (known && known.names === names && known.box === box) {
+  // Curves are { x, values }: the first is the flight that moves, the others are pinned.
+  function lines(box, key, title, unit, curves, height = 150, mark = null, least = 0) {
+    box.style.minHeight = `${height}px`;
+    whenSeen(box, () => drawn(box, key, title, unit, curves, height, mark, least));
+  }
+  function drawn(box, key, title, unit, curves, height, mark, least) {
+    const known = plots.get(key), count = curves.length, width = box.clientWidth || 300, data = joined(curves);
+    if (known && known.count === count && known.box === box) {
       known.mark = mark; known.least = least; known.plot.setData(data);
       if (known.width !== width) { known.width = width; known.plot.setSize({ width, height }); }
       return;
@@ -47,12 +53,12 @@ const Draw = (() => {
     if (known) { known.plot.destroy(); }
     const ink = css("--soft"), grid = { stroke: css("--line"), width: 1 };
     const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui" }, wide = (_, said) => Math.max(66, 20 + 6.6 * Math.max(...(said || []).map((word) => word.length)));
-    const entry = { names, box, width, mark, least };
+    const entry = { count, box, width, mark, least };
     entry.plot = new uPlot({
       width, height, pxAlign: 0, title: unit ? `${title} [${unit}]` : title, scales: { x: { time: false }, y: { range: (_, low, high) => room(low, high, entry.least) } }, cursor: { points: { size: 5 } },
-      legend: { show: curves.length > 1 },
+      legend: { show: false },
       axes: [{ ...axis, size: 26, values: (_, ticks) => labels(ticks) }, { ...axis, size: wide, space: 22, values: (_, ticks) => labels(ticks) }],
-      series: [{ label: "t", value: (_, v) => fine(v) }, ...curves.map((c, i) => ({ label: c.name, stroke: c.colour || colours()[i % 5], width: c.dash ? 1 : 1.6, dash: c.dash, points: { show: false }, value: (_, v) => fine(v) }))],
+      series: [{}, ...curves.map((_, i) => ({ stroke: css(i ? PINS[i - 1].colour : "--go"), width: i ? 1.2 : 1.6, dash: i ? PINS[i - 1].dash : undefined, points: { show: false } }))],
       hooks: { draw: [(u) => {
         for (const point of entry.mark || []) {
           const px = u.valToPos(point[0], "x", true), py = u.valToPos(point[1], "y", true), c = u.ctx;
@@ -93,7 +99,7 @@ const Draw = (() => {
     let inside = polyline(ground.map(screen), { stroke: css("--body"), "stroke-width": 4 });
     flights.forEach((_, f) => points[f].forEach((leg) => {
       const seen = leg.filter((p) => p[0] !== null).map((p) => screen(place(p[0], p[1])));
-      inside += polyline(seen, { stroke: f ? css("--soft") : css("--go"), "stroke-width": f ? 1.5 : 2.5, "stroke-dasharray": f ? "5 4" : "none" });
+      inside += polyline(seen, { stroke: css(f ? PINS[f - 1].colour : "--go"), "stroke-width": f ? 1.5 : 2.5, "stroke-dasharray": f ? PINS[f - 1].dash.join(" ") : "none" });
       if (f === 0) {
         leg.forEach((p, i) => {
           if (!p[2] || i % Math.max(1, Math.floor(leg.length / 14)) || Math.hypot(...p[2]) < 0.5) { return; }
@@ -117,18 +123,18 @@ const Draw = (() => {
     return [c, w, h];
   }
 
-  // Longitudes and latitudes on a globe that is turned to the middle of the track.
-  function ground(node, flight, coasts) {
-    const [c, w, h] = canvas(node), names = flight.views.ground, r = Math.min(w, h) / 2 - 8, t = Math.PI / 180;
-    const track = flight.phases.flatMap((p) => p.columns[names[0]] && p.columns[names[1]] ? p.columns[names[0]].values.map((v, i) => [v, p.columns[names[1]].values[i]]) : []).filter((p) => p[0] !== null);
+  // Longitudes and latitudes on a globe that is turned to the middle of the first track.
+  function ground(node, flights, coasts) {
+    const [c, w, h] = canvas(node), names = flights[0].views.ground, r = Math.min(w, h) / 2 - 8, t = Math.PI / 180;
+    const [track, ...pinned] = flights.map((f) => f.phases.flatMap((p) => p.columns[names[0]] && p.columns[names[1]] ? p.columns[names[0]].values.map((v, i) => [v, p.columns[names[1]].values[i]]) : []).filter((p) => p[0] !== null));
     if (!track.length) { return; }
     const last = track[track.length - 1], mid = track[Math.floor(0.7 * track.length)] || last;
     const turned = ([lon, lat]) => {
       const a = (lon - mid[0]) * t, b = lat * t, b0 = mid[1] * t;
       return [w / 2 + r * Math.cos(b) * Math.sin(a), h / 2 - r * (Math.sin(b) * Math.cos(b0) - Math.cos(b) * Math.sin(b0) * Math.cos(a)), Math.sin(b) * Math.sin(b0) + Math.cos(b) * Math.cos(b0) * Math.cos(a) > 0];
     };
-    const stroke = (points, colour, width) => {
-      c.strokeStyle = colour; c.lineWidth = width; c.beginPath(); let down = false;
+    const stroke = (points, colour, width, dash = []) => {
+      c.strokeStyle = colour; c.lineWidth = width; c.setLineDash(dash); c.beginPath(); let down = false;
       for (const p of points.map(turned)) { if (p[2]) { down ? c.lineTo(p[0], p[1]) : c.moveTo(p[0], p[1]); } down = p[2]; }
       c.stroke();
     };
@@ -136,7 +142,7 @@ const Draw = (() => {
     for (let lon = -180; lon < 180; lon += 30) { stroke(Array.from({ length: 37 }, (_, i) => [lon, -90 + 5 * i]), css("--line"), 0.6); }
     for (let lat = -60; lat <= 60; lat += 30) { stroke(Array.from({ length: 73 }, (_, i) => [-180 + 5 * i, lat]), css("--line"), 0.6); }
     for (const line of coasts) { stroke(line, css("--soft"), 0.7); }
-    stroke(track, css("--go"), 2.2);
+    pinned.forEach((points, k) => stroke(points, css(PINS[k].colour), 1.4, PINS[k].dash)); stroke(track, css("--go"), 2.2);
     const back = (px, py) => { // from the screen to longitude and latitude; null beside the globe
       const u = (px - w / 2) / r, v = (h / 2 - py) / r, q = 1 - u * u - v * v, b0 = mid[1] * t; if (q < 0) { return null; }
       const z = Math.sqrt(q), lat = Math.asin(v * Math.cos(b0) + z * Math.sin(b0)), lon = Math.atan2(u, z * Math.cos(b0) - v * Math.sin(b0));
@@ -146,19 +152,22 @@ const Draw = (() => {
     return back;
   }
 
-  // From above: east and north of a flight to a site that may have moved by `site`; the same numbers back from the screen.
-  function plan(node, flight, site, frame) {
-    const [c, w, h] = canvas(node), t = series(flight, "east"), u = series(flight, "north");
-    const east = t.map((v) => v + site[0]), north = u.map((v) => v + site[1]);
-    const box = frame || [Math.min(...east, site[0]), Math.max(...east, site[0]), Math.min(...north, site[1]), Math.max(...north, site[1])];
+  // From above: east and north of flights, each to its site, which may have moved; the same numbers back from the screen.
+  function plan(node, flights, sites, frame) {
+    const [c, w, h] = canvas(node), tracks = flights.map((f, k) => [series(f, "east").map((v) => v + sites[k][0]), series(f, "north").map((v) => v + sites[k][1])]);
+    const east = [...tracks.flatMap((t) => t[0]), ...sites.map((s) => s[0])], north = [...tracks.flatMap((t) => t[1]), ...sites.map((s) => s[1])];
+    const box = frame || [Math.min(...east), Math.max(...east), Math.min(...north), Math.max(...north)];
     const span = Math.max(box[1] - box[0], box[3] - box[2]) * 1.35 || 1, k = Math.min(w, h) / span, mid = [(box[0] + box[1]) / 2, (box[2] + box[3]) / 2];
     const at = (e, n) => [w / 2 + k * (e - mid[0]), h / 2 - k * (n - mid[1])];
     c.strokeStyle = css("--line"); c.lineWidth = 1;
     const step = 10 ** Math.floor(Math.log10(span / 2)), first = (v) => Math.ceil(v / step) * step;
     for (let e = first(mid[0] - w / 2 / k); e < mid[0] + w / 2 / k; e += step) { c.beginPath(); c.moveTo(at(e, 0)[0], 0); c.lineTo(at(e, 0)[0], h); c.stroke(); }
     for (let n = first(mid[1] - h / 2 / k); n < mid[1] + h / 2 / k; n += step) { c.beginPath(); c.moveTo(0, at(0, n)[1]); c.lineTo(w, at(0, n)[1]); c.stroke(); }
-    c.strokeStyle = css("--go"); c.lineWidth = 2.2; c.beginPath(); east.forEach((e, i) => { const p = at(e, north[i]); i ? c.lineTo(p[0], p[1]) : c.moveTo(p[0], p[1]); }); c.stroke();
-    const s = at(...site); c.fillStyle = css("--hot"); c.beginPath(); c.arc(s[0], s[1], 6, 0, 7); c.fill();
+    tracks.forEach((t, k) => {
+      c.strokeStyle = css(k ? PINS[k - 1].colour : "--go"); c.lineWidth = k ? 1.4 : 2.2; c.setLineDash(k ? PINS[k - 1].dash : []);
+      c.beginPath(); t[0].forEach((e, i) => { const p = at(e, t[1][i]); i ? c.lineTo(p[0], p[1]) : c.moveTo(p[0], p[1]); }); c.stroke();
+    });
+    const s = at(...sites[0]); c.fillStyle = css("--hot"); c.beginPath(); c.arc(s[0], s[1], 6, 0, 7); c.fill();
     return { box, step, back: (px, py) => [mid[0] + (px - w / 2) / k, mid[1] - (py - h / 2) / k] };
   }
   const series = (flight, name) => flight.phases.flatMap((p) => p.columns[name] ? p.columns[name].values : []);
