@@ -227,6 +227,12 @@ def test_what_nobody_looks_at_of_an_answer_is_not_made(atlas: Atlas) -> None:
     assert pickle.loads(pickle.dumps(again)) == replace(answer, query=again.query)
 
 
+@pytest.mark.parametrize("place", [(0, 3), (0, (0,)), ("a", (0, 0)), (0, ([], 0))])
+def test_what_is_no_place_of_a_brick_is_refused(atlas: Atlas, place: Any) -> None:
+    with pytest.raises(PeriluneError, match=r"no place of a brick(.|\n)*along each of: vehicle_thrust"):
+        atlas.brick(*place)
+
+
 def test_slopes_of_the_cost_are_those_of_solves(atlas: Atlas) -> None:
     at = {"vehicle_thrust": 437.0, "retro_specific_impulse": 301.0}
     slopes = atlas.query(**at).query.slopes

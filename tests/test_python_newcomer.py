@@ -8,6 +8,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT
 from perilune.models.bodies import MARS, MOON, Body
+from perilune.models.descent import powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import precision_landing
 from perilune.problem.solution import Solution
@@ -33,6 +35,7 @@ LOOSE: Any = LANDING
 Lander: Any = Vehicle
 hybrid_of: Any = hybrid_landing
 precision_of: Any = precision_landing
+descent_of: Any = powered_descent
 load_any: Any = load_file
 
 
@@ -122,6 +125,22 @@ load_any: Any = load_file
          ("not a row of phases", "Phase")),
         (lambda: Loose.Problem(name="p", phases=("descent",), start=None, objective=None),
          ("not a phase", "'descent'")),
+        (lambda: replace(LANDING, name=" "), ("a name of one line", "' '", 'as "landing"')),
+        (lambda: replace(LANDING, name="a\nb"), ("a name of one line", "'a\\nb'")),
+        (lambda: LOOSE.size_of("r"), ("not a state, condition", "'r'", "problem.phases[0].states[0]")),
+        (lambda: LOOSE.bounds(3), ("not a state or a control", "3", "problem.phases[0].states[0]")),
+        (lambda: LOOSE.unit_of([]), ("not the name of a parameter", "list", "a text")),
+        (lambda: LANDING.unit_of("thrust"), ("no parameter of this name", "did you mean 'vehicle_thrust'")),
+        (lambda: LOOSE.parameters([("mass", 3.0)]), ("not what holds the values of free", "list", "Mapping")),
+        (lambda: LANDING.parameters({"vehicle_mass": 3.0}), ("no free parameter", "'vehicle_mass'", "flight_time")),
+        (lambda: LOOSE.parameters({1: 2}), ("no free parameter", "'1'")),
+        (lambda: Loose.Pseudospectral(scheme=["radau"]), ("not a collocation scheme", "list", "'gauss' or 'radau'")),
+        (lambda: Loose.scenario.template([]), ("not a kind of problem", "list", "a text")),
+        (lambda: Loose.scenario.bounds_of("a", 3, {}), ("not a range", "3", "a text")),
+        (lambda: Loose.preflight(LANDING, {1: 2}), ("no parameter of this name", "'1'")),
+        (lambda: descent_of(VEHICLE, None, None), ("not an Ignition", "None")),
+        (lambda: Loose.atlas.sliced("map"), ("not an atlas", "'map'", "atlas.open(DIRECTORY)")),
+        (lambda: Loose.solve(LANDING, level=np.zeros(2)), ("no such level",)),
     ],
 )  # fmt: skip
 def test_a_slip_is_refused_in_words(ask: Callable[[], Any], words: tuple[str, ...]) -> None:
@@ -184,6 +203,7 @@ def test_a_retro_burn_that_is_no_record_is_not_taken_for_none() -> None:
         (lambda s, _: Loose.verify(s, 4, other=3), ("not a method", "3")),
         (lambda s, _: Loose.verify(s, 3, resolve=3), ("not what solves again", "3")),
         (lambda s, _: s.trajectories[0].state("end"), ("not a time at which to look at a curve", "'end'")),
+        (lambda s, _: s.trajectories[0].state.extended("end"), ("not a time at which to look at a curve", "'end'")),
         (lambda s, _: s.inertial(1, 0.0), ("not a phase of hybrid_landing", "1", "its number, 0 to 0")),
         (lambda s, _: s.outputs("descent", 0.0), ("not a phase of hybrid_landing", "'descent'")),
     ],

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
-from perilune.io.columns import columns, costate_unit, hamiltonian
+from perilune.io.columns import columns, hamiltonian, per_unit
 from perilune.io.export import results, save, solution_document, trajectory_csv
 from perilune.io.files import fresh_directory, json_text
 from perilune.io.reload import hash_of, load
@@ -124,8 +124,9 @@ def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
     ("state", "unit"), [("m", "kg/m"), ("m/s", "kg/(m/s)"), ("kg", "1"), ("1", "kg"), ("rad", "kg/rad")]
 )
 def test_costate_units(state: str, unit: str) -> None:
-    """A costate is measured in objective per state."""
-    assert costate_unit("kg", state) == unit
+    """A costate is measured in objective per state, and H in objective per second: where J is a time in nothing."""
+    assert per_unit("kg", state) == unit
+    assert per_unit("s", "s") == "1"
 
 
 def test_columns_satisfy_the_optimality_conditions(hybrid: Solution) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
+from perilune.words.asked import called_in_words
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -208,12 +210,24 @@ class Reader:
             found |= {(number, *place) for place in np.vstack([beside, rows["corner"][within]]).tolist()}
         return found
 
+    @called_in_words
     def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:
-        """A brick of a chart; None where there is none, or it is damaged."""
-        key = (number, *brick)
-        if key not in self._bricks:
-            said = self.said.get(key)
+        """A brick of a chart; None where there is none, or it is damaged.
+
+        Raises
+        ------
+        PeriluneError
+            If these are no number of a chart and no place of a brick.
+        """
+        try:
+            key = (number, *brick)
+            known, said = key in self._bricks, self.said.get(key)
+        except TypeError:
+            raise self._no_brick(number, brick) from None
+        if not known:
             if said is None:
+                if len(key) != 1 + len(self.region.axes) or not all(isinstance(part, Integral) for part in key):
+                    raise self._no_brick(number, brick)
                 return None
             d, n = len(self.region.axes), self.charted[number].unknowns
             try:
@@ -227,6 +241,11 @@ class Reader:
                 self._bricks.pop(next(iter(self._bricks)))
             self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
         return self._bricks[key]
+
+    def _no_brick(self, number: Any, brick: Any) -> PeriluneError:
+        axes = ", ".join(axis.name for axis in self.region.axes)
+        expected = f"a chart, 0 to {len(self.charted) - 1}, and the number of the brick along each of: {axes}"
+        return PeriluneError("this is no place of a brick", got=f"{number!r}, {brick!r}"[:80], expected=expected)
 
 
 def may_be_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:

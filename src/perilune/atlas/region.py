@@ -186,7 +186,7 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
     for stated, bounds in axes.items():
         name = parameter_name(stated) if isinstance(stated, str) else stated
         if name not in known:
-            raise unknown_name("parameter", str(name), known)
+            raise unknown_name("parameter", name, known)
         if name in (axis.name for axis in found):
             raise PeriluneError(f"{key_of(name)} is an axis twice", expected="each parameter once")
         try:

@@ -20,7 +20,7 @@ from perilune.atlas.region import Axis
 from perilune.models.kinds import key_of
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
@@ -117,6 +117,7 @@ def sliced(
     PeriluneError
         If a name is no axis, a value lies outside of its range, or the points are too few or too many.
     """
+    demand(atlas, Atlas, "an atlas", "atlas.open(DIRECTORY)")
     region = atlas.region
     held = _held(atlas, at or {})
     names = [parameter_name(name) for name in axes] or [name for name in region.names if name not in held][:2]

@@ -91,10 +91,10 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
     if trajectory.costate is not None:
         per = solution.problem.objective_unit
         table += [
-            Column(name=f"lambda_{v.name}", unit=costate_unit(per, v.unit), values=lam)
+            Column(name=f"lambda_{v.name}", unit=per_unit(per, v.unit), values=lam)
             for v, lam in zip(phase.states, trajectory.costate(t).T, strict=True)
         ]
-        table.append(Column(name="H", unit=f"{per}/s", values=hamiltonian(solution, k, t)))
+        table.append(Column(name="H", unit=per_unit(per, "s"), values=hamiltonian(solution, k, t)))
     return {column.name: column for column in table}
 
 
@@ -113,13 +113,13 @@ def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
     return np.union1d(np.linspace(0.0, trajectory.duration, count), (np.nextafter(switches, 0.0), switches))
 
 
-def costate_unit(objective_unit: str, state_unit: str) -> str:
-    """Write the unit of a costate: objective per unit of its state."""
-    if state_unit == "1":
+def per_unit(objective_unit: str, unit: str) -> str:
+    """Write the unit of what is J per another: of a costate per unit of its state, of H per second."""
+    if unit == "1":
         return objective_unit
-    if state_unit == objective_unit:
+    if unit == objective_unit:
         return "1"
-    return f"{objective_unit}/({state_unit})" if "/" in state_unit else f"{objective_unit}/{state_unit}"
+    return f"{objective_unit}/({unit})" if "/" in unit else f"{objective_unit}/{unit}"
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:

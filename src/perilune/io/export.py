@@ -20,7 +20,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from perilune import __version__ as perilune_version
-from perilune.io.columns import columns, costate_unit, rounded
+from perilune.io.columns import columns, per_unit, rounded
 from perilune.io.files import finite, fresh_directory, json_text
 from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.io.physics import physics_document
@@ -296,7 +296,7 @@ def _phase_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -
         "name": phase.name,
         "duration": {"value": trajectory.duration, "unit": "s"},
         "states": [{"name": s.name, "unit": s.unit, "description": s.description} for s in phase.states],
-        "costate_units": [costate_unit(objective_unit, s.unit) for s in phase.states],
+        "costate_units": [per_unit(objective_unit, s.unit) for s in phase.states],
         "controls": [{"components": list(c.names), "kind": c.kind, "unit": c.unit} for c in phase.controls],
         "interpolation": INTERPOLATION,
         "state": _curve_document(trajectory.state),
@@ -312,7 +312,7 @@ def _curve_document(curve: Curve) -> dict[str, Any]:
 def _multiplier_units(solution: Solution) -> dict[str, str]:
     per = solution.problem.objective_unit
     return {
-        f"{phase.name}.{condition.name}": costate_unit(per, condition.unit)
+        f"{phase.name}.{condition.name}": per_unit(per, condition.unit)
         for phase in solution.problem.phases
         for condition in phase.end_conditions
     }

@@ -11,7 +11,7 @@ import numpy as np
 from perilune.direct.collocation import Mesh, Scheme, rule
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Deferred, Solution, Statistics
-from perilune.words.asked import demand_number, demand_whole
+from perilune.words.asked import demand_number, demand_whole, refused
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch, silent
@@ -37,6 +37,8 @@ class Transcription:
 
     def __post_init__(self) -> None:
         demand_whole(self, nodes=1, segments=1, refine=0, iterations=1)
+        if not isinstance(self.scheme, str):
+            raise refused(self.scheme, "'gauss' or 'radau'", "a collocation scheme")
         rule(self.scheme, self.nodes)
         for name in ("tolerance", "nlp_tolerance"):
             demand_number(getattr(self, name), name)

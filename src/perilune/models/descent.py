@@ -44,7 +44,7 @@ from perilune.problem.preflight import Finding
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given
 from perilune.problem.views import History, Space, Views
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand_records
 from perilune.words.declared import quantity, record, span, words
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -318,6 +318,7 @@ def powered_descent(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
+    demand_records((vehicle, Vehicle), (start, Ignition), (site, Site), (body, Body))
     choices = Choices(coordinates=coordinates, target=target, minimise=minimise)
     stated = [oblate(body, j2), with_dry_mass(vehicle, dry_mass), start, site]
     if steering is not None or coordinates == "spherical":

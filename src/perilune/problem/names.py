@@ -27,6 +27,8 @@ def check_names(problem: Any) -> None:
     """
     if not isinstance(problem.name, str):
         raise refused(problem.name, "a text", "the name of a problem")
+    if not problem.name.strip() or not problem.name.isprintable():
+        raise PeriluneError("a problem needs a name of one line", got=repr(problem.name)[:60], expected='as "landing"')
     if not isinstance(problem.title, str):
         raise refused(problem.title, "a text", "the title of a problem")
     for phase in problem.phases:

@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
 from perilune.problem.controls import Control, scalars
@@ -37,7 +37,7 @@ from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
-from perilune.words.asked import called_in_words, demand
+from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
@@ -45,6 +45,7 @@ from perilune.words.types import Matrix, Physics
 from perilune.words.units import Scales, told
 
 _TRACED = ("form", "structure")  # what is found of a problem once, and may be known
+_SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Control))
 _HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
 MOST_TOLD = 4  # values that were given later, in a heading
 
@@ -297,11 +298,21 @@ class Problem(ShownProblem):
         sized.append((self.objective_unit, self.objective_scale))
         return tuple((place, unit, scale) for place, (unit, scale) in enumerate(sized) if scale is not None)
 
+    @called_in_words
     def size_of(self, named: Variable | Free | Control) -> float:
         """SI size of the canonical unit of a state, condition, control or free parameter.
 
         It is its own `scale`, else the size of its unit in `scales`.
+
+        Raises
+        ------
+        PeriluneError
+            If it is none of these.
         """
+        if not isinstance(named, _SIZED):
+            raise refused(
+                named, "its record, as problem.phases[0].states[0]", "a state, condition, control or parameter"
+            )
         own = named.scale if isinstance(named, Variable) else None
         return self.scales.of(named.unit) if own is None else own
 
@@ -310,19 +321,52 @@ class Problem(ShownProblem):
         """SI size of the canonical unit of J."""
         return self.scales.of(self.objective_unit) if self.objective_scale is None else self.objective_scale
 
+    @called_in_words
     def unit_of(self, parameter: str) -> str:
-        """Unit text of a parameter."""
+        """Unit text of a parameter.
+
+        Raises
+        ------
+        PeriluneError
+            If there is no such parameter.
+        """
+        if not isinstance(parameter, str):
+            raise refused(parameter, "a text", "the name of a parameter")
         if parameter in self.given:
             return self.given[parameter].unit
-        return next(f.unit for f in self.free if f.name == parameter)
+        for f in self.free:
+            if f.name == parameter:
+                return f.unit
+        raise unknown_name("parameter", parameter, sorted({*self.given, *self.free_names}))
 
+    @called_in_words
     def bounds(self, bounded: Any) -> tuple[float, float]:
-        """Lower and upper bound [SI] of a state or a scalar control, which may name a given parameter."""
+        """Lower and upper bound [SI] of a state or a scalar control, which may name a given parameter.
+
+        Raises
+        ------
+        PeriluneError
+            If it is neither.
+        """
+        if not isinstance(bounded, _BOUNDED):
+            raise refused(bounded, "its record, as problem.phases[0].states[0]", "a state or a control")
         return bounded.limits(self.parameters({}))
 
+    @called_in_words
     def parameters(self, free: Mapping[str, Any]) -> SimpleNamespace:
-        """Record ``p`` of all parameters in SI, with the free ones' values as passed."""
-        return SimpleNamespace(**{name: g.value for name, g in self.given.items()}, **dict(free))
+        """Record ``p`` of all parameters in SI, with the free ones' values as passed.
+
+        Raises
+        ------
+        PeriluneError
+            If what is passed is no mapping from names of parameters that are not given.
+        """
+        try:
+            return SimpleNamespace(**{name: g.value for name, g in self.given.items()}, **free)
+        except TypeError:
+            demand(free, Mapping, "what holds the values of free parameters")
+            wrong = next(name for name in free if name in self.given or not isinstance(name, str))
+            raise unknown_name("free parameter", wrong, self.free_names) from None
 
     @called_in_words
     def with_given(self, **values: float) -> Problem:

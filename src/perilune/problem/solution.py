@@ -31,6 +31,7 @@ from perilune.words.same import same_fields
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration
 
+_TIMES = "a time at which to look at a curve"
 _ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
 
 
@@ -73,7 +74,7 @@ class Curve(ShownCurve):
         PeriluneError
             If a time lies outside the curve by more than 1e-9 of its length, or is NaN.
         """
-        t = demand_numbers(t, "a time at which to look at a curve", most=1)
+        t = demand_numbers(t, _TIMES, most=1)
         first, last = self.time[0], self.time[-1]
         slack = _ROUNDING * (last - first)
         # A curve whose own nodes are no numbers has no ends to compare with: its values are NaN, for a proof to see.
@@ -86,12 +87,18 @@ class Curve(ShownCurve):
             )
         return self.extended(t)
 
+    @called_in_words
     def extended(self, t: float | Vector) -> Any:
         """The same without a limit: before the first and after the last node their cubics go on.
 
         For a proof, which has to look at tables that end where they should not.
+
+        Raises
+        ------
+        PeriluneError
+            If these are no times.
         """
-        at = np.atleast_1d(np.asarray(t, dtype=float))
+        at = np.atleast_1d(demand_numbers(t, _TIMES, most=1))
         i = np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
         h = self.time[i + 1] - self.time[i]
         # A last piece without length, as of an arc shorter than rounding, is its end.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import hamiltonian, hamiltonian_terms, required_hamiltonian, seen_at
+from perilune.io.columns import hamiltonian, hamiltonian_terms, per_unit, required_hamiltonian, seen_at
 from perilune.problem.controls import directions
 from perilune.problem.solution import Solution
 from perilune.report.style import BLUE, GREEN, VERMILION, new_figure, styled, time_text
@@ -18,7 +18,7 @@ from perilune.words.types import Vector
 def optimality(solution: Solution) -> Figure:
     """H along the flight, and what turning the thrust adds to H, which must not be negative."""
     phases, begin = solution.problem.phases, 0.0
-    per = f"{solution.problem.objective_unit}/s"
+    per = per_unit(solution.problem.objective_unit, "s")
     planar = all(directions(phase.controls) == ((0, 2),) and len(phase.controls) == 1 for phase in phases)
     figure, axes = new_figure(height=3.6 if planar else 2.2, rows=2 if planar else 1)
     axes = np.atleast_1d(axes)

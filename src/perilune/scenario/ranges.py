@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.declared import LONGEST_VALUE, Quantity, named
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity
@@ -70,6 +70,10 @@ def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float
 
 def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice: str) -> tuple[Quantity, list[str]]:
     """What is declared of a key, and the parts of a range, each with its unit."""
+    demand(known, Mapping, "what is known of the keys that may be varied")
+    for value, what in ((key, "a key"), (text, "a range")):
+        if not isinstance(value, str):
+            raise refused(value, "a text", what)
     if key not in known:
         raise unknown_name("key with a quantity", key, list(known))
     wanted, parts = form.count(":") + 1, [part.strip() for part in text[:LONGEST_VALUE].split(":")]

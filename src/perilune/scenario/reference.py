@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names
 from perilune.scenario.reader import names_of
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, refused
 from perilune.words.declared import Key, Quantity
 from perilune.words.outcome import unknown_name
 
@@ -29,8 +29,10 @@ def template(kind: str = "hybrid_landing") -> str:
     PeriluneError
         If there is no such kind of problem.
     """
+    if not isinstance(kind, str):
+        raise refused(kind, "a text", "a kind of problem")
     if kind not in KINDS and kind not in kind_names():
-        raise unknown_name("kind of problem", str(kind), kind_names())
+        raise unknown_name("kind of problem", kind, kind_names())
     found = kind_named(kind)
     sections = ("\n".join(_section(found, name, section)) for name, section in found.in_file.items())
     body = "\n\n".join(sections)

@@ -139,7 +139,7 @@ def demand_level(level: Any, known: Sequence[int]) -> None:
     PeriluneError
         If it is none of those known.
     """
-    if isinstance(level, bool) or level not in known:
+    if isinstance(level, bool) or not isinstance(level, Integral) or level not in known:
         *most, last = map(str, known)
         raise PeriluneError(
             "there is no such level of verification", got=repr(level)[:60], expected=f"{', '.join(most)} or {last}"

@@ -133,17 +133,18 @@ class NotConvergedError(PeriluneError):
         self.flight = flight
 
 
-def unknown_name(kind: str, got: str, known: Sequence[str], also: Mapping[str, str] | None = None) -> PeriluneError:
+def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str, str] | None = None) -> PeriluneError:
     """Error for a name that does not exist, with the nearest one offered; a long list begins with the nearest.
 
     `also` are other names, each with the one that is known.
     """
     import difflib
 
+    called = str(got)  # names of a mapping may be anything
     meant = {**{name: name for name in known}, **(also or {})}
-    near = [meant[name] for name in difflib.get_close_matches(got, meant, n=1, cutoff=0.5)]
+    near = [meant[name] for name in difflib.get_close_matches(called, meant, n=1, cutoff=0.5)]
     if len(known) > _SHORT_LIST:
-        likeness = difflib.SequenceMatcher(b=got)
+        likeness = difflib.SequenceMatcher(b=called)
 
         def alike(name: str) -> float:
             likeness.set_seq1(name)
@@ -152,7 +153,7 @@ def unknown_name(kind: str, got: str, known: Sequence[str], also: Mapping[str, s
         known = sorted(known, key=alike, reverse=True)
     return PeriluneError(
         f"there is no {kind} of this name",
-        got=repr(got[:60]),
+        got=repr(called[:60]),
         expected="one of " + ", ".join(known) if known else "none: there are none",
         advice=f"did you mean {near[0]!r}?" if near else "",
     )
@@ -166,4 +167,4 @@ class Named(dict[str, Kept]):
         self.kind = kind
 
     def __missing__(self, name: object) -> NoReturn:
-        raise unknown_name(self.kind, str(name), list(self))
+        raise unknown_name(self.kind, name, list(self))

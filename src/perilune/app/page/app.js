@@ -224,7 +224,7 @@
     const checks = flight.proof.checks;
     if (flight.proved || checks.length) { text($("proof-words"), flight.proved ? `${flight.proved.outcome} at level ${flight.proved.level}: ${checks.filter((c) => c.passed).length} of ${checks.length} checks passed` : ""); }
     else { text($("proof-words"), frozen ? "Stored without a proof to level 3: a page with a server behind it proves what it shows." : "Not proved yet: it is when nothing is moved for a moment."); }
-    $("lights").replaceChildren(...checks.map((check) => { const li = document.createElement("li"); li.className = check.passed ? "yes" : "no"; li.title = check.meaning; text(li, `${check.level} ${check.name}: ${Draw.fine(check.value)} of ${Draw.fine(check.limit)}${check.passed ? "" : " FAILED"}`); return li; }));
+    $("lights").replaceChildren(...checks.map((check) => { const li = document.createElement("li"); li.className = check.passed ? "yes" : "no"; li.title = check.meaning; text(li, `${check.level} ${check.name}: ${Draw.fine(check.value)}, limit ${told(check.limit, check.unit)}${check.passed ? "" : " FAILED"}`); return li; }));
   }
   let unproject = null;
   function map() {

@@ -28,7 +28,7 @@ def format_of(path: Path, format: str | None, known: Sequence[str]) -> str:
         take it for that.
     """
     if format is not None and format not in known:
-        raise unknown_name("format", str(format), known)
+        raise unknown_name("format", format, known)
     named = next((name for name, ending in ENDINGS.items() if path.suffix.lower() == ending), None)
     if format is not None and named in (None, format):
         return format
