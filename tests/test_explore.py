@@ -34,7 +34,7 @@ import perilune.app.answering
 from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError, Problem, Solution
 from perilune.app.answering import Answering, keeps
-from perilune.app.beside import Beside, Killed, in_thread
+from perilune.app.beside import Beside, Dropped, Killed, in_thread
 from perilune.app.client import MESSAGE, Client, asked, hello
 from perilune.app.frames import flight
 from perilune.app.frozen import frozen_page
@@ -500,6 +500,37 @@ def test_a_neighbour_that_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatc
     began = time.monotonic()
     found = answering.at({"vehicle_thrust": 445.0})
     assert found.source == "nothing" and time.monotonic() - began < 5.0
+
+
+def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where Newton's method reaches 3 N at most; 440 to 450 N is the whole, two halves, and then four quarters."""
+    answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
+    solve, tried = perilune.app.answering.solve, list[float]()
+
+    def near(asked: Problem, *, guess: Solution, watch: Watch, level: int) -> Solution:
+        thrust, before = (p.given["vehicle_thrust"].value for p in (asked, guess.problem))
+        tried.append(thrust)
+        watch("Newton's method")
+        if abs(thrust - before) > 3.0:
+            raise NotConvergedError("too far")
+        return solve(asked, guess=guess, level=level, watch=watch)
+
+    def dropping(_: object) -> None:
+        if tried[-1:] == [445.0] and len(tried) > 2:
+            raise Dropped
+
+    first = answering.at({}).solution
+    monkeypatch.setattr("perilune.app.answering.solve", near)
+    with pytest.raises(Dropped):
+        answering.at({"vehicle_thrust": 450.0}, dropping)
+    assert tried == [450.0, 445.0, 442.5, 445.0]
+    assert answering.last is not None and answering.last.problem.given["vehicle_thrust"].value == 442.5
+    answering.last = first
+    found = answering.at({"vehicle_thrust": 450.0})
+    assert tried[4:] == [450.0, 445.0, 442.5, 445.0, 447.5, 450.0] and "followed in 4 steps" in found.words
+    assert found.solution.objective == pytest.approx(solve(found.solution.problem, level=0).objective, rel=1e-9)
 
 
 def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_values(

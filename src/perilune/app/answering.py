@@ -15,6 +15,7 @@ from perilune.methods.answer import Curves
 from perilune.methods.breaches import breaches_along
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.variables import Given
 from perilune.shooting.function import Shooting
 from perilune.solve import solve
 from perilune.words.outcome import CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
@@ -23,6 +24,8 @@ from perilune.words.watch import Iteration, Watch, silent
 _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side
 _FOLLOW = 20.0  # s from the flight before, which takes no more where it leads anywhere
+_PATIENT = 1.0, 4.0  # s for one step of it at least; times what the step before took
+_SMALLEST = 1 / 16  # of the way: a step that is not halved again
 _LOOK = 0.5  # s from nothing, where a neighbour leads nowhere
 _SEEN = 201  # times of a phase, at which its conditions are looked at
 _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far below what anybody sees of it
@@ -66,11 +69,14 @@ class Answering:
         Where it is mapped, if it is.
     last
         The flight from which neighbours begin.
+    patience
+        How long a step from there may take until a smaller one is tried [s].
     """
 
     problem: Problem
     atlas: Atlas | None = None
     last: Solution | None = field(default=None)
+    patience: float = _FOLLOW
 
     def at(self, values: Mapping[str, float], watch: Watch = silent) -> Flown:
         """The flight at values of given parameters [SI]; all others are as the problem has them.
@@ -126,18 +132,13 @@ class Answering:
         return self.problem.with_given(**{name: value for name, value in values.items() if name in self.problem.given})
 
     def _near(self, values: Mapping[str, float], watch: Watch) -> tuple[Solution, str, str]:
-        problem = self.problem_at(values)
+        problem, began = self.problem_at(values), time.monotonic()
         if self.last is not None:
-            try:
-                found = solve(problem, guess=self.last, level=0, watch=_shortly(watch, _FOLLOW))
-                if keeps(found):
-                    return found, "neighbour", "an extremal near the flight before"
-            except InfeasibleError as error:
-                if error.reason == CANNOT_BE_FLOWN:
-                    raise
-            except (PeriluneError, _TooLong):
-                pass  # a family that ends here: from nothing there may be another
-            watch = _shortly(watch, _LOOK)
+            near, steps = self._followed(problem, self.last, watch)
+            if near is not None:
+                words = "an extremal near the flight before" + (f", followed in {steps} steps" if steps > 1 else "")
+                return near, "neighbour", words
+            watch = _shortly(watch, _LOOK)  # a family that ends here: from nothing there may be another
         try:
             found = solve(problem, level=0, watch=watch)
         except _TooLong:
@@ -148,7 +149,65 @@ class Answering:
             if near is None:
                 raise
             return near, "neighbour", "an extremal near the flight at the first values; none was found from nothing"
+        self.patience = max(_PATIENT[0], time.monotonic() - began)  # to follow need not take longer than to find
         return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
+
+    def _followed(self, problem: Problem, last: Solution, watch: Watch) -> tuple[Solution | None, int]:
+        """The flight before, followed to a problem, and in how many steps: a step that fails is halved.
+
+        Each flight on the way is the flight before of the next step, also of one to newer values, for which this may be
+        dropped. Behind the smallest step the whole rest of the way is tried as long as there is time.
+
+        Raises
+        ------
+        InfeasibleError
+            If nothing flies there, whatever is tried.
+        """
+        end, begin = time.monotonic() + _FOLLOW, last.problem.given
+        reached, step, steps = 0.0, 1.0, 0
+        while step >= _SMALLEST:
+            to = min(reached + step, 1.0)
+            try:
+                at = self._between(begin, problem, to)
+                found = self._stepped(at, last, watch, min(self.patience, end - time.monotonic()))
+            except PeriluneError:
+                if to == 1.0:
+                    raise
+                found = None  # what lies between two problems need not make sense
+            if found is None:
+                step *= 0.5
+                watch(f"following the flight before in smaller steps: {reached:.0%} of the way")
+                continue
+            self.last, reached, steps = found, to, steps + 1
+            if reached == 1.0:
+                return found, steps
+            last = found
+        return self._stepped(problem, last, watch, end - time.monotonic()), 1
+
+    def _between(self, begin: Mapping[str, Given], problem: Problem, share: float) -> Problem:
+        ways = {name: (begin[name].value, given.value) for name, given in problem.given.items()}
+        moved = {name: a + share * (b - a) for name, (a, b) in ways.items() if a != b}
+        return problem if share == 1.0 else problem.with_given(**moved)
+
+    def _stepped(self, problem: Problem, last: Solution, watch: Watch, limit: float) -> Solution | None:
+        """What a flight leads to within so many seconds, if that keeps the path.
+
+        Raises
+        ------
+        InfeasibleError
+            If nothing flies there, whatever is tried.
+        """
+        began = time.monotonic()
+        try:
+            found = solve(problem, guess=last, level=0, watch=_shortly(watch, limit))
+        except (PeriluneError, _TooLong) as error:
+            if isinstance(error, InfeasibleError) and error.reason == CANNOT_BE_FLOWN:
+                raise
+            return None
+        if not keeps(found):
+            return None
+        self.patience = max(_PATIENT[0], _PATIENT[1] * (time.monotonic() - began))
+        return found
 
     def _from_first(self, problem: Problem, watch: Watch) -> Solution | None:
         """What is near the flight at the first values: a link may hold what a slider reached, and no start does."""
