@@ -186,3 +186,16 @@ def test_both_sides_of_a_switch_stand_in_the_tables(tmp_path: Path) -> None:
     steps = np.flatnonzero(np.diff(throttle))
     assert len(steps) == 2 and (np.diff(frame.index)[steps] == 0).all()
     assert (np.abs(pushed[steps + 1] / pushed[steps] - (1 / 3, 3)) < 1e-9).all()
+
+
+def test_what_is_not_proved_says_so_in_every_file(ordinary: Solution, tmp_path: Path) -> None:
+    """Also where only the file of it says so."""
+    wrong, told = ordinary.objective + 1.0, "level 0: unverified, NOT_PROVED: 1 of "
+    first = replace(ordinary.extremals[0], objective=wrong)
+    failed = pl.prove(replace(ordinary, objective=wrong, extremals=(first, *ordinary.extremals[1:])), 1)
+    pl.save(failed, tmp_path / "run")
+    for form in ("oem", "czml", "netcdf"):
+        file = pl.export(failed, tmp_path / f"{form}.x", form, epoch=EPOCH)
+        assert told.encode() in file.read_bytes(), form
+    assert run(["export", str(tmp_path / "run"), "--out", str(tmp_path / "x.oem"), "--epoch", EPOCH]) == 0
+    assert f"not proved again; its file claims {told}" in (tmp_path / "x.oem").read_text()

@@ -36,7 +36,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
 from perilune.problem.tolerance import Tolerance, unit_of
 from perilune.problem.variables import Given
-from perilune.problem.verification import LEVEL_NAMES, Verification
+from perilune.problem.verification import LEVEL_NAMES, Verification, slips_told
 from perilune.words.asked import called_in_words, demand_path
 from perilune.words.bounded import bounded_text, one_line
 from perilune.words.declared import keys_of, made_of
@@ -89,12 +89,14 @@ def opened(
 
 def claims_of(document: Mapping[str, Any]) -> tuple[str, str, dict[str, str]]:
     """What a file says of itself that nothing here has seen: level of its proof, scenario, versions of programs."""
-    level = int(number(part(document, "verification", dict), "level", "verification"))
+    verification = part(document, "verification", dict)
+    level = int(number(verification, "level", "verification"))
     if not 0 <= level < len(LEVEL_NAMES):
         refuse("verification.level", str(level), f"0 to {len(LEVEL_NAMES) - 1}")
     told = {one_line(str(name)): one_line(str(v)) for name, v in part(document, "versions", dict).items()}
     scenario = "" if document.get("scenario") is None else _scenario_text(document)
-    return f"level {level}: {LEVEL_NAMES[level]}", scenario, told
+    passed = [isinstance(check, dict) and check.get("passed") is True for check in part(verification, "checks", list)]
+    return f"level {level}: {LEVEL_NAMES[level]}{slips_told(passed)}", scenario, told
 
 
 def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:

@@ -6,7 +6,7 @@ is reached when every check of it and of the levels below passed; but a theorem 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -62,6 +62,11 @@ class Check:
         """The limit in words; one that was raised with its own."""
         own = "" if self.own_limit is None else f" stated, its own {self.own_limit:.{digits}g}"
         return f"limit {self.limit:.{digits}g}{own}"
+
+
+def slips_told(passed: Sequence[bool]) -> str:
+    """What has to stand behind a level where checks failed, also those of a higher one; else nothing."""
+    return f", NOT_PROVED: {passed.count(False)} of {len(passed)} checks failed" if False in passed else ""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -13,6 +13,7 @@ from perilune.io.export import results, versions
 from perilune.io.files import finite
 from perilune.io.reload import claims_of
 from perilune.problem.solution import Solution
+from perilune.problem.verification import slips_told
 
 
 def provenance(solution: Solution, scenario_text: str | None = None, document: Any = None) -> dict[str, str]:
@@ -29,7 +30,7 @@ def provenance(solution: Solution, scenario_text: str | None = None, document: A
     """
     problem, views = solution.problem, solution.problem.views
     claimed, scenario, made_by = claims_of(document) if document is not None else ("", "", {})
-    proof = solution.verification.title
+    proof = solution.verification.title + slips_told([check.passed for check in solution.verification.checks])
     if claimed and not solution.verification.checks:
         proof = f"not proved again; its file claims {claimed}"
     found = {
