@@ -196,7 +196,8 @@ def ending(problem: Problem) -> dict[str, Any]:
     try:
         return told_of(solve(problem))
     except NotConvergedError as error:
-        return {"class": "failed", "why": f"{error.what}: {error.got}", "feasible": True if error.flight else None}
+        flown = error.flight is not None and not error.partial.get("missed")
+        return {"class": "failed", "why": f"{error.what}: {error.got}", "feasible": flown or None}
     except InfeasibleError as error:
         return {"class": "refused", "why": f"{error.what}: {error.got}", "feasible": None}
     except PeriluneError as error:

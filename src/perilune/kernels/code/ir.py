@@ -292,6 +292,10 @@ class Writer:
         """Allocate vectors."""
         return self.allocate(self.vector, count)
 
+    def several(self, kind: Kind[T], count: Int) -> Ptr[T]:
+        """Allocate values whose number is known to the function alone, outside of its loops."""
+        return Ptr(self.let(Kind("ptr", str, 8), f"alloca {kind}, i64 {count}, align 64"), kind)
+
     def at(self, pointer: Ptr[T], index: Index) -> Ptr[T]:
         """Return the address of an element."""
         name = f"%{self.fresh('v')}"
@@ -312,7 +316,7 @@ class Writer:
         """Return the same memory as doubles, lane after lane of vector after vector."""
         return Ptr(pointer, NUM)
 
-    def address(self, table: Ptr[Int], index: int, kind: Kind[T]) -> Ptr[T]:
+    def address(self, table: Ptr[Int], index: Index, kind: Kind[T]) -> Ptr[T]:
         """Read the address of values of a kind from a table."""
         return Ptr(self.load(Ptr(table, Kind("ptr", str, 8)), index), kind)
 

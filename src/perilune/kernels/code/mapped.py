@@ -9,21 +9,24 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from perilune.kernels.algebra.program import trace
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.emit import kernel, library
-from perilune.kernels.code.ir import INT, NUM, Int, Ptr, Writer
+from perilune.kernels.code.ir import INT, NUM, Index, Int, Ptr, Vec, Writer
 from perilune.kernels.code.threads import spread
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix
 
 _WIDTH = 4
 _LANES_PER_THREAD = 512
+# What begins the table of a map: the kernel, how often it is applied, the lanes, how many inputs and outputs there are,
+# and the lengths of all inputs and of all outputs. Behind it are address, stride and length of each of them.
+_TABLE = 7
 
 
 class BoundMap:
@@ -57,7 +60,7 @@ class Map:
         self._sizes = [function.size1_in(i) for i in range(function.n_in())]
         self._widths = [function.numel_out(i) for i in range(function.n_out())]
         self._flat, self._times = _flat(function), times
-        self._call = _native(self._flat, self._widths, times, cache) if compiled else None
+        self._kernel = _native(self._flat, times, cache) if compiled else None
         self._idle = list[BoundMap]()  # of one lane, which is asked again and again; its pop and append are atomic
 
     def bind(self, *arguments: Matrix) -> BoundMap:
@@ -70,8 +73,7 @@ class Map:
         """
         if [a.shape[1:] for a in arguments] != [(n,) for n in self._sizes]:
             raise self._of_other_widths(arguments)
-        call = self._call
-        bind = self._interpreted if call is None else partial(_evaluation, call)
+        bind = self._interpreted if self._kernel is None else partial(_evaluation, self._kernel)
         return BoundMap([_in_rows(a) for a in arguments], self._widths, bind)
 
     def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
@@ -145,13 +147,15 @@ def _flat(function: Any) -> Any:
     return ca.Function("flat", symbols, [ca.vertcat(*rows)])
 
 
-def _evaluation(call: Callable[..., None], bound: BoundMap) -> Callable[[], Any]:
+def _evaluation(kernel: _Kernel, bound: BoundMap) -> Callable[[], Any]:
     """What evaluates a bound map, whose arrays live as long as it does, in machine code."""
-    entries = [bound.lanes, *map(native.address, bound.outputs)]
-    for a in bound.inputs:
+    counts = [len(bound.inputs), len(bound.outputs)]
+    sizes = [sum(a.shape[1] for a in arrays) for arrays in (bound.inputs, bound.outputs)]
+    entries = [kernel.place, kernel.times, bound.lanes, *counts, *sizes]
+    for a in (*bound.inputs, *bound.outputs):
         place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
-        entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0]
-    table, groups = native.table(entries), -(-bound.lanes // _WIDTH)
+        entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0, a.shape[1]]
+    call, table, groups = _rows_of_groups(), native.table(entries), -(-bound.lanes // _WIDTH)
     most = bound.lanes // _LANES_PER_THREAD
     threads = min(os.cpu_count() or 1, most)
     if threads <= 1:
@@ -172,42 +176,72 @@ def _in_rows(array: Matrix) -> Matrix:
     return rows if whole else np.ascontiguousarray(rows)
 
 
-def _native(function: Any, widths: Sequence[int], times: int, cache: bool) -> Any:
-    """Return ``map(first group, last group, table)`` of a flat function, from disk or compiled."""
+class _Kernel(NamedTuple):
+    """A flat function in machine code, ``kernel(inputs, result)``: vectors, the inputs one behind another."""
 
-    def build() -> bytes:
-        return native.compile_ir(_module(function, widths, times))
+    code: Any
+    place: int
+    times: int
 
-    what = f"map {_WIDTH} {widths}" + (f" {times} times" if times > 1 else "")
-    name = disk.key(function.serialize(), what, *native.processor(), *native.versions())
-    code = native.MachineCode(disk.fetch(name, build, enabled=cache))
+
+def _native(function: Any, times: int, cache: bool) -> _Kernel:
+    """Return the kernel of a flat function, from disk or compiled."""
+    name = disk.key(function.serialize(), f"kernel {_WIDTH}", *native.processor(), *native.versions())
+    content = disk.fetch(name, lambda: native.compile_ir(_module(function)), enabled=cache)
+    code = native.MachineCode(content).function("kernel", ctypes.c_void_p, ctypes.c_void_p)
+    return _Kernel(code, ctypes.cast(code, ctypes.c_void_p).value or 0, times)
+
+
+def _module(function: Any) -> str:
+    program, w, begin = trace(function), Writer(_WIDTH), 0
+    inputs = list[str]()
+    for i in range(function.n_in()):
+        inputs.append(w.at(Ptr("%held", w.vector), begin))
+        begin += function.size1_in(i)
+    w.run(f"call void @flat({', '.join(f'ptr {x}' for x in (*inputs, '%out'))})")
+    entry = f"define void @kernel(ptr %held, ptr %out) nounwind {{\n{w.body()}\n  ret void\n}}\n"
+    flat = kernel("flat", program, range(len(inputs)), _WIDTH, cleared=True)
+    return "\n".join([library([program], _WIDTH), flat, entry])
+
+
+@cache
+def _rows_of_groups() -> Callable[..., None]:
+    """``map(first group, last group, table)``, the same for every kernel: their own would be most of their code."""
+    name = disk.key("map", f"{_WIDTH}", *native.processor(), *native.versions())
+    code = native.MachineCode(disk.fetch(name, lambda: native.compile_ir(_mapping()), enabled=True))
     return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
 
 
-def _module(function: Any, widths: Sequence[int], times: int) -> str:
-    """The table holds the number of lanes, where each output lies, and where each input lies and its stride."""
-    program, first = trace(function), 1 + len(widths)
-    sizes = [function.size1_in(i) for i in range(function.n_in())]
+def _mapping() -> str:
+    """See `_TABLE`. The stride of an input is 0 where one row serves all lanes."""
     w, table = Writer(_WIDTH), Ptr("%table", INT)
-    inputs, results = [w.buffer(size) for size in sizes], w.buffer(sum(widths))
-    with w.loop(0, sum(widths)) as entry:  # once: no group writes where the function has zeros
+    times, lanes, count_in, count_out, size_in, size_out = (w.load(table, k) for k in range(1, _TABLE))
+    kernel = w.address(table, 0, w.vector)
+    inputs, results = w.several(w.vector, size_in), w.several(w.vector, size_out)
+    with w.loop(0, size_out) as entry:  # once: no group writes where the function has zeros
         w.store(w.const(0.0), results, entry)
-    lanes = w.load(table, 0)
+    place = w.allocate(INT, 1)
+
+    def carried(name: str, first: Index, count: Int, held: Ptr[Vec], base: Int) -> None:
+        w.store(Int("0"), place)
+        with w.loop(0, count) as k:
+            at = w.integer("add", w.integer("mul", k, 3), first)
+            rows, stride, size = w.address(table, at, NUM), *(w.load(w.at(table, at), j) for j in (1, 2))
+            own = w.at(held, w.load(place))
+            w.run(f"call void @{name}(ptr {rows}, i64 {stride}, i64 {size}, i64 {base}, i64 {lanes}, ptr {own})")
+            w.store(w.integer("add", w.load(place), size), place)
+
     with w.loop(Int("%first"), Int("%last")) as group:
         base = w.integer("mul", group, _WIDTH)
-        for i, (held, size) in enumerate(zip(inputs, sizes, strict=True)):
-            source, stride = w.address(table, first + 2 * i, NUM), w.load(table, first + 1 + 2 * i)
-            w.run(f"call void @gather(ptr {source}, i64 {stride}, i64 {size}, i64 {base}, i64 {lanes}, ptr {held})")
-        with w.loop(0, times):
-            w.run(f"call void @kernel({', '.join(f'ptr {x}' for x in (*inputs, results))})")
-            for entry in range(widths[0] if times > 1 else 0):
-                w.store(w.load(results, entry), inputs[0], entry)
-        for i, width in enumerate(widths):
-            held, target = w.at(results, sum(widths[:i])), w.address(table, 1 + i, NUM)
-            w.run(f"call void @scatter(ptr {target}, i64 {width}, i64 {width}, i64 {base}, i64 {lanes}, ptr {held})")
+        carried("gather", _TABLE, count_in, inputs, base)
+        w.run(f"call void {kernel}(ptr {inputs}, ptr {results})")
+        with w.loop(1, times):
+            with w.loop(0, size_out) as entry:
+                w.store(w.load(results, entry), inputs, entry)
+            w.run(f"call void {kernel}(ptr {inputs}, ptr {results})")
+        carried("scatter", w.integer("add", w.integer("mul", count_in, 3), _TABLE), count_out, results, base)
     mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
-    code = kernel("kernel", program, range(len(sizes)), _WIDTH, cleared=True)
-    return "\n".join([library([program], _WIDTH), code, _rows("gather"), _rows("scatter"), mapping])
+    return "\n".join([_rows("gather"), _rows("scatter"), mapping])
 
 
 def _rows(name: str) -> str:
