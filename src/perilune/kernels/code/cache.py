@@ -25,7 +25,9 @@ from pathlib import Path
 
 _HEADER = b"perilune machine code 1\n"
 _SUFFIX, _PART = ".code", ".part"
-MOST_BYTES = 64 * 2**20  # the landings of all pages and tests take about 20 MB
+MOST_BYTES = 160 * 2**20  # all tests together take about 90 MB
+_OFTEN = 1 / 64  # of it are kept by a process before it looks through the folder, which takes longer than keeping one
+_new = [float("inf")]  # bytes kept since then; at first what others left is looked through
 _LEFT_OVER = 3600.0  # seconds after which the file of a writer is that of a killed one
 VARIABLE, OFF = "PERILUNE_CACHE", "off"
 
@@ -118,7 +120,10 @@ def save(name: str, body: bytes) -> bool:
             with suppress(OSError):
                 os.unlink(temporary)
             raise
-        _prune(folder)
+        _new[0] += len(body)
+        if _new[0] > _OFTEN * MOST_BYTES:
+            _new[0] = 0.0
+            _prune(folder)
     except OSError:
         return False
     return True
