@@ -441,14 +441,14 @@ def test_what_moves_on_a_page_is_chosen_and_said(
 ) -> None:
     monkeypatch.setattr("perilune.app.frozen._BOTH", 3)
     file, ask = tmp_path / "page.html", ["explore", str(ROOT / "examples" / "hybrid_lander.toml"), "--html"]
-    vary = ["--vary", "vehicle.thrust=430:450 N", "--vary", "retro.specific_impulse=270:290 s"]
+    vary = ["--vary", "vehicle.thrust=429:450 N", "--vary", "retro.specific_impulse=270:290 s"]
     assert obey([*ask, str(file), *vary]) == 0
-    assert "vehicle.thrust from 430 to 450 N and retro.specific_impulse from 270 to 290 s" in capsys.readouterr().out
+    assert "vehicle.thrust from 429 to 450 N and retro.specific_impulse from 270 to 290 s" in capsys.readouterr().out
     document = json.loads(file.read_text("utf-8").partition('id="frozen">')[2].partition("</script>")[0])
     moved, flights = [knob["name"] for knob in document["hello"]["knobs"]], document["flights"]
     assert moved == ["vehicle_thrust", ISP]
     thrusts = [found["values"]["vehicle_thrust"] for found in flights]
-    assert thrusts == [430.0] * 3 + [440.0] * 3 + [450.0] * 3
+    assert thrusts == [429.0] * 3 + [440.0] * 3 + [450.0] * 3  # that of the scenario is among them
     assert [found["free"]["retro_delta_v"] > 0.0 for found in flights] == [False, True, True] * 3  # the best at each
     for more, words in (
         (["--vary", "vehicle.thrst"], "did you mean 'vehicle.thrust'"),

@@ -58,7 +58,7 @@ def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] 
     """
     chosen = chosen or moving(subject)
     count = _ALONG if len(chosen) == 1 else _BOTH
-    grids = [np.linspace(knob.low, knob.high, count).tolist() for knob in chosen]
+    grids = [_grid(knob, count) for knob in chosen]
     points = [dict(zip((knob.name for knob in chosen), values, strict=True)) for values in product(*grids)]
     flights = list[dict[str, Any]]()
     for row in range(0, len(points), count):
@@ -70,6 +70,14 @@ def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] 
     knobs = [{**vars(knob), "grid": grid, "mapped": False} for knob, grid in zip(chosen, grids, strict=True)]
     document = {"hello": {**told, "knobs": knobs, "mapped": False, "scenario": False}, "flights": flights}
     return _page(page_files(), json.dumps(document, allow_nan=False, separators=(",", ":")))
+
+
+def _grid(knob: Knob, count: int) -> list[float]:
+    """So many values evenly over a range, but that the nearest within is the first one, which the page begins with."""
+    grid = np.linspace(knob.low, knob.high, count)
+    if knob.low < knob.value < knob.high:
+        grid[np.clip(np.abs(grid - knob.value).argmin(), 1, count - 2)] = knob.value
+    return grid.tolist()
 
 
 def _along(subject: Subject, points: Sequence[Mapping[str, float]], watch: Watch) -> list[dict[str, Any]]:
