@@ -19,8 +19,10 @@ import numpy as np
 import pytest
 
 from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
+from perilune.cli.answer import Answer, deliver
 from perilune.cli.progress import progress
 from perilune.direct import nlp
+from perilune.words.outcome import NotConvergedError
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -198,10 +200,26 @@ def test_an_answer_that_cannot_be_written_is_told() -> None:
 
 def test_a_stop_that_foreign_code_has_swallowed_is_met_at_the_next_line(monkeypatch: pytest.MonkeyPatch) -> None:
     stopped, log = Event(), deque[str]()
-    monkeypatch.setattr("perilune.cli.progress.STOPPED", stopped)
+    monkeypatch.setattr("perilune.cli.stopping.STOPPED", stopped)
     with progress(False, log) as watch:
         watch("one")
         stopped.set()
         with pytest.raises(KeyboardInterrupt):
             watch("two")
     assert list(log) == ["one", "two"]
+
+
+@pytest.mark.parametrize("error", [NotImplementedError("Wrong number or type of arguments"), NotConvergedError("lost")])
+def test_what_foreign_code_makes_of_a_stop_is_a_stop(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """CasADi takes the exception for one of its own, and the file would be told that there is no flight."""
+    stopped = Event()
+    monkeypatch.setattr("perilune.cli.answer.STOPPED", stopped)
+
+    def work() -> Answer:
+        stopped.set()
+        raise error
+
+    assert deliver(False, work) == 130
+    assert capsys.readouterr().err == "perilune: stopped by the user\n"

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from perilune.cli.stopping import STOPPED
 from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 
 INTERRUPTED = Outcome.INTERRUPTED.exit_code
@@ -29,28 +30,34 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> int:
     """Do the work of a command, say its answer or why there is none; the exit code."""
     try:
         answer = work()
-    except PeriluneError as error:
-        answer = refusal(error, error.exit_code)
     except KeyboardInterrupt:
         answer = refusal(stopped(), INTERRUPTED)
-    except OSError as error:
+    except Exception as error:
+        # Foreign code that is met by Ctrl-C may make an error of its own of it.
+        answer = refusal(stopped(), INTERRUPTED) if STOPPED.is_set() else _failed(error)
+    return say(answer, as_json)
+
+
+def _failed(error: Exception) -> Answer:
+    """What is said where a command cannot go on."""
+    if isinstance(error, PeriluneError):
+        return refusal(error, error.exit_code)
+    if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
         fault = PeriluneError(
             "a file cannot be read or written",
             got=f"{place}{error.strerror}",
             advice="choose another place; look at its rights and at the space that is left",
         )
-        answer = refusal(fault, 2)
-    except Exception as error:
-        if os.environ.get("PERILUNE_TRACEBACK"):
-            raise
-        fault = PeriluneError(
-            "perilune failed, which is a fault of the program and not yours",
-            got=f"{type(error).__name__}: {str(error)[:300]}",
-            advice="report it with your scenario and what PERILUNE_TRACEBACK=1 shows",
-        )
-        answer = refusal(fault, 1)
-    return say(answer, as_json)
+        return refusal(fault, 2)
+    if os.environ.get("PERILUNE_TRACEBACK"):
+        raise error
+    fault = PeriluneError(
+        "perilune failed, which is a fault of the program and not yours",
+        got=f"{type(error).__name__}: {str(error)[:300]}",
+        advice="report it with your scenario and what PERILUNE_TRACEBACK=1 shows",
+    )
+    return refusal(fault, 1)
 
 
 def stopped() -> PeriluneError:

@@ -14,6 +14,7 @@ from perilune.cli.answer import Answer, aside, deliver, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
+from perilune.cli.stopping import heed
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ def _solution_answer(solution: Solution, verbose: bool, out: Path | None = None)
     from perilune.io.export import solution_document
     from perilune.report.summary import solution_summary
 
+    heed()
     text = solution_summary(solution, every_check=verbose) + (f"\n\nwritten to {out}" if out is not None else "")
     return Answer(text=text, document=solution_document(solution), exit_code=solution.outcome.exit_code)
 
@@ -176,6 +178,7 @@ def _export(typed: Namespace) -> Answer:
     _, form = placed(typed.out, typed.format, typed.force)
     loaded, document = opened(typed.directory)
     solution = prove(loaded, typed.prove)
+    heed()
     about = provenance(solution, document=document)
     write(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force)
     size = typed.out.stat().st_size

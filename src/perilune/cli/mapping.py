@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from perilune.cli.answer import Answer
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
+from perilune.cli.stopping import heed
 from perilune.cli.sweeping import elsewhere, ranges, varied
 from perilune.words.declared import named, parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -119,6 +120,7 @@ def _query(typed: Namespace) -> Answer:
     refuse_used(typed.out, typed.force)
     answer = atlas.query(**values)
     solution = prove(answer, typed.prove) if typed.prove else answer
+    heed()
     if typed.out is not None:
         from perilune.report import write_all
 

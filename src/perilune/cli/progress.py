@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from perilune.cli.answer import INTERRUPTED, aside, refusal, stopped
-from perilune.cli.stopping import STOPPED
+from perilune.cli.stopping import STOPPED, heed
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
@@ -51,8 +51,7 @@ def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | s
         line = event if isinstance(event, str) else _iteration_line(event)
         log.append(line)
         show(line)
-        if STOPPED.is_set():  # and who should have heard of it has not
-            raise KeyboardInterrupt
+        heed()
 
     with shown:
         yield watch
@@ -105,12 +104,12 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
     except (InfeasibleError, NotConvergedError, KeyboardInterrupt) as error:
         from perilune.io.files import FAILURE_FILE, fresh_directory, in_use, json_text
 
-        interrupted = isinstance(error, KeyboardInterrupt)
+        interrupted = isinstance(error, KeyboardInterrupt) or STOPPED.is_set()
         if out is not None and not (interrupted and in_use(out)):
             from perilune.io.export import versions, whole_document
             from perilune.io.format import hash_of
 
-            known = error if isinstance(error, PeriluneError) else stopped()
+            known = error if isinstance(error, PeriluneError) and not interrupted else stopped()
             said = refusal(known, getattr(error, "exit_code", INTERRUPTED))
             told = scenario.text
             origin = None if told is None else {"sha256": hash_of(told), "text": told}

@@ -17,6 +17,12 @@ def stop(*_: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
+def heed() -> None:
+    """Ctrl-C, where what was computed may have lost it, or taken it for a fault: before an answer is made of that."""
+    if STOPPED.is_set():
+        raise KeyboardInterrupt
+
+
 def _again(ignored: sys.UnraisableHookArgs) -> None:
     """Ctrl-C once more where the first met a destructor, which lets no exception out."""
     if ignored.exc_type is KeyboardInterrupt:

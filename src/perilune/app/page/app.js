@@ -10,10 +10,10 @@
   const text = (node, said) => { node.textContent = said; };
   const called = (flight, name) => flight.labels[name] || name.replaceAll("_", " ");
   const told = (v, unit) => `${Draw.fine(v)}${unit && unit !== "1" ? " " + unit : ""}`;
-  const typed = (v) => v !== 0 && !(Math.abs(v) >= 1e-4 && Math.abs(v) < 1e8) ? v.toExponential(6).replace(/\.?0*e\+?/, "e") : String(+v.toPrecision(7)); // as a field has room for
+  const numeral = (v) => v !== 0 && !(Math.abs(v) >= 1e-4 && Math.abs(v) < 1e8) ? v.toExponential(6).replace(/\.?0*e\+?/, "e") : String(+v.toPrecision(7)); // as a field has room for
   function result({ value, unit }) {
     const [v, said] = unit === "rad" ? [value * 180 / Math.PI, "deg"] : [value, unit];
-    return value === null ? "none" : `${+v.toPrecision(7)} ${said === "1" ? "" : said}`.trim();
+    return value === null ? "none" : `${numeral(v)} ${said === "1" ? "" : said}`.trim();
   }
 
   // -- asking ---------------------------------------------------------------------------------------------------
@@ -96,7 +96,7 @@
     const set = () => {
       const v = exact(knob, state.values[knob.name]);
       slider.min = Math.min(knob.low / knob.size, v); slider.max = Math.max(knob.high / knob.size, v); slider.value = v; slider.setAttribute("aria-valuetext", told(v, knob.unit));
-      number.title = String(v); if (document.activeElement !== number) { number.value = typed(v); }
+      number.title = String(v); if (document.activeElement !== number) { number.value = numeral(v); }
     };
     knob.set = set; set();
     let held = false;
@@ -111,7 +111,7 @@
     number.onchange = () => {
       const v = parseFloat(number.value), taken = Number.isFinite(v), what = number.validity.badInput ? "That is no number that can be used" : "No number was typed";
       if (taken) { held = false; move(v); held = false; save(); }
-      number.value = typed(exact(knob, state.values[knob.name]));
+      number.value = numeral(exact(knob, state.values[knob.name]));
       text(wrong, taken ? "" : `${what}: it stays at ${told(+number.value, knob.unit)}.`);
     };
     return box;
