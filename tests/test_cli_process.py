@@ -223,3 +223,13 @@ def test_what_foreign_code_makes_of_a_stop_is_a_stop(
 
     assert deliver(False, work) == 130
     assert capsys.readouterr().err == "perilune: stopped by the user\n"
+
+
+def test_a_package_that_was_taken_away_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    def work() -> Answer:
+        raise ModuleNotFoundError("No module named 'scipy'", name="scipy")
+
+    assert deliver(False, work) == 2
+    assert capsys.readouterr().err == (
+        "perilune: perilune needs scipy, which is not installed\n  try: pip install perilune\n"
+    )

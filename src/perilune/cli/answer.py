@@ -52,6 +52,9 @@ def _failed(error: Exception) -> Answer:
         return refusal(fault, 2)
     if os.environ.get("PERILUNE_TRACEBACK"):
         raise error
+    if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("perilune"):
+        missing = PeriluneError(f"perilune needs {error.name}, which is not installed", advice="pip install perilune")
+        return refusal(missing, 2)
     fault = PeriluneError(
         "perilune failed, which is a fault of the program and not yours",
         got=f"{type(error).__name__}: {str(error)[:300]}",
