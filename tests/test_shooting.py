@@ -200,6 +200,8 @@ def test_few_lanes_fly_as_many_do() -> None:
         ((6.0, 1.0, 0.5), False),  # nor an end of the range
         ((-6.0, -1.0, -1.05), True),
         ((3.0, 1.0, 3.0), False),
+        ((4.8, 1.0, 1.05), False),  # 0.543
+        ((1.02, 6.0, 1.0, 1.05), True),  # of the last three again
     ],
 )
 def test_two_roots_are_looked_for_where_slopes_come_near_zero(slopes: tuple[float, ...], near: bool) -> None:
@@ -214,7 +216,7 @@ def test_two_roots_are_looked_for_where_slopes_come_near_zero(slopes: tuple[floa
     members = [
         Member(value=value, root=Root(y=np.array([10 * value]), residual=none, inverse=np.zeros((0, 0)), slopes=none,
                                       ranges=none, cost=0.0, choice=none, converged=True))
-        for value in (-1.0, 0.0, 1.0)
+        for value in (-2.0, -1.0, 0.0, 1.0)[-len(slopes) :]
     ]  # fmt: skip
     assert _dips(family, members, list(slopes)) == []
     assert [Y.tolist() for Y in asked] == ([[[-5.0], [5.0]]] if near else [])

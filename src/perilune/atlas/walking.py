@@ -67,7 +67,9 @@ class Walk:
         self._chart, self._holds, self._at, self._d = chart, holds, list(at), len(chart.names)
         self._sides, self._near, self._astray = sides, near, astray
         count, n = y.shape
-        self.y, self.cost, self.rises = y.copy(), np.full(count, np.nan), np.full((count, len(at)), np.nan)
+        self.y: Matrix = y.copy()
+        self.cost: Vector = np.full(count, np.nan)
+        self.rises: Matrix = np.full((count, len(at)), np.nan)
         self._places, self._tangents = places.copy(), np.zeros((count, places.shape[1], n))
         self.good: NDArray[np.bool_] = np.all(np.isfinite(y), axis=1)
         lanes = np.nonzero(self.good)[0]
