@@ -7,8 +7,8 @@ altitudes of the site. What the pre-flight forbids is drawn again. Each is solve
     python benchmarks/random_problems.py [--count 300] [--seed 9] [--jobs 2] [--limit 120] [--only 17] [--out FILE]
 
 ``--limit`` is the processor time [s] of each, ``--only`` solves these numbers alone. Feasible is what either method
-flies: a refused or failed problem counts where the direct method has a flight, or gets one from wider limits
-(`refusals.py`). The draw depends on the seed alone.
+flies: a refused or failed problem counts where the direct method has a flight that misses nothing, or gets one from
+wider limits (`refusals.py`). The draw depends on the seed alone.
 """
 
 from __future__ import annotations
