@@ -9,15 +9,16 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from perilune.families.family import Family, FamilyPoint, failed_point
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.solution import Solution
-from perilune.report.family import family_csv, family_document, write_family
+from perilune.report.family import family_csv, family_document, family_figure, write_family
 from perilune.reproductions.cho2015.case import PRINTED
 from perilune.reproductions.cho2015.compute import best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn
-from perilune.words.outcome import NotConvergedError, PeriluneError
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 # --- families ---
 
@@ -60,6 +61,15 @@ def test_a_family_is_written_with_its_figure(family: Family, tmp_path) -> None:
     json.loads((tmp_path / "f" / "family.json").read_text(encoding="utf-8"))
     with pytest.raises(PeriluneError, match="--force"):
         write_family(family, tmp_path / "f")
+
+
+def test_a_member_that_is_not_proved_is_seen_in_the_figure(family: Family, ordinary: Solution) -> None:
+    doubted = FamilyPoint(values=(250.0,), solution=replace(ordinary, outcome=Outcome.NOT_PROVED))
+    panel = family_figure(replace(family, points=(*family.points, doubted))).axes[0]
+    assert panel.get_title("right") == "hollow: NOT_PROVED, dotted: no solution"
+    hollow = [line for line in panel.lines if line.get_markerfacecolor() == "none"]
+    assert [np.asarray(line.get_xdata()).tolist() for line in hollow] == [[250.0]]
+    assert family_figure(family).axes[0].get_title("right") == "dotted: no solution"
 
 
 # --- the paper ---

@@ -16,6 +16,7 @@ import numpy as np
 from perilune.io.columns import rounded, spoken
 from perilune.io.export import results
 from perilune.io.files import finite, fresh_directory, json_text
+from perilune.words.outcome import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,7 +71,7 @@ def family_csv(family: Family) -> str:
 
 
 def family_figure(family: Family) -> Figure:
-    """Each result that varies against the one parameter, one panel below the other; failed points as crosses."""
+    """Each result that varies against the one parameter, one panel below the other; what is not proved stands out."""
     from perilune.report.histories import family_panels
 
     document = family_document(family)
@@ -84,7 +85,8 @@ def family_figure(family: Family) -> Figure:
     }
     shown = {text: y for text, y in table.items() if np.isfinite(y).any() and _varies(y) and not _same(y, value)}
     name = document["parameter"].replace("_", " ")
-    return family_panels(value, shown or table, f"{name} ({document['unit']})")
+    doubted = np.array([point["outcome"] == Outcome.NOT_PROVED.name for point in document["points"]], dtype=bool)
+    return family_panels(value, shown or table, f"{name} ({document['unit']})", doubted)
 
 
 def write_family(family: Family, directory: str | Path, force: bool = False) -> None:

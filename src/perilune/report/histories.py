@@ -118,8 +118,11 @@ def _costate_symbol(column: Column) -> str:
 
 
 @styled
-def family_panels(value: np.ndarray, results: Mapping[str, np.ndarray], parameter: str) -> Figure:
-    """Panels of results (axis label: values, NaN where none) against a parameter, sharing its axis."""
+def family_panels(value: np.ndarray, results: Mapping[str, np.ndarray], parameter: str, doubted: np.ndarray) -> Figure:
+    """Panels of results (axis label: values, NaN where none) against a parameter, sharing its axis.
+
+    Points that are `doubted` failed their proof.
+    """
     rows = max(len(results), 1)
     figure, axes = new_figure(height=0.6 + 1.15 * rows, rows=rows)
     axes = np.atleast_1d(axes)
@@ -127,12 +130,14 @@ def family_panels(value: np.ndarray, results: Mapping[str, np.ndarray], paramete
     for ax, (text, y) in zip(axes, results.items(), strict=False):
         # The optimum may jump between two points: the line only guides the eye.
         ax.plot(value[order], y[order], "-", color=GREY, alpha=0.5, linewidth=0.6)
-        ax.plot(value[order], y[order], "o", color=BLUE, markersize=2.5)
+        ax.plot(value[~doubted], y[~doubted], "o", color=BLUE, markersize=2.5)
+        ax.plot(value[doubted], y[doubted], "o", color=VERMILION, markersize=2.5, markerfacecolor="none")
         for failed in value[~np.isfinite(y)]:
             ax.axvline(failed, color=VERMILION, linewidth=0.8, linestyle=":")
         ax.set_ylabel(text.replace(" (", "\n("))
-    if any(not np.isfinite(y).all() for y in results.values()):
-        axes[0].set_title("dotted: no solution", fontsize=7, color=VERMILION, loc="right")
+    missing = any(not np.isfinite(y).all() for y in results.values())
+    said = [*(["hollow: NOT_PROVED"] if doubted.any() else []), *(["dotted: no solution"] if missing else [])]
+    axes[0].set_title(", ".join(said), fontsize=7, color=VERMILION, loc="right")
     figure.align_ylabels()
     axes[-1].set_xlabel(parameter)
     return figure
