@@ -162,6 +162,7 @@ def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
     with served(str(ROOT / "examples" / "precision_landing.toml")) as address:
         page.goto(address)
         until(page, "perilune.frames > 0", 60.0)
+        page.click("#pin")
         page.locator("#ground").scroll_into_view_if_needed()
         box, before = page.locator("#ground").bounding_box(), page.evaluate("perilune.values")
         first = page.evaluate("perilune.flight.phases[0].columns.north.values[0]")
@@ -178,6 +179,7 @@ def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
         north = page.evaluate("perilune.flight.phases[0].columns.north.values")
         assert north[0] == pytest.approx(after["approach_north"], rel=1e-5) and north[0] < first
         assert abs(north[-1]) < 1e-3
+        until(page, f"({_INK})(['article:has(#ground)', '--pin1']) > 20")  # to its own site
 
 
 _INK = """([view, name]) => {

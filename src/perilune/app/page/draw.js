@@ -119,7 +119,7 @@ const Draw = (() => {
   function canvas(node) {
     const ratio = devicePixelRatio || 1, w = node.clientWidth, h = node.clientHeight;
     if (node.width !== Math.round(w * ratio)) { node.width = Math.round(w * ratio); node.height = Math.round(h * ratio); }
-    const c = node.getContext("2d"); c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h);
+    const c = node.getContext("2d"); c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h); c.setLineDash([]);
     return [c, w, h];
   }
 
