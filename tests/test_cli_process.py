@@ -233,3 +233,14 @@ def test_a_package_that_was_taken_away_is_named(capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().err == (
         "perilune: perilune needs scipy, which is not installed\n  try: pip install perilune\n"
     )
+
+
+def test_a_second_stop_changes_nothing_of_what_was_said() -> None:
+    """As what a destructor swallowed comes again, it may come when the program is about to leave."""
+    code = (
+        "import os, perilune.cli as c; c.run = lambda _: 130; c.gc.freeze = lambda: os.kill(os.getpid(), 2); c.main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=30, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "")

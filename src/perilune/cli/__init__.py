@@ -29,6 +29,8 @@ def main() -> NoReturn:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a job in the background ignores Ctrl-C
         signal.signal(signal.SIGINT, stop)
     code = run(sys.argv[1:])
+    if signal.getsignal(signal.SIGINT) is stop:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is said, and the exit code is that of what was said
     gc.freeze()  # nor at the end, where all of them go anyway
     sys.exit(code)
 
