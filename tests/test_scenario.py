@@ -173,6 +173,7 @@ def test_a_change_may_add_a_section() -> None:
         ("vehicle.mass=300 stone", "vehicle.mass - this is not a unit", ""),
         ("vehicle.mass=9**9**9 m", "vehicle.mass - this is not a unit", ""),
         ("vehicle.mass=300 g", "vehicle.thrust is more than a lander withstands", "g in place of kg"),
+        ("vehicle.thrust=1e-12 N", "vehicle.thrust moves no lander", "N in place of kN"),
         ("vehicle.thrust=440 kN", "vehicle.thrust is more than a lander withstands", "kN in place of N"),
         ("vehicle.dry_mass=300 kg", "vehicle.dry_mass leaves no propellant", ""),
         ("vehicle.standard_gravity=1.62 m/s^2", "vehicle.standard_gravity is out of range", "leave it out"),

@@ -141,6 +141,13 @@ def _check_vehicle(vehicle: Vehicle | Returner) -> None:
             expected="below 500 m/s^2",
             advice="look for kN in place of N, or g in place of kg",
         )
+    if isinstance(vehicle, Vehicle) and acceleration < 1e-8:  # the light of the Sun does more
+        _refuse(
+            "vehicle.thrust moves no lander",
+            got=f"{acceleration:.3g} m/s^2",
+            expected="above 1e-8 m/s^2",
+            advice="look for N in place of kN",
+        )
 
 
 def _refuse(what: str, *, got: str = "", expected: str = "", advice: str = "") -> NoReturn:
