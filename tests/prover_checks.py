@@ -241,6 +241,23 @@ def a_frame_turns_with_the_flow() -> bool:
     return frame.near[0].contains(arb(-1)) and frame.tangents == turn * turn * arb_mat([[1], [0]])
 
 
+def steps_follow_each_other() -> bool:
+    """Each begins where the one before ends, and none loses more than was asked for."""
+    boundary, refined, root = proved(solved(meditch))
+    most = room("root")._REMAINDER * settings().box
+    for steps, duration in zip(root.flight.steps, boundary.durations, strict=True):
+        ends = [step.begin + step.length for step in steps]
+        together = all(step.begin == end for step, end in zip(steps[1:], ends[:-1], strict=True))
+        if not together or steps[0].begin != 0 or not ends[-1].contains(duration.values(refined.y)[0]):
+            return False
+        for step in steps:
+            order = len(step.polynomial[0])
+            lost = [abs(own * step.length**order) for own in step.remainder]
+            if any(a > most * abs(b).upper() for a, b in zip(lost, step.at(arb(0).union(step.length)), strict=True)):
+                return False
+    return True
+
+
 def growth_is_enclosed() -> bool:
     """x' = x: the remainder is no larger than it has to be, so that a part of it would not do."""
     flow, arc = room("flow"), pole(lambda graph, x: 1 * x)
@@ -415,7 +432,8 @@ CHECKS: tuple[Callable[[], bool], ...] = (
     series_agree, a_step_over_a_pole_is_refused, a_step_over_a_jump_is_refused, growth_is_enclosed,
     tangents_are_enclosed, a_step_that_tangents_outgrow_is_refused, signs_are_seen, forms_are_positive,
     numbers_are_exact, J_is_that_of_the_root, what_is_missing_is_no_theorem, meditch_lands,
-    flights_stay_in_their_enclosures, frames_keep_remainders, a_frame_turns_with_the_flow, a_wide_box_is_refused,
+    flights_stay_in_their_enclosures, frames_keep_remainders, a_frame_turns_with_the_flow,
+    steps_follow_each_other, a_wide_box_is_refused,
     tangent_is_linear, a_wrong_centre_is_refused,
     newton_is_quadratic, phases_do_not_matter, several_arcs_are_no_minimum_yet, conjugate_points_are_seen,
     efforts_agree,

@@ -7,8 +7,10 @@ is smaller.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from flint import arb, arb_mat
@@ -19,6 +21,7 @@ from perilune.rigorous.flow import NotEnclosed, Step, coefficients, horner, step
 from perilune.rigorous.taylor import Ball
 
 _LONGEST = 0.5  # of a step that the size of the last coefficients suggests, at most this part of the radius
+_SHORTEST = 2.0**-5  # step that is tried, of the shortest of a grid
 Grid = Sequence[Sequence[float]]  # for each arc the times where its steps begin
 
 
@@ -50,7 +53,7 @@ def middle(values: Sequence[Ball]) -> list[Ball]:
     return [value.mid() for value in values]
 
 
-def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: int) -> Flight:
+def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: int, finest: float = math.inf) -> Flight:
     """Fly all y of a box, proved.
 
     Parameters
@@ -61,6 +64,8 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
         The unknowns.
     grid, order
         Where the steps begin, and the order of their remainders.
+    finest
+        Where it is finite, steps are as long as keeps their remainders below this, beside the size of each entry.
 
     Raises
     ------
@@ -77,11 +82,20 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
         (duration,), (by_y,) = boundary.durations[i].slopes(y)
         (lasting,) = boundary.durations[i].values(centre)
         nodes, steps, unit = [z], list[Step](), identity(len(z))
-        for number, begin in enumerate(grid[i]):
-            last = number + 1 == len(grid[i])
-            length = (duration if last else arb(grid[i][number + 1])) - arb(begin)
+        begin, pace = 0.0, _Pace(grid[i], float(duration), finest)
+        while begin is not None:
+            following = pace.following(begin)
+            last = following is None
+            length = (duration if last else arb(following)) - arb(begin)
             around = [a.union(m) for a, m in zip(z, frame.middle, strict=True)]
-            direct, moved, proved = step(arc, around, unit, arb(begin), length, order)
+            try:
+                direct, moved, proved = step(arc, around, unit, arb(begin), length, order)
+            except NotEnclosed:
+                if not pace.slower(float(length)):
+                    raise
+                continue
+            if not pace.kept(float(length), proved):
+                continue
             own = lasting - arb(begin) if last else length
             frame.go(coefficients(arc, frame.middle, None, order - 1)[0], proved.remainder, own, moved)
             by_length = rates(arc, direct) * by_y if last else arb_mat(len(z), len(y))
@@ -92,6 +106,7 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
             nodes.append(z)
             steps.append(proved)
             D = frame.tangents + by_length
+            begin = following
         near = frame.near
         found.ends.append(z)
         found.tangents.append(D)
@@ -99,6 +114,46 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
         found.steps.append(steps)
         found.centre.append(near)
     return found
+
+
+class _Pace:
+    """How long steps may be: those of a grid, or as long as their remainders allow.
+
+    Parameters
+    ----------
+    begins, lasting
+        Where the steps of the grid begin, and how long the arc lasts.
+    finest
+        Of a remainder, beside the size of each entry, at most; infinite where the grid is to be kept to.
+    """
+
+    def __init__(self, begins: Sequence[float], lasting: float, finest: float) -> None:
+        self._begins, self._lasting, self._finest = begins, lasting, finest
+        lengths = [b - a for a, b in pairwise([*begins, lasting])]
+        self._longest, self._shortest = lengths[0], min(lengths) * _SHORTEST
+
+    def following(self, begin: float) -> float | None:
+        """Where a step ends; None where that is the end of the arc."""
+        if self._finest == math.inf:
+            return next((time for time in self._begins if time > begin), None)
+        return begin + self._longest if self._lasting - begin > self._longest else None
+
+    def slower(self, length: float, by: float = 0.5) -> bool:
+        """Whether a step that is no step may be tried again, shorter."""
+        self._longest = by * length
+        return self._shortest < self._longest and self._finest < math.inf
+
+    def kept(self, length: float, proved: Step) -> bool:
+        """Whether the remainder of a step is small enough, or could not be made so."""
+        order = len(proved.polynomial[0])
+        lost = [float((own * proved.length**order).abs_upper()) for own in proved.remainder]
+        sizes = [float(value.abs_upper()) for value in proved.at(arb(0).union(proved.length))]
+        most = max((own / size for own, size in zip(lost, sizes, strict=True) if size), default=0.0)
+        by = 0.9 * (self._finest / most) ** (1 / order) if most else 2.0
+        if most > self._finest and self.slower(length, max(by, 0.25)):
+            return False
+        self._longest = length * min(by, 2.0)
+        return True
 
 
 class _Frame:
@@ -127,6 +182,8 @@ class _Frame:
         B = together.mid()
         back = _inverted(B)
         M = back * together
+        if not all(abs(M[i, i] - 1) < 1 for i in range(len(end))):
+            raise NotEnclosed("flights of a box go too far from each other")
         self.middle = middle(end)
         self._r = M * self._r + back * column([a - b for a, b in zip(end, self.middle, strict=True)])
         self._S, self._B = M * self._S, B

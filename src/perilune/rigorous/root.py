@@ -10,8 +10,9 @@ Systems of Equations*, 1990, chapter 5).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from flint import arb, arb_mat
@@ -25,6 +26,7 @@ from perilune.words.outcome import PeriluneError
 _ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
 _FARTHEST, _SMALLER = 1e-6, 4  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
 _QUADRATIC = 1e4  # a step of Newton's method, beside the square of the one before; 210 at most on answered problems
+_REMAINDER = 1e-9  # of a step, beside the radius of the box: what hundreds leave in a bad frame is still less
 Tell = Callable[[str], None]
 
 
@@ -147,11 +149,12 @@ def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Set
     """The same root in a box that is as large as it can be proved to be the only one in, about."""
     first = [float(b.rad()) for b in root.box]
     factor = min(_FARTHEST * size / r for size, r in zip(refined.sizes, first, strict=True))
+    proved = replace(refined, grid=[[float(step.begin) for step in steps] for steps in root.flight.steps])
     for _ in range(_SMALLER):
         if factor <= 1.0:
             break
         try:
-            return prove_root(boundary, refined, settings, tell, [factor * r for r in first])
+            return prove_root(boundary, proved, settings, tell, [factor * r for r in first])
         except (NotProved, NotEnclosed):
             factor *= 1e-3
     return root
@@ -180,7 +183,8 @@ def prove_root(
     own = [settings.box * size for size in refined.sizes] if radii is None else list(radii)
     box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
     centre = middle(box)  # of which F is: in fewer bits than before it is another number
-    flown = enclosed(boundary, box, refined.grid, settings.order)
+    finest = _REMAINDER * settings.box if radii is None else math.inf
+    flown = enclosed(boundary, box, refined.grid, settings.order, finest)
     F = residual(boundary, box, flown)
     off = (refined.inverse * column(F)).entries()
     defects = [float(value.abs_upper()) for value in off]
