@@ -19,6 +19,7 @@ from perilune.atlas.many import Answered
 from perilune.atlas.query import open_atlas
 from perilune.atlas.region import region_of
 from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.solving import Solving
 from perilune.atlas.survey import Survey
 from perilune.atlas.tasks import Task, computed
 from perilune.methods.indirect import Indirect
@@ -113,14 +114,14 @@ def test_a_sheet_is_followed_around_its_fold() -> None:
 
 def test_what_no_solve_has_found_is_met_behind_folds(monkeypatch: pytest.MonkeyPatch) -> None:
     """One extremal at the middle of the region leads to the maximum behind its fold, and that to the other minimum."""
-    solved = Survey._solved
+    solved = Solving._solved
     middle = np.array([-1.25, 0.1])
 
-    def one_of(survey: Survey, values: np.ndarray) -> object:
-        found = solved(survey, middle) if np.allclose(values, middle) else None
+    def one_of(solving: Solving, values: np.ndarray) -> object:
+        found = solved(solving, middle) if np.allclose(values, middle) else None
         return None if found is None else type(found)(found.values, found.course, found.extremals[:1])
 
-    monkeypatch.setattr(Survey, "_solved", one_of)
+    monkeypatch.setattr(Solving, "_solved", one_of)
     problem = cusp(-1.0, 0.1)
     region = region_of(problem, {"a": (-2.0, -0.5), "b": (-1.5, 1.7)})
     (found,) = Survey(problem=problem, region=region, method=Indirect(), watch=silent).run()

@@ -22,6 +22,7 @@ from perilune.atlas.walking import Lanes
 from perilune.words.types import Matrix, Vector
 
 _STEPS = 16  # of a way from bound to bound
+_BETWEEN = 8  # parts of a step in which J is looked for where it is less than at both ends
 _NOTHING = 1e-9  # of 1 + |J|: a slope that is none
 
 
@@ -61,6 +62,19 @@ class _Way:
     cost: Matrix
     rises: Matrix
 
+    def lowest(self) -> tuple[Vector, Lanes]:
+        """The least J of cubics through what there is at places next to each other, and at which of them, (lanes,)."""
+        t = np.linspace(0.0, 1.0, _BETWEEN + 1)[1:-1, None, None]
+        J, step = self.cost, self.rises / (self.cost.shape[1] - 1)
+        with np.errstate(invalid="ignore"):
+            between = (
+                (1 + 2 * t) * (1 - t) ** 2 * J[:, :-1] + t * (1 - t) ** 2 * step[:, :-1]
+                + t**2 * (3 - 2 * t) * J[:, 1:] + t**2 * (t - 1) * step[:, 1:]
+            ).min(axis=0)  # fmt: skip
+        least = np.where(np.isfinite(J), J, np.inf)
+        least[:, 1:] = np.fmin(least[:, 1:], between)
+        return least.min(axis=1), least.argmin(axis=1)
+
 
 class Descents:
     """Descents over all charts of an atlas."""
@@ -69,6 +83,7 @@ class Descents:
         self._charted = charted
         each = [_bounded(one.borders) for one in charted]
         self.names: list[str] = [name for name in each[0] if all(name in own for own in each)] if each else []
+        self.alone: bool = len(self.names) == 1  # so that its range is all that there is to be looked over
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
     def become(self, points: Matrix, outdoing: Known, begins: Sequence[Matrix], best: Known) -> Known:
@@ -85,10 +100,7 @@ class Descents:
         best
             The best answer that is known, if any.
         """
-        target = np.zeros((len(points), len(self.names)))
-        for number, family in enumerate(self._of):
-            if (lanes := np.nonzero(outdoing.chart == number)[0]).size:
-                target[lanes] = family.clipped(points[lanes], outdoing.y[number][lanes])
+        target = self._places(points, outdoing, np.zeros((len(points), len(self.names))))
         found, held = Known.none(self._charted, len(points)), np.nonzero(outdoing.sheet >= 0)[0]
         led = self._settled(points[held], outdoing.of(held))
         here = (
@@ -107,6 +119,37 @@ class Descents:
         here = self._confirmed(points[lanes], target[lanes], [y[lanes] for y in begins], candidates)
         found.put(lanes[here], candidates, np.nonzero(here)[0])
         return found
+
+    def all_over(self, points: Matrix, begins: Sequence[Matrix], best: Known) -> Known:
+        """What is better than answers anywhere along the one parameter between bounds.
+
+        The answers themselves where nothing is; of chart -1 where in part of a range no flight is known, or what is
+        better is not found. `points` and `begins` are as of `become`.
+        """
+        found, least = best.of(np.arange(len(points))), best.cost.copy()
+        better, known = Known.none(self._charted, len(points)), best.chart >= 0
+        starts = self._places(points, best, np.zeros((len(points), 1)))
+        for ends in self._of[0].bounds(points):
+            way = self._way(points, starts, ends, begins, best, _STEPS)
+            known &= (way.chart >= 0).all(axis=1)
+            lowest, at = way.lowest()
+            for lane in np.nonzero(known & (lowest < least - _NOTHING * (1.0 + np.abs(least))))[0].tolist():
+                least[lane], number = lowest[lane], int(way.chart[lane, at[lane]])
+                better.chart[lane], better.y[number][lane] = number, way.y[number][lane, at[lane]]
+        lanes = np.nonzero(better.chart >= 0)[0]
+        led = self._settled(points[lanes], better.of(lanes))
+        found.put(lanes, led, np.arange(len(lanes)))
+        found.chart[lanes[~(led.cost < best.cost[lanes])]] = -1
+        found.chart[~known] = -1
+        return found
+
+    def _places(self, points: Matrix, known: Known, otherwise: Matrix) -> Matrix:
+        """Values of what is followed at extremals, within bounds, (lanes, k); others where none is known."""
+        at = otherwise.copy()
+        for number, family in enumerate(self._of):
+            if (lanes := np.nonzero(known.chart == number)[0]).size:
+                at[lanes] = family.clipped(points[lanes], known.y[number][lanes])
+        return at
 
     def _confirmed(self, points: Matrix, target: Matrix, begins: Sequence[Matrix], answers: Known) -> NDArray[np.bool_]:
         """Whether answers are what is at targets, (lanes,)."""
@@ -136,31 +179,31 @@ class Descents:
         """Whether J falls all along from targets to answers, and else what there is where it is the least first."""
         if not len(points):
             return np.zeros(0, dtype=bool), Known.none(self._charted, 0)
-        starts = target.copy()
-        for number, family in enumerate(self._of):
-            if (lanes := np.nonzero(best.chart == number)[0]).size:
-                starts[lanes] = family.clipped(points[lanes], best.y[number][lanes])
-        way = self._way(points, starts, target, begins, best)
-        last = way.chart.shape[1] - 1
+        starts = self._places(points, best, target)
+        spread = np.max([upper - lower for lower, upper in (family.bounds(points) for family in self._of)], axis=0)
+        far = (np.abs(target - starts) / np.maximum(spread, np.finfo(float).tiny)).max(axis=1, initial=0.0)
+        steps = 2 ** np.ceil(np.log2(np.clip(_STEPS * far, 2, _STEPS))).astype(np.int64)  # of a lane, in any company
         known, turned = np.zeros(len(points), dtype=bool), Known.none(self._charted, len(points))
-        for lane in range(len(points)):
-            none = np.nonzero(way.chart[lane] < 0)[0]
-            falls = np.nonzero(way.rises[lane] < -_NOTHING * (1.0 + np.abs(way.cost[lane])))[0]
-            until = max(none.max(initial=-1), falls.max(initial=-1))
-            known[lane] = until < 0 and best.chart[lane] >= 0
-            at = min(until + 1, last) if falls.max(initial=-1) > none.max(initial=-1) else -1
-            if best.chart[lane] < 0 and not len(none):
-                at = last
-            if not known[lane] and at >= 0 and (number := int(way.chart[lane, at])) >= 0:
-                turned.chart[lane], turned.y[number][lane] = number, way.y[number][lane, at]
+        for last in np.unique(steps).tolist():
+            lanes = np.nonzero(steps == last)[0]
+            own = points[lanes], starts[lanes], target[lanes], [y[lanes] for y in begins], best.of(lanes)
+            way = self._way(*own, last)
+            for row, lane in enumerate(lanes.tolist()):
+                none = np.nonzero(way.chart[row] < 0)[0]
+                falls = np.nonzero(way.rises[row] < -_NOTHING * (1.0 + np.abs(way.cost[row])))[0]
+                until = max(none.max(initial=-1), falls.max(initial=-1))
+                known[lane] = until < 0 and best.chart[lane] >= 0
+                at = min(until + 1, last) if falls.max(initial=-1) > none.max(initial=-1) else -1
+                if best.chart[lane] < 0 and not len(none):
+                    at = last
+                if not known[lane] and at >= 0 and (number := int(way.chart[row, at])) >= 0:
+                    turned.chart[lane], turned.y[number][lane] = number, way.y[number][row, at]
         return known, turned
 
-    def _way(self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: Known) -> _Way:
+    def _way(
+        self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: Known, steps: int
+    ) -> _Way:
         """Along straight ways the best of what keeps the path, of all charts, from starts to ends."""
-        bounds = [family.bounds(points) for family in self._of]
-        spread = np.max([upper - lower for lower, upper in bounds], axis=0)
-        far = (np.abs(ends - starts) / np.maximum(spread, np.finfo(float).tiny)).max(axis=1, initial=0.0)
-        steps = max(2, int(np.ceil(_STEPS * far.max(initial=0.0))))
         shape, n = (len(points), steps + 1), range(len(self._charted))
         way = _Way(
             np.full(shape, -1), [np.full((*shape, self._charted[i].unknowns), np.nan) for i in n],

@@ -183,7 +183,7 @@ class _Work:
                     breaking.append((number, breaks, here[breaks], polished.y[polished.breaking][:, active]))
                     arcs[id(offer.charted)][lanes] -= offer.charted.of_arcs & ~polished.answers
         told = [(offers[number].charted, lanes, its) for number, lanes, its, _ in breaking]
-        self._cast(doubt, told, arcs, self.cost[some], self.of_arcs[some])
+        unanswered = self._unanswered(told, arcs, self.cost[some], self.of_arcs[some])
         breaking = breaking if atlas.descents.names else []
         best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
@@ -191,7 +191,15 @@ class _Work:
         for number, lanes, its, y in breaking:
             outdoes = (its < best.cost[lanes]) | (best.chart[lanes] < 0)
             outdoes &= (best.chart[lanes] < 0) | (not offers[number].charted.breaks_controls_alone)
-            self._become(doubt, offers[number], lanes[outdoes], its[outdoes], y[outdoes], best, turns=False)
+            self._become(unanswered, offers[number], lanes[outdoes], its[outdoes], y[outdoes], best, turns=False)
+        best = self.known.of(np.arange(len(some)))
+        with np.errstate(invalid="ignore"):
+            left = (unanswered < best.cost) & ~equal(unanswered, best.cost)
+        if atlas.descents.alone and len(lanes := np.nonzero(left)[0]):
+            points = self.points[some[lanes]]
+            better = atlas.descents.all_over(points, atlas.begins(points), best.of(lanes))
+            unanswered[lanes] = self._settled(lanes, better, unanswered[lanes])
+        doubt = np.minimum(doubt, unanswered)
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         with np.errstate(invalid="ignore"):
             doubtful &= ~(found & equal(doubt, self.cost[some]))
@@ -223,31 +231,35 @@ class _Work:
         extremals.chart[:], extremals.y[number][:], extremals.cost[:] = number, y, cost
         extremals.sheet[:] = offer.sheet if turns else -1
         becomes = atlas.descents.become(points, extremals, atlas.begins(points), best.of(lanes))
-        found = becomes.chart >= 0
-        doubt[lanes] = np.minimum(doubt[lanes], np.where(found, becomes.cost, cost))
-        known = self.cost[self.some[lanes]]
+        doubt[lanes] = np.minimum(doubt[lanes], self._settled(lanes, becomes, cost))
+
+    def _settled(self, lanes: NDArray[np.int64], becomes: Known, cost: Vector) -> Vector:
+        """What J doubt is cast by where something becomes another, `cost` where that is not known; it may answer."""
+        atlas, found, known = self.atlas, becomes.chart >= 0, self.cost[self.some[lanes]]
         better = found & (becomes.cost < known) & ~(np.isfinite(known) & equal(becomes.cost, known))
         for chart, sheet in np.unique(np.column_stack([becomes.chart, becomes.sheet])[better], axis=0).tolist():
             charted, its = atlas.charted[chart], better & (becomes.chart == chart) & (becomes.sheet == sheet)
             first = sum(len(other.sheets) for other in atlas.charted[:chart])
             self._polished(self.some[lanes[its]], _no_offer(charted, sheet, first, 0), becomes.y[chart][its])
+        return np.where(found, becomes.cost, cost)
 
     @staticmethod
-    def _cast(
-        doubt: Vector,
+    def _unanswered(
         breaking: Sequence[tuple[Charted, NDArray[np.int64], Vector]],
         arcs: Mapping[int, NDArray[np.int64]],
         best: Vector,
         of_arcs: NDArray[np.bool_],
-    ) -> None:
-        """Let what breaks the path cast doubt, lane by lane, as one by one (`perilune.atlas.query`)."""
+    ) -> Vector:
+        """The least J of what breaks the path and is not answered, lane by lane (`perilune.atlas.query`), or inf."""
         told = [one for one in breaking if not one[0].breaks_controls_alone]
         wells, total = {chart: known.copy() for chart, known in arcs.items()}, sum(arcs.values(), np.zeros_like(best))
+        doubt = np.full(len(best), np.inf)
         for charted, lanes, cost in told:
             wells[id(charted)][lanes] += cost < best[lanes]
         for charted, lanes, cost in told:
-            which = ~of_arcs[lanes] | (wells[id(charted)][lanes] > total[lanes])
+            which = (~of_arcs[lanes] | (wells[id(charted)][lanes] > total[lanes])) & (cost < best[lanes])
             doubt[lanes[which]] = np.minimum(doubt[lanes[which]], cost[which])
+        return doubt
 
     def _where(self, some: NDArray[np.int64], says: Callable[[tuple[int, ...]], bool]) -> NDArray[np.bool_]:
         """Which of some points lie in bricks of which something is so."""

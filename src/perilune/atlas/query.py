@@ -231,10 +231,11 @@ class Atlas(Reader):
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        doubts += _unanswered(best, alike, breaking, offers)
-        breaking = breaking if self.descents.names else []
+        unanswered = _unanswered(best, alike, breaking, offers)
         turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
-        doubts += self._become(at, best, turns, breaking, tried)
+        doubts += self._become(at, best, turns, [], tried)
+        unanswered += self._become(at, best, [], breaking if self.descents.names else [], tried)
+        doubts += self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), unanswered, tried)
         best = min(tried, key=lambda one: one.cost, default=None)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
         best = min(alike, key=lambda one: (one.charted.rank, one.cost), default=None)
@@ -332,18 +333,29 @@ class Atlas(Reader):
         known, begins = self._known(best, -1), self.begins(at[None])
         for one, sheet in [(one, one.number) for one in turns] + [(one, -1) for one in breaking]:
             becomes = self.descents.become(at[None], self._known(one, sheet), begins, known)
-            if (number := int(becomes.chart[0])) < 0:
+            if not self._settled(at, becomes, best, one, tried):
                 doubts.append(one)
-            elif best is None or (becomes.cost[0] < best.cost and not equal(becomes.cost[0], best.cost)):
-                charted, other, y = self.charted[number], int(becomes.sheet[0]), becomes.y[number]
-                polished = charted.polish((at / charted.chart.scale)[None], np.array([other]), y)
-                if polished.answers[0]:
-                    cost = float(polished.cost[0])
-                    tried.append(_Offer(charted, other, y[0], cost, one.cell, polished=polished))
-                else:
-                    one.cost = float(becomes.cost[0])
-                    doubts.append(one)
         return doubts
+
+    def _unanswered(self, at: Vector, best: _Offer | None, doubts: list[_Offer], tried: list[_Offer]) -> list[_Offer]:
+        """Those of the extremals which cast doubt where J has been looked at all over what lies between bounds."""
+        if not doubts or best is None or not self.descents.alone:
+            return doubts
+        better = self.descents.all_over(at[None], self.begins(at[None]), self._known(best, -1))
+        return [] if self._settled(at, better, best, doubts[0], tried) else doubts
+
+    def _settled(self, at: Vector, becomes: Known, best: _Offer | None, one: _Offer, tried: list[_Offer]) -> bool:
+        """Whether what something becomes is known and no matter, or joins what is tried; else `one` has its J."""
+        if (number := int(becomes.chart[0])) < 0:
+            return False
+        if best is None or (becomes.cost[0] < best.cost and not equal(becomes.cost[0], best.cost)):
+            charted, other, y = self.charted[number], int(becomes.sheet[0]), becomes.y[number]
+            polished = charted.polish((at / charted.chart.scale)[None], np.array([other]), y)
+            if not polished.answers[0]:
+                one.cost = float(becomes.cost[0])
+                return False
+            tried.append(_Offer(charted, other, y[0], float(polished.cost[0]), one.cell, polished=polished))
+        return True
 
     def _known(self, one: _Offer | None, sheet: int) -> Known:
         """An extremal as what follows them knows it."""

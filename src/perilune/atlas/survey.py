@@ -8,10 +8,8 @@ Where such a walk ends it is followed around the fold at which it does, to the s
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -20,27 +18,25 @@ from numpy.typing import NDArray
 from perilune.atlas.cells import WHOLE, same
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.columns import seed_type
-from perilune.atlas.course import Course, course_of
+from perilune.atlas.course import Course
 from perilune.atlas.crossing import beside
 from perilune.atlas.folding import around_folds
 from perilune.atlas.natures import nature_behind_folds
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import Region
+from perilune.atlas.scanning import scanned_names, scanned_points
 from perilune.atlas.sheets import Borders, Sheet, held_at
+from perilune.atlas.solving import Solved, Solving
 from perilune.atlas.walking import MOST, carried, carried_on, from_one, reached_at, walked
-from perilune.atlas.wells import other_wells
+from perilune.atlas.wells import other_wells, wells_around
 from perilune.methods.indirect import Indirect
-from perilune.methods.search import Search
 from perilune.problem.extremal import Extremal, Nature
-from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
 _MOST_SHEETS, _AROUND = 16, 4  # of a chart; walks of a sheet that are followed around the folds at which they ended
-_NONE = "no answer"  # where other points have the arcs of theirs
-_HALVINGS = 3  # times that a point is looked at between answers of two kinds
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
 _AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, that are on its side of folds
 
@@ -83,15 +79,6 @@ class Inside:
     y: Vector
 
 
-@dataclass(frozen=True)
-class _Solved:
-    """The extremals that were found at a point [SI], and what they go through."""
-
-    values: Vector
-    course: Course
-    extremals: Sequence[Extremal]
-
-
 @dataclass
 class Survey:
     """Finds the sheets of a region.
@@ -126,18 +113,8 @@ class Survey:
         PeriluneError
             If no point that was tried has an extremal that can be followed.
         """
-        _, corners = self.region.corners()
-        low, high = self.region.low, self.region.high
-        ends = (corners == low) | (corners == high)
-        tried = np.vstack([0.5 * (low + high), corners[ends.all(axis=1)]])
-        solved, failed = list[_Solved](), list[Vector]()
-        for number, values in enumerate(tried):
-            self.watch(f"survey: point {number + 1} of {len(tried)}")
-            if (answer := self._solved(values)) is not None:
-                solved.append(answer)
-            else:
-                failed.append(values)
-        solved += self._between(solved, failed)
+        solving = Solving(self.problem, self.region, self.method, self.watch, self._widths, self.notes)
+        solved, (_, corners) = solving.run(), self.region.corners()
         charts = [found for course, own in _courses(solved) if (found := self._found(course, own, corners)).sheets]
         if not charts:
             raise PeriluneError(
@@ -147,35 +124,20 @@ class Survey:
             )
         return charts
 
-    def _between(self, solved: Sequence[_Solved], failed: Sequence[Vector]) -> list[_Solved]:
-        """Answers halfway between points whose answers go through different things: others may lie between these.
+    @property
+    def _widths(self) -> Vector:
+        return self.region.high - self.region.low if self.widths is None else self.widths
 
-        So they may between an answer and a point at which none was found.
-        """
-        points = [(one.values, one.course.text) for one in solved] + [(values, _NONE) for values in failed]
-        pairs, looked, found = list(combinations(points, 2)), Counter[frozenset[str]](), list[_Solved]()
-        while pairs:
-            (one, kind), (other, its) = pairs.pop(0)
-            kinds = frozenset((kind, its))
-            if len(kinds) < 2 or looked[kinds] >= _HALVINGS:
-                continue
-            looked[kinds] += 1
-            self.watch("survey: between points whose answers have different arcs")
-            values = 0.5 * (one + other)
-            if (answer := self._solved(values)) is not None:
-                found.append(answer)
-            middle = values, _NONE if answer is None else answer.course.text
-            pairs = [((one, kind), middle), (middle, (other, its)), *pairs]
-        return found
-
-    def _found(self, course: Course, solved: Sequence[_Solved], corners: Matrix) -> Found:
+    def _found(self, course: Course, solved: Sequence[Solved], corners: Matrix) -> Found:
         """The sheets of one chart."""
-        widths = self.region.high - self.region.low if self.widths is None else self.widths
-        chart = Chart(self.problem, self.region.names, widths, course)
+        chart = Chart(self.problem, self.region.names, self._widths, course)
         empty = np.empty((0, len(corners), len(chart.places)))
-        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=widths)
+        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=self._widths)
         for point in solved:
-            found = self._with(found, corners, point.values, point.extremals)
+            if not point.held:
+                found = self._with(found, corners, point.values, point.extremals)
+        for one in self._begun(found, solved):
+            found = self._with_these(found, corners, [one])
         if course.structure is not None:  # what flies in one piece has its families followed by each solve
             found = self._with_wells(found, corners)
         if not found.sheets:
@@ -185,18 +147,6 @@ class Survey:
         values = np.vstack([corners[at[1]] / chart.scale, *(one.values for one in found.small)])
         y = chart.whole(values, np.vstack([found.y[at], *(one.y for one in found.small)]))
         return replace(found, times=Reflights(chart).fine_enough(y, chart.p[None]))
-
-    def _solved(self, values: Vector) -> _Solved | None:
-        """The extremals at a point; None where there is no answer."""
-        at = f"at {self.region.told(values.tolist())}"
-        try:
-            problem = self.problem.with_given(**dict(zip(self.region.names, values.tolist(), strict=True)))
-            refuse_impossible(preflight(problem))
-            search = Search(self.method, problem, self.watch)
-            return _Solved(values, *course_of(self.method.answer(search), search.answering.keep))
-        except PeriluneError as error:
-            self.notes.append(f"{at}: {error.what}" + (f"; got {error.got}" if error.got else ""))
-            return None
 
     def _with(self, known: Found, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> Found:
         """The same with the sheets on which extremals at a point lie, and those behind the folds of these."""
@@ -212,6 +162,22 @@ class Survey:
                 holds = held_at(borders, at / chart.scale, y)
                 left.append((at / chart.scale, y, Sheet(holds=holds, orientation=0.0, nature=extremal.nature)))
         return self._with_these(known, corners, left)
+
+    def _begun(self, known: Found, solved: Sequence[Solved]) -> Iterator[tuple[Vector, Vector, Sheet]]:
+        """Minima of J along parameters between bounds, all over the region, from the answers with what a chart has."""
+        chart, borders, names = known.chart, known.borders, scanned_names(self.problem, self.region)
+        begins = [
+            (point.values, chart.told(np.array(extremal.unknowns)))
+            for point in solved
+            for extremal in point.extremals
+            if len(extremal.unknowns or ()) == len(chart.own.unknowns)
+        ]
+        if names and begins:
+            values, y = (np.array(rows) for rows in zip(*begins, strict=True))
+            points = scanned_points(self.region)
+            away = np.abs((points[:, None] - values) / (self.region.high - self.region.low)).sum(axis=2)
+            near = away.argmin(axis=1)
+            yield from wells_around(chart, borders, names, points / chart.scale, values[near] / chart.scale, y[near])
 
     def _with_wells(self, known: Found, corners: Matrix) -> Found:
         """The same with the sheets in other wells of J along parameters between bounds."""
@@ -315,7 +281,7 @@ class Survey:
         return None
 
 
-def _courses(solved: Sequence[_Solved]) -> Iterator[tuple[Course, list[_Solved]]]:
+def _courses(solved: Sequence[Solved]) -> Iterator[tuple[Course, list[Solved]]]:
     """What is gone through, and who does.
 
     A control that keeps a condition flies as one that does not wherever that is not in its way, so that what some keep

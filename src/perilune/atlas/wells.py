@@ -7,22 +7,24 @@ that here families are followed whatever the arcs are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
 from perilune.atlas.chart import Chart, Holds
+from perilune.atlas.held import BARE
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.walking import MOST, Lanes, Walk
 from perilune.problem.extremal import Nature
 from perilune.words.types import Matrix, Vector
 
 _STEPS, _SHORTEST = 24, 2.0**-4  # of a family to one of its bounds, and the shortest of them
+_WAY = 8  # steps to another point
 _NOTHING = 1e-12  # of 1 + |J|: a slope that is none
 
 
 def other_wells(
-    chart: Chart, borders: Borders, sheet: Sheet, values: Matrix, y: Matrix
+    chart: Chart, borders: Borders, sheet: Sheet, values: Matrix, y: Matrix, among: Collection[str] | None = None
 ) -> Iterator[tuple[Vector, Vector, Sheet]]:
     """Minima of J along families through extremals of a sheet.
 
@@ -32,6 +34,8 @@ def other_wells(
         Whose.
     values, y
         Where, and the unknowns there, canonical, (lanes, d) and (lanes, n).
+    among
+        Names of what is followed; of all that lies between bounds if None.
 
     Yields
     ------
@@ -41,6 +45,8 @@ def other_wells(
     limits = borders.at(values)
     which = np.zeros(len(values), dtype=np.int64)
     for k in np.nonzero(borders.users)[0].tolist():
+        if among is not None and borders.names[k] not in among:
+            continue
         low, high = limits[0][:, k], limits[1][:, k]
         lanes = np.nonzero(np.isfinite(high - low) & (high > low))[0]
         if not len(lanes):
@@ -52,6 +58,29 @@ def other_wells(
             at_bound = Sheet(holds={**others, borders.names[k]: side}, orientation=0.0, nature=Nature.UNPROVED)
             for inside, lane, found in family.minima(y[lanes], ends[lanes]):
                 yield values[lanes[lane]], found, alone if inside else at_bound
+
+
+def wells_around(
+    chart: Chart, borders: Borders, names: Collection[str], points: Matrix, values: Matrix, y: Matrix
+) -> Iterator[tuple[Vector, Vector, Sheet]]:
+    """Minima at points (lanes, d) along what `names` tells, of families on which extremals lie that are elsewhere.
+
+    They are carried there with all of that held, so that no well need be there: `values` and `y` are theirs.
+    """
+    at = [borders.names.index(name) for name in names]
+    held = chart.shooting.plan.held
+    nothing = Holds(np.zeros((len(y), 2 * held)))
+    begins = chart.shooting.held_values(chart.at(values, y, nothing).roots)[0][:, at]
+
+    def holds(_: Lanes, places: Matrix) -> Holds:
+        choice = np.zeros((len(places), 2 * held))
+        choice[:, at], choice[:, [held + k for k in at]] = 1.0, places[:, values.shape[1] :]
+        return Holds(choice)
+
+    walk = Walk(chart, holds, np.hstack([values, begins]), y, at=at)
+    walk.along(np.hstack([points, begins]), _WAY, _SHORTEST)
+    there = np.nonzero(walk.good)[0]
+    yield from other_wells(chart, borders, BARE, points[there], walk.y[there], names)
 
 
 class _Family:

@@ -1,0 +1,102 @@
+"""Where flights with one free parameter held keep the path, over all of its range, with the arcs that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.chart import Chart
+from perilune.atlas.charted import Charted
+from perilune.atlas.course import Course
+from perilune.atlas.held import HeldFamilies
+from perilune.atlas.region import Region
+from perilune.methods.trials import bounded_parameters
+from perilune.problem.extremal import Extremal
+from perilune.problem.problem import Problem
+from perilune.structures.structure import margins
+from perilune.words.types import Matrix, Vector
+
+_STEPS = 16  # from bound to bound
+_MOST = 256  # points
+
+
+def scanned_names(problem: Problem, region: Region) -> list[str]:
+    """Free parameters between bounds along which there may be several wells: no durations, and no axes."""
+    names = [problem.free[i].name for i in bounded_parameters(problem)]
+    return [name for name in names if name not in region.names]
+
+
+def scanned_points(region: Region) -> Matrix:
+    """Corners and middles of bricks [SI]; of very many some, all over the region."""
+    middles = [0.5 * (np.array(axis.edges[:-1]) + np.array(axis.edges[1:])) for axis in region.axes]
+    points = np.vstack([region.corners()[1], list(product(*middles))])
+    return points[np.linspace(0, len(points) - 1, min(len(points), _MOST)).astype(np.int64)]
+
+
+class Scan:
+    """Flights over all ranges, at points all over a region.
+
+    Parameters
+    ----------
+    problem, region
+        What is mapped.
+    widths
+        Of charts [SI].
+
+    Attributes
+    ----------
+    names
+        Of what is scanned; none where there are no conditions of the path that an arc could keep.
+    """
+
+    def __init__(self, problem: Problem, region: Region, widths: Vector) -> None:
+        self._problem, self._region, self._widths = problem, region, widths
+        held_back = any(margins(problem, k) for k in range(len(problem.phases)))
+        self.names: list[str] = scanned_names(problem, region) if held_back else []
+        self._points = scanned_points(region)
+        shape = (len(self.names), len(self._points), _STEPS + 1)
+        self._met: NDArray[np.bool_] = np.zeros(shape, dtype=bool)  # by extremals
+        self._flown: NDArray[np.bool_] = np.zeros(shape, dtype=bool)
+
+    def add(self, values: Vector, course: Course, extremals: Sequence[Extremal]) -> bool:
+        """Follow what an answer goes through, from the answer, wherever no flight is known; whether there are more."""
+        chart = Chart(self._problem, self._region.names, self._widths, course)
+        first = next((e for e in extremals if len(e.unknowns or ()) == len(chart.own.unknowns)), None)
+        if first is None:
+            return False
+        before = np.count_nonzero(self._flown)
+        said = {**course.document(), "widths": self._widths.tolist(), "times": [], "sheets": []}
+        charted = Charted(self._problem, self._region, {**said, "unknowns": len(chart.places)})
+        families = HeldFamilies(charted, self.names)
+        begin = np.concatenate([values / chart.scale, chart.told(np.array(first.unknowns))])
+        for k in range(len(self.names)):
+            lanes = np.nonzero(~self._flown[k].all(axis=1))[0]
+            if len(lanes):
+                points, begins = self._points[lanes], begin[None].repeat(len(lanes), axis=0)
+                lower, upper = families.bounds(points)
+                starts = families.clipped(points, begins[:, len(values) :])
+                ends = starts.copy()
+                starts[:, k], ends[:, k] = lower[:, k], upper[:, k]
+                found, cost, _ = families.along(points, begins, starts, ends, _STEPS)
+                self._met[k, lanes] |= np.isfinite(found[:, :, 0])
+                self._flown[k, lanes] |= np.isfinite(cost)
+        return bool(np.count_nonzero(self._flown) > before)
+
+    def gap(self) -> tuple[Vector, str, float] | None:
+        """Amid the longest part of a range where extremals are met and no flight: the point [SI], whose, the share.
+
+        It is asked for once.
+        """
+        gaps, best = self._met & ~self._flown, (0, 0, 0, 0)
+        for k, lane in zip(*np.nonzero(gaps.any(axis=2)), strict=True):
+            ends = np.flatnonzero(np.diff(np.concatenate([[0], gaps[k, lane], [0]])))
+            length, first = max((end - begin, -begin) for begin, end in ends.reshape(-1, 2).tolist())
+            best = max(best, (length, int(k), int(lane), -first))
+        length, k, lane, first = best
+        if not length:
+            return None
+        self._flown[k, lane, first : first + length] = True
+        return self._points[lane], self.names[k], (first + (length - 1) // 2) / _STEPS
