@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from perilune.atlas.query import Atlas, Mapped
+from perilune.atlas.mapped import Mapped
+from perilune.atlas.query import Atlas
 from perilune.conditions.canonical import extremal_parameters
 from perilune.io.columns import seen_at
 from perilune.methods.answer import Curves

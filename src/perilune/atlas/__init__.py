@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from perilune.atlas.exporting import export
     from perilune.atlas.extending import extend
     from perilune.atlas.many import Answered, Answers
+    from perilune.atlas.mapped import Mapped, Query
     from perilune.atlas.merging import merge
-    from perilune.atlas.query import Atlas, Mapped, Query, open_atlas as open
+    from perilune.atlas.query import Atlas, open_atlas as open
     from perilune.atlas.slices import Slice, sliced
 
 _HOME = {
@@ -27,8 +28,8 @@ _HOME = {
     "merge": ("merging", "merge"),
     "open": ("query", "open_atlas"),
     "Atlas": ("query", "Atlas"),
-    "Mapped": ("query", "Mapped"),
-    "Query": ("query", "Query"),
+    "Mapped": ("mapped", "Mapped"),
+    "Query": ("mapped", "Query"),
     "Answers": ("many", "Answers"),
     "Answered": ("many", "Answered"),
     "Slice": ("slices", "Slice"),

@@ -65,7 +65,7 @@ class Answers:
     steps
         Of Newton's method.
     guess_error, error_bound
-        As of `perilune.atlas.query.Query`.
+        As of `perilune.atlas.mapped.Query`.
     slopes
         dJ/dp [SI], (points, d).
     """

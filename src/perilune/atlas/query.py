@@ -10,21 +10,17 @@ answer, and it is said why.
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from perilune.atlas.cells import WHOLE, Status
-from perilune.atlas.charted import Charted
 from perilune.atlas.descending import Known
 from perilune.atlas.many import Answers, answers, clearly_worse, equal
-from perilune.atlas.polish import Polished
+from perilune.atlas.mapped import Mapped, Query
+from perilune.atlas.offers import Offer, unanswered_of
 from perilune.atlas.read import SERVING, Reader, may_be_answers
-from perilune.atlas.reflight import SLACK
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
@@ -36,144 +32,6 @@ from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
 
 _NEAREST = 64  # nodes that are asked where there is an answer
-
-
-@dataclass(frozen=True, kw_only=True)
-class Query:
-    """How an answer was read.
-
-    Parameters
-    ----------
-    sheet
-        Label of the sheet.
-    met
-        Labels of all sheets that reach the point, by what they give for J, best first.
-    cell
-        Size of the answer's cell along each axis, as a share of the region.
-    guess_error
-        By how much what the cell gives is wrong, relative.
-    steps
-        Of Newton's method.
-    error_bound
-        How far the unknowns can be from those of the extremal, relative; see `perilune.atlas.polish`.
-    residual, path, minimum, drift
-        What the second flight shows (`perilune.atlas.reflight.Reflown`), canonical.
-    slopes
-        dJ/dp of each axis [SI].
-    latency
-        Time that it took [s].
-    """
-
-    sheet: str
-    met: tuple[str, ...]
-    cell: tuple[float, ...]
-    guess_error: float
-    steps: int
-    error_bound: float
-    residual: float
-    path: float
-    minimum: float
-    drift: float
-    slopes: Mapping[str, float]
-    latency: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Mapped(Solution):
-    """A solution that was read from an atlas; `query` says how."""
-
-    query: Query
-
-    @classmethod
-    def deferred(cls, objective: float, query: Query, make: Callable[[], Solution]) -> Mapped:
-        """One of which no more is made than J and `query` before it is looked at: in a sweep it seldom is."""
-        found = object.__new__(cls)
-        found.__dict__.update(objective=objective, query=query, _make=make)
-        return found
-
-
-class _Made:
-    """A field of a `Mapped` that is made, with all others, when it is first looked at."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __get__(self, found: Mapped | None, of: type) -> Any:
-        if found is None or (make := found.__dict__.get("_make")) is None:
-            raise AttributeError(self._name)
-        found.__dict__.update({**make().__dict__, "query": found.query})
-        return found.__dict__[self._name]
-
-
-for _field in fields(Solution):  # an instance's own come before these
-    setattr(Mapped, _field.name, _Made(_field.name))
-
-
-@dataclass(slots=True)
-class _Offer:
-    """What a cell of one sheet gives at the point: unknowns (None where there are none to polish) and J, canonical.
-
-    Where it was `polished`, and is an answer, J is that.
-    """
-
-    charted: Charted
-    number: int
-    y: Vector | None
-    cost: float
-    cell: Vector
-    breaks: bool = False  # the path: all over the cell
-    polished: Polished | None = None
-
-    @property
-    def label(self) -> str:
-        return self.charted.labels[self.number]
-
-    @property
-    def vouches(self) -> bool:
-        """Whether it is made of arcs and keeps the path, as far as is known."""
-        known = self.y is not None if self.polished is None else bool(self.polished.answers[0])
-        return self.charted.of_arcs and not self.breaks and known
-
-    @property
-    def beyond(self) -> list[tuple[str, str]]:
-        """Names of what lies beyond a bound, each with the side."""
-        assert self.polished is not None
-        bounds = self.charted.borders.bounds
-        return [bounds[i] for i in np.nonzero(self.polished.beyond[0])[0].tolist()]
-
-    @property
-    def why(self) -> str:
-        """Why it is no answer, and casts doubt on others."""
-        polished, sheet = self.polished, f"the sheet '{self.label}'"
-        if polished is not None and (beyond := self.beyond):
-            name, side = beyond[0]
-            return f"an extremal of {sheet} lies beyond the {side} bound of {name}, and one held there may be better"
-        if polished is not None and polished.gains[0]:
-            return f"an extremal of {sheet} would gain by leaving what it holds, and what it would become is not known"
-        if self.breaks or (polished is not None and polished.breaking[0]):
-            return f"an extremal of {sheet} breaks a condition, and a flight that keeps it may be better than is known"
-        if polished is None:
-            return f"{sheet} ends in this cell"
-        if not polished.reached[0]:
-            return f"Newton's method leads to no extremal of {sheet} from what its cell gives"
-        if polished.flown.good[0]:
-            return f"the extremal of {sheet} is known to {polished.bound[0]:.1e} alone (relative; limit {SLACK:g})"
-        return f"the second flight does not bear out the extremal of {sheet}: {polished.flown.told}"
-
-
-def _unanswered(
-    best: _Offer | None, alike: Sequence[_Offer], breaking: Sequence[_Offer], offers: Sequence[_Offer]
-) -> list[_Offer]:
-    """Extremals that break the path, and of which no answer of arcs is what becomes of them where they keep it.
-
-    Each well has one extremal of each chart at most, and one of arcs that keeps the path, of which there are as many.
-    """
-    if best is None or not any(one.charted.of_arcs for one in alike):
-        return [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
-    arcs = Counter(id(one.charted) for one in offers if one.vouches)
-    better = [one for one in breaking if one.cost < best.cost and not one.charted.breaks_controls_alone]
-    wells = arcs + Counter(id(one.charted) for one in better)
-    return [one for one in better if wells[id(one.charted)] > arcs.total()]
 
 
 class Atlas(Reader):
@@ -203,7 +61,7 @@ class Atlas(Reader):
         began = time.perf_counter()
         at = self._point(values)
         offers = self._offers(at)
-        tried, doubts, breaking, outside, gaining = (list[_Offer]() for _ in range(5))
+        tried, doubts, breaking, outside, gaining = (list[Offer]() for _ in range(5))
         best = None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
@@ -231,7 +89,7 @@ class Atlas(Reader):
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        unanswered = _unanswered(best, alike, breaking, offers)
+        unanswered = unanswered_of(best, alike, breaking, offers)
         turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
         doubts += self._become(at, best, turns, [], tried)
         unanswered += self._become(at, best, [], breaking if self.descents.names else [], tried)
@@ -291,11 +149,11 @@ class Atlas(Reader):
             )  # fmt: skip
         return at
 
-    def _offers(self, at: Vector) -> list[_Offer]:
+    def _offers(self, at: Vector) -> list[Offer]:
         """What the cells in which a point lies give of sheets that can be answers, the least J first."""
         place = self.region.brick_of(at)
         low, high = self.region.box(place)
-        inside, offers = (at - low) / (high - low) * WHOLE, list[_Offer]()
+        inside, offers = (at - low) / (high - low) * WHOLE, list[Offer]()
         where, part = inside.tolist(), (high - low) / (self.region.high - self.region.low) / WHOLE
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
@@ -307,25 +165,25 @@ class Atlas(Reader):
                     given = brick.given(cell, inside, (high - low) / WHOLE / charted.chart.scale)
                     y, missed = charted.at_bounds(sheet, (at / charted.chart.scale)[None], given[None, :-1])
                     cost = -np.inf if missed[0] else float(given[-1])  # then it is polished in any case
-                    offers.append(_Offer(charted, sheet, y[0], cost, size * part))
+                    offers.append(Offer(charted, sheet, y[0], cost, size * part))
                 elif brick.status[cell] == Status.BREAKS:
                     step = (high - low) / WHOLE / charted.chart.scale
                     y, least = brick.given(cell, inside, step)[:-1], brick.least(cell, inside, step)
-                    offers.append(_Offer(charted, sheet, y, least, low, breaks=True))
+                    offers.append(Offer(charted, sheet, y, least, low, breaks=True))
                 elif brick.status[cell] == Status.ENDS:
                     least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
-                    offers.append(_Offer(charted, sheet, None, least, low))
+                    offers.append(Offer(charted, sheet, None, least, low))
         return sorted(offers, key=lambda offer: offer.cost)
 
     def _become(
-        self, at: Vector, best: _Offer | None, turns: Sequence[_Offer], breaking: Sequence[_Offer], tried: list[_Offer]
-    ) -> list[_Offer]:
+        self, at: Vector, best: Offer | None, turns: Sequence[Offer], breaking: Sequence[Offer], tried: list[Offer]
+    ) -> list[Offer]:
         """Those of the extremals that are no answers which cast doubt.
 
         What lies beyond a bound, or gains by leaving one, and what breaks the path becomes another where it keeps all
         of that. If it is one that is known or worse than that it is no matter; if it is better it joins what is tried.
         """
-        doubts = list[_Offer]()
+        doubts = list[Offer]()
         breaking = [one for one in breaking if best is None or one.cost < best.cost]
         breaking = [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
         if not (turns or breaking):
@@ -337,14 +195,14 @@ class Atlas(Reader):
                 doubts.append(one)
         return doubts
 
-    def _unanswered(self, at: Vector, best: _Offer | None, doubts: list[_Offer], tried: list[_Offer]) -> list[_Offer]:
+    def _unanswered(self, at: Vector, best: Offer | None, doubts: list[Offer], tried: list[Offer]) -> list[Offer]:
         """Those of the extremals which cast doubt where J has been looked at all over what lies between bounds."""
         if not doubts or best is None or not self.descents.alone:
             return doubts
         better = self.descents.all_over(at[None], self.begins(at[None]), self._known(best, -1))
         return [] if self._settled(at, better, best, doubts[0], tried) else doubts
 
-    def _settled(self, at: Vector, becomes: Known, best: _Offer | None, one: _Offer, tried: list[_Offer]) -> bool:
+    def _settled(self, at: Vector, becomes: Known, best: Offer | None, one: Offer, tried: list[Offer]) -> bool:
         """Whether what something becomes is known and no matter, or joins what is tried; else `one` has its J."""
         if (number := int(becomes.chart[0])) < 0:
             return False
@@ -354,10 +212,10 @@ class Atlas(Reader):
             if not polished.answers[0]:
                 one.cost = float(becomes.cost[0])
                 return False
-            tried.append(_Offer(charted, other, y[0], float(polished.cost[0]), one.cell, polished=polished))
+            tried.append(Offer(charted, other, y[0], float(polished.cost[0]), one.cell, polished=polished))
         return True
 
-    def _known(self, one: _Offer | None, sheet: int) -> Known:
+    def _known(self, one: Offer | None, sheet: int) -> Known:
         """An extremal as what follows them knows it."""
         known = Known.none(self.charted, 1)
         if one is not None:
@@ -368,7 +226,7 @@ class Atlas(Reader):
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
-    def _answer(self, at: Vector, best: _Offer, tried: list[_Offer], offers: list[_Offer], began: float) -> Mapped:
+    def _answer(self, at: Vector, best: Offer, tried: list[Offer], offers: list[Offer], began: float) -> Mapped:
         polished = best.polished
         assert polished is not None
         values = dict(zip(self.region.names, at.tolist(), strict=True))
@@ -398,7 +256,7 @@ class Atlas(Reader):
         )
         return Mapped.deferred(best.cost * problem.objective_size, query, solution)
 
-    def _nothing(self, at: Vector, doubt: _Offer | None) -> PeriluneError:
+    def _nothing(self, at: Vector, doubt: Offer | None) -> PeriluneError:
         """Why there is no answer at a point of the region."""
         values = dict(zip(self.region.names, at.tolist(), strict=True))
         refuse_impossible(preflight(self.problem.with_given(**values)))

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.lines import refuse_no_sample, told_of_damage
-from perilune.atlas.query import Atlas, Mapped, open_atlas
+from perilune.atlas.mapped import Mapped
+from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import MANIFEST, Store

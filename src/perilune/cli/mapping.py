@@ -17,7 +17,8 @@ from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity, told
 
 if TYPE_CHECKING:
-    from perilune.atlas.query import Atlas, Query
+    from perilune.atlas.mapped import Query
+    from perilune.atlas.query import Atlas
     from perilune.problem.problem import Problem
 
 

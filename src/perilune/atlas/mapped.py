@@ -1,0 +1,80 @@
+"""An answer that was read from an atlas: a solution that is made when it is looked at, and how it was read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from perilune.problem.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Query:
+    """How an answer was read.
+
+    Parameters
+    ----------
+    sheet
+        Label of the sheet.
+    met
+        Labels of all sheets that reach the point, by what they give for J, best first.
+    cell
+        Size of the answer's cell along each axis, as a share of the region.
+    guess_error
+        By how much what the cell gives is wrong, relative.
+    steps
+        Of Newton's method.
+    error_bound
+        How far the unknowns can be from those of the extremal, relative; see `perilune.atlas.polish`.
+    residual, path, minimum, drift
+        What the second flight shows (`perilune.atlas.reflight.Reflown`), canonical.
+    slopes
+        dJ/dp of each axis [SI].
+    latency
+        Time that it took [s].
+    """
+
+    sheet: str
+    met: tuple[str, ...]
+    cell: tuple[float, ...]
+    guess_error: float
+    steps: int
+    error_bound: float
+    residual: float
+    path: float
+    minimum: float
+    drift: float
+    slopes: Mapping[str, float]
+    latency: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Mapped(Solution):
+    """A solution that was read from an atlas; `query` says how."""
+
+    query: Query
+
+    @classmethod
+    def deferred(cls, objective: float, query: Query, make: Callable[[], Solution]) -> Mapped:
+        """One of which no more is made than J and `query` before it is looked at: in a sweep it seldom is."""
+        found = object.__new__(cls)
+        found.__dict__.update(objective=objective, query=query, _make=make)
+        return found
+
+
+class _Made:
+    """A field of a `Mapped` that is made, with all others, when it is first looked at."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, found: Mapped | None, of: type) -> Any:
+        if found is None or (make := found.__dict__.get("_make")) is None:
+            raise AttributeError(self._name)
+        found.__dict__.update({**make().__dict__, "query": found.query})
+        return found.__dict__[self._name]
+
+
+for _field in fields(Solution):  # an instance's own come before these
+    setattr(Mapped, _field.name, _Made(_field.name))
