@@ -141,7 +141,7 @@ class Answering:
                 return near, "neighbour", words
             watch = _shortly(watch, _LOOK)  # a family that ends here: from nothing there may be another
         try:
-            found = solve(problem, level=0, watch=watch)
+            found = solved_from_nothing(problem, watch)
         except _TooLong:
             what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
             raise NoneNear(what, advice=advice) from None
@@ -219,6 +219,20 @@ class Answering:
         except PeriluneError:
             return None
         return found if keeps(found) else None
+
+
+def solved_from_nothing(problem: Problem, watch: Watch) -> Solution:
+    """What is found without a flight that is near; it is not proved, so that it has to keep the path.
+
+    Raises
+    ------
+    PeriluneError
+        If nothing is found, or only what breaks the path, as an answer of arcs may where none rides along it.
+    """
+    found = solve(problem, level=0, watch=watch)
+    if not keeps(found):
+        raise NotConvergedError("the only flight that was found breaks a bound or a condition along its path")
+    return found
 
 
 def keeps(solution: Solution) -> bool:
