@@ -186,9 +186,10 @@ class Answering:
         return self._stepped(problem, last, watch, end - time.monotonic()), 1
 
     def _between(self, begin: Mapping[str, Given], problem: Problem, share: float) -> Problem:
+        if share == 1.0:
+            return problem
         ways = {name: (begin[name].value, given.value) for name, given in problem.given.items()}
-        moved = {name: a + share * (b - a) for name, (a, b) in ways.items() if a != b}
-        return problem if share == 1.0 else problem.with_given(**moved)
+        return problem.with_given(**{name: a + share * (b - a) for name, (a, b) in ways.items() if a != b})
 
     def _stepped(self, problem: Problem, last: Solution, watch: Watch, limit: float) -> Solution | None:
         """What a flight leads to within so many seconds, if that keeps the path.

@@ -250,7 +250,7 @@ class _Work:
         best: Vector,
         of_arcs: NDArray[np.bool_],
     ) -> Vector:
-        """The least J of what breaks the path and is not answered, lane by lane (`perilune.atlas.query`), or inf."""
+        """The least J of what breaks the path and is not answered, lane by lane (`offers.unanswered_of`), or inf."""
         told = [one for one in breaking if not one[0].breaks_controls_alone]
         wells, total = {chart: known.copy() for chart, known in arcs.items()}, sum(arcs.values(), np.zeros_like(best))
         doubt = np.full(len(best), np.inf)
