@@ -239,7 +239,8 @@ def _simplify(program: Program) -> Program:
     return _live(Program(*with_tables(tuple(numbering.instructions), tuple(place[i] for i in program.outputs))))
 
 
-def _operands(instruction: Instruction) -> tuple[int, ...]:
+def operands(instruction: Instruction) -> tuple[int, ...]:
+    """Return the values that an instruction is computed from."""
     return () if instruction[0] in PLAIN else instruction[1:]
 
 
@@ -247,14 +248,14 @@ def _live(program: Program) -> Program:
     needed = set(program.outputs)
     for number in range(len(program.instructions) - 1, -1, -1):
         if number in needed:
-            needed.update(_operands(program.instructions[number]))
+            needed.update(operands(program.instructions[number]))
     place: dict[int, int] = {}
     kept: list[Instruction] = []
     for number, instruction in enumerate(program.instructions):
         if number in needed:
             place[number] = len(kept)
-            operands = _operands(instruction)
-            kept.append((instruction[0], *(place[i] for i in operands)) if operands else instruction)
+            used = operands(instruction)
+            kept.append((instruction[0], *(place[i] for i in used)) if used else instruction)
     return Program(tuple(kept), tuple(place[i] for i in program.outputs))
 
 
@@ -269,16 +270,16 @@ def hoist(program: Program, argument: int) -> tuple[Program, Program]:
     """
     alone: list[bool] = []
     for instruction in program.instructions:
-        operands = _operands(instruction)
         if instruction[0] == "input":
             alone.append(instruction[1] == argument)
         else:
-            plain = all(alone[i] or program.instructions[i][0] in ("const", "table") for i in operands)
-            alone.append(plain and any(alone[i] for i in operands))
+            of = operands(instruction)
+            plain = all(alone[i] or program.instructions[i][0] in ("const", "table") for i in of)
+            alone.append(plain and any(alone[i] for i in of))
     used = set(program.outputs)
     for number, instruction in enumerate(program.instructions):
         if not alone[number]:
-            used.update(_operands(instruction))
+            used.update(operands(instruction))
     handed = [number for number in sorted(used) if alone[number]]
     before = _live(Program(program.instructions, tuple(handed)))
     position = {number: k for k, number in enumerate(handed)}

@@ -1,14 +1,15 @@
 """A straight-line program as a function of machine code, one lane per trajectory.
 
 Each value of the program is one LLVM instruction on a vector of lanes; the arguments and the result are
-buffers of vectors. LLVM chooses registers and order.
+buffers of vectors. LLVM chooses registers and order. A long program is several functions, called one after another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence, Set
 
-from perilune.kernels.algebra.program import Program
+from perilune.kernels.algebra.pieces import HELD, Piece, pieces
+from perilune.kernels.algebra.program import Instruction, Program
 from perilune.kernels.code import vecmath
 from perilune.kernels.code.ir import NUM, Bits, Mask, Num, Ptr, Vec, Writer
 
@@ -34,18 +35,34 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *,
     cleared
         Whether the result is handed over as zeros: those of a sparse matrix, most of it, are then not written.
     """
-    w = Writer(width)
-    fetch = _inputs(w, program)
     zero = ("const", (0.0).hex())
+    left = {index for index, n in enumerate(program.outputs) if cleared and program.instructions[n] == zero}
+    parts, held = pieces(program)
+    if len(parts) == 1:
+        return _function(name, parts[0], [*arguments], width, left)
+    w, taken = Writer(width), [*arguments]
+    passed = ", ".join(f"ptr {x}" for x in (*map(_argument, taken), w.buffer(held), "%out"))
+    functions = list[str]()
+    for number, part in enumerate(parts):
+        functions.append(_function(f"{name}.{number}", part, [*taken, HELD], width, left))
+        w.run(f"call void @{name}.{number}({passed})")
+    return "\n".join([*functions, _defined(name, taken, w)])
+
+
+def _function(name: str, piece: Piece, arguments: list[int], width: int, left: Set[int]) -> str:
+    """Write a piece; `left` are the entries of the result that it does not write."""
+    w = Writer(width)
+    fetch = _inputs(w, piece.instructions)
     names: dict[int, Vec] = {}
     tables: dict[int, Ptr[Num]] = {}
     found: dict[tuple[int, int], Bits] = {}  # places of values among knots
-    result = Ptr("%out", w.vector)
-    places: dict[int, list[int]] = {}
-    for index, number in enumerate(program.outputs):
-        if not (cleared and program.instructions[number] == zero):
-            places.setdefault(number, []).append(index)
-    for number, (op, *operands) in enumerate(program.instructions):
+    places: dict[int, list[tuple[str, int]]] = {}
+    for index, number in piece.results.items():
+        if index not in left:
+            places.setdefault(number, []).append(("%out", index))
+    for index, number in piece.kept.items():
+        places.setdefault(number, []).append((_argument(HELD), index))
+    for number, (op, *operands) in enumerate(piece.instructions):
         if op == "const":
             names[number] = w.const(float.fromhex(operands[0]))
         elif op == "table":
@@ -53,23 +70,30 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *,
         elif op == "read":
             x, knots, values = operands
             if (x, knots) not in found:
-                numbers = map(float.fromhex, program.instructions[knots][1])
+                numbers = map(float.fromhex, piece.instructions[knots][1])
                 found[x, knots] = w.place(names.get(x) or fetch(x, number), numbers)
             names[number] = w.read(tables[values], found[x, knots])
         elif op != "input":
             names[number] = operation(w, op, *(names.get(i) or fetch(i, number) for i in operands))
-        for index in places.get(number, ()):
-            w.store(names.get(number) or fetch(number, number), result, index)
-    pointers = ", ".join(f"ptr noalias nocapture readonly align 8 %in{i}" for i in arguments)
-    constants = [w.constant(at, map(float.fromhex, program.instructions[n][1])) for n, at in tables.items()]
-    return "".join(constants) + (
-        f"define internal void @{name}({pointers}, "
-        f"ptr noalias nocapture writeonly align 8 %out) nounwind alignstack({max(16, 8 * width)}) {{\n"
-        f"{w.body()}\n  ret void\n}}\n"
-    )
+        for pointer, index in places.get(number, ()):
+            w.store(names.get(number) or fetch(number, number), Ptr(pointer, w.vector), index)
+    constants = [w.constant(at, map(float.fromhex, piece.instructions[n][1])) for n, at in tables.items()]
+    return "".join([*constants, _defined(name, arguments, w)])
 
 
-def _inputs(w: Writer, program: Program) -> Callable[[int, int], Vec]:
+def _defined(name: str, arguments: list[int], w: Writer) -> str:
+    """A function of a body, its buffers apart from each other but for what is held, which is read and written."""
+    pointers = [f"ptr noalias nocapture {'' if i == HELD else 'readonly '}align 8 {_argument(i)}" for i in arguments]
+    result = "ptr noalias nocapture writeonly align 8 %out"
+    head = f"define internal void @{name}({', '.join([*pointers, result])})"
+    return f"{head} nounwind alignstack({max(16, 8 * w.width)}) {{\n{w.body()}\n  ret void\n}}\n"
+
+
+def _argument(number: int) -> str:
+    return "%held" if number == HELD else f"%in{number}"
+
+
+def _inputs(w: Writer, instructions: Sequence[Instruction]) -> Callable[[int, int], Vec]:
     """Return (input, where it is used) -> its value, read again unless it was read a moment ago.
 
     A large field has more inputs than a processor has registers. Left to itself LLVM reads each once and moves
@@ -80,8 +104,8 @@ def _inputs(w: Writer, program: Program) -> Callable[[int, int], Vec]:
 
     def fetch(number: int, at: int) -> Vec:
         if number not in read or at - read[number][1] > _RECENT:
-            _, argument, index = program.instructions[number]
-            value = w.load(Ptr(f"%in{argument}", w.vector), index, volatile=True)
+            _, argument, index = instructions[number]
+            value = w.load(Ptr(_argument(argument), w.vector), index, volatile=True)
         else:
             value = read[number][0]
         read[number] = value, at

@@ -1,0 +1,65 @@
+"""Long programs in pieces: the same numbers, whatever the pieces hand on."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from perilune.kernels import compile_arcs, compile_map
+from perilune.kernels.algebra import pieces as dividing
+from perilune.kernels.algebra.pieces import pieces
+from perilune.kernels.algebra.program import trace
+
+X = ca.SX.sym("x", 5)
+
+
+def tangled() -> ca.Function:
+    """Values of all ages: each operation takes two of those before, far and near."""
+    values = [*ca.vertsplit(X), ca.SX(0.5), ca.pw_lin(X[0], ca.DM([-1, 0, 2]), ca.DM([1, -1, 3]))]
+    rng = np.random.default_rng(5)
+    for k in range(60):
+        a, b = (values[int(i)] for i in rng.integers(len(values), size=2))
+        values.append((ca.sin(a) + b, a * b, a - 2 * b, ca.fmin(a, ca.cos(b)))[k % 4])
+    return ca.Function("tangled", [X], [ca.vertcat(*values[::3], X[1], 0, values[-1])])
+
+
+@pytest.mark.parametrize("most", [1, 3, 10, 1000])
+def test_pieces_compute_what_the_whole_does(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dividing, "MOST", most)
+    function = tangled()
+    points = np.random.default_rng(1).normal(size=(9, 5))
+    (found,) = compile_map(function, cache=False)(points)
+    expected = np.array([np.asarray(function(x)).ravel() for x in points])
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
+
+
+def test_arcs_fly_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    z, p = ca.SX.sym("z", 4), ca.SX.sym("p", 2)
+    rates = ca.vertcat(z[2:], -p[0] * z[:2] / ca.norm_2(z[:2]) ** 3 + p[1] * ca.sin(z[2:]))
+    rhs = ca.Function("rhs", [z, p], [rates])
+    start, given, seeds = [[1.0, 0.1, 0.0, 1.1]], [[1.0, 1e-2]], np.eye(4)[None]
+    ends = []
+    for most in (1000, 6):
+        monkeypatch.setattr(dividing, "MOST", most)
+        ends.append(compile_arcs(rhs, columns=4, cache=False).propagate(start, given, [3.0], seeds))
+    whole, divided = ends
+    np.testing.assert_allclose(divided.z, whole.z, rtol=1e-10)
+    np.testing.assert_allclose(divided.columns, whole.columns, rtol=1e-8, atol=1e-9)
+
+
+def test_a_place_that_a_piece_writes_is_none_that_it_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dividing, "MOST", 4)
+    parts, held = pieces(trace(tangled()))
+    assert len(parts) > 10
+    for part in parts:
+        read = {one[2] for one in part.instructions if one[:2] == ("input", dividing.HELD)}
+        assert not read & set(part.kept)
+        assert {*read, *part.kept} <= set(range(held))
+    assert held < sum(len(part.kept) for part in parts), "places are used again"
+
+
+def test_a_short_program_is_one_piece() -> None:
+    program = trace(tangled())
+    (part,), held = pieces(program)
+    assert (held, part.kept) == (0, {})
+    assert len(part.instructions) == len(program.instructions)
+    assert sorted(part.results) == list(range(len(program.outputs)))
