@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from perilune.methods.breaches import breaches_of
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.bodies import Body
@@ -329,7 +330,11 @@ def test_a_bound_of_the_throttle_is_a_parameter() -> None:
     changed = Indirect().run(approach(wide).with_given(throttle_upper=0.7))
     assert changed.objective == pytest.approx(stated.objective, abs=1e-6)
     assert changed.trajectories[0].control.values[:, 3].max() == pytest.approx(0.7, abs=1e-9)
-    assert Indirect().run(approach(wide)).objective < stated.objective - 0.1
+    full = Indirect().run(approach(wide))
+    assert full.objective < stated.objective - 0.1
+    assert not list(breaches_of(full, 1e-8)) and not list(breaches_of(changed, 1e-8))
+    (breach,) = breaches_of(replace(full, problem=changed.problem), 1e-8)
+    assert breach.text == "throttle rises to 0.9, above its bound of 0.7"
 
 
 def reflown(problem: Problem, solution: Solution, x0: np.ndarray) -> np.ndarray:

@@ -559,10 +559,3 @@ def test_a_neighbour_that_breaks_a_condition_is_not_shown() -> None:
         answering.at({"site_longitude": math.radians(9.0)})
     near = solve(answering.problem_at({"site_longitude": math.radians(9.0)}), guess=answering.last, level=0)
     assert not keeps(near)
-
-
-def test_what_is_found_from_nothing_and_breaks_the_path_is_no_answer() -> None:
-    """Arcs ride along one bound of the steering and break it elsewhere, by 127 deg: a page in a file said nothing."""
-    problem = load_file(ROOT / "examples" / "polar_descent.toml").problem
-    with pytest.raises(PeriluneError, match="breaks a bound or a condition along its path"):
-        Answering(problem.with_given(vehicle_mass=11500.0)).at({"vehicle_mass": 11500.0})

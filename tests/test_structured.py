@@ -133,6 +133,29 @@ def test_a_precision_landing_touches_its_glide_slope(degrees: float) -> None:
     assert again.extremals[0].nature.value == "an extremal near the guess"
 
 
+def test_arcs_that_break_a_bound_of_the_control_are_no_answer() -> None:
+    """A light lander brakes backwards at first, out of bounds of an angle that no law can hold: by 117 deg, and said.
+
+    Its steering between the bounds chatters the more the finer a mesh is, so that nothing of few arcs is best.
+    """
+    problem = load_file("examples/polar_descent.toml", ("vehicle.mass=12375 kg",)).problem
+    with pytest.raises(pl.NotConvergedError, match="every extremal breaks a condition") as caught:
+        pl.solve(problem)
+    said = "structure free and touches height_above_site, free: an extremal, but azimuth_above_lower falls to -117.061"
+    assert caught.value.partial["tried"][-1].startswith(said)
+
+
+def test_arcs_keep_a_bound_of_the_control_that_a_law_can_hold(tmp_path: Path) -> None:
+    """The elevation of the same lander, whose azimuth is free: on its bound before the ground is touched."""
+    lines = [line for line in Path("examples/polar_descent.toml").read_text().splitlines() if "azimuth" not in line]
+    (tmp_path / "free.toml").write_text("\n".join(lines))
+    bounds = ("vehicle.mass=12375 kg", "steering.elevation_lower=-46 deg")
+    solution = pl.solve(load_file(str(tmp_path / "free.toml"), bounds).problem, level=1)
+    words = [arc.words for arc in solution.structure]
+    assert words == ["along elevation above lower", "height above site touched"]
+    assert solution.outcome is pl.Outcome.PROVED
+
+
 def jumped(solution: Solution, amount: float) -> Solution:
     """The costate of x after its jump raised by a share of the jump, as if the touch held the flight back more."""
     flown = solution.trajectories[0]

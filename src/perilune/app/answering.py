@@ -11,9 +11,8 @@ import numpy as np
 from perilune.atlas.mapped import Mapped
 from perilune.atlas.query import Atlas
 from perilune.conditions.canonical import extremal_parameters
-from perilune.io.columns import seen_at
 from perilune.methods.answer import Curves
-from perilune.methods.breaches import breaches_along
+from perilune.methods.breaches import breaches_of
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Given
@@ -28,7 +27,6 @@ _FOLLOW = 20.0  # s from the flight before, which takes no more where it leads a
 _PATIENT = 1.0, 4.0  # s for one step of it at least; times what the step before took
 _SMALLEST = 1 / 16  # of the way: a step that is not halved again
 _LOOK = 0.5  # s from nothing, where a neighbour leads nowhere
-_SEEN = 201  # times of a phase, at which its conditions are looked at
 _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far below what anybody sees of it
 
 
@@ -141,7 +139,7 @@ class Answering:
                 return near, "neighbour", words
             watch = _shortly(watch, _LOOK)  # a family that ends here: from nothing there may be another
         try:
-            found = solved_from_nothing(problem, watch)
+            found = solve(problem, level=0, watch=watch)
         except _TooLong:
             what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
             raise NoneNear(what, advice=advice) from None
@@ -222,28 +220,9 @@ class Answering:
         return found if keeps(found) else None
 
 
-def solved_from_nothing(problem: Problem, watch: Watch) -> Solution:
-    """What is found without a flight that is near; it is not proved, so that it has to keep the path.
-
-    Raises
-    ------
-    PeriluneError
-        If nothing is found, or only what breaks the path, as an answer of arcs may where none rides along it.
-    """
-    found = solve(problem, level=0, watch=watch)
-    if not keeps(found):
-        raise NotConvergedError("the only flight that was found breaks a bound or a condition along its path")
-    return found
-
-
 def keeps(solution: Solution) -> bool:
     """Whether a flight keeps the bounds and conditions along its path: what is near a flight that does need not."""
-    problem, p = solution.problem, solution.parameters
-    for k, (phase, trajectory) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
-        t = seen_at(trajectory, _SEEN)
-        if any(breaches_along(problem, phase, *solution.flown(k, t), p, _SLACK)):
-            return False
-    return True
+    return next(breaches_of(solution, _SLACK), None) is None
 
 
 class _TooLong(BaseException):

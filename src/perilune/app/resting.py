@@ -10,12 +10,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from perilune.app.answering import family, solved_from_nothing
+from perilune.app.answering import family
 from perilune.app.frames import proof
 from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.solve import prove
+from perilune.solve import prove, solve
 from perilune.words.units import told
 from perilune.words.watch import Watch
 
@@ -53,7 +53,7 @@ def compared(followed: Solution, watch: Watch) -> Compared:
     PeriluneError
         If nothing is found from nothing.
     """
-    found = solved_from_nothing(followed.problem, watch)
+    found = solve(followed.problem, level=0, watch=watch)
     room, best = _SAME * (1.0 + abs(found.objective)), found.extremals
     own = replace(followed.extremals[0], nature=followed.extremals[0].nature.unguided)
     if found.objective < followed.objective - room:
@@ -76,7 +76,7 @@ def from_nothing(problem: Problem, watch: Watch) -> Compared:
     PeriluneError
         If there is none.
     """
-    found = solved_from_nothing(problem, watch)
+    found = solve(problem, level=0, watch=watch)
     words = f"found from nothing, where none is near; best of {len(found.extremals)} found"
     return Compared(solution=found, jumped=True, words=words, family=family(found))
 

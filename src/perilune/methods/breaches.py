@@ -1,4 +1,4 @@
-"""What a flight breaks on its way: bounds of states and free parameters, and conditions of the path."""
+"""What a flight breaks on its way: bounds of states, controls and free parameters, and conditions of the path."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from perilune.problem.controls import Bounded, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
 from perilune.problem.variables import Free, Variable
+from perilune.structures.read import of_states
+from perilune.structures.structure import Structure, conditions_of, margins, moved_by
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import told
+
+_LOOKS = 201  # times of a phase, beside the nodes of its tables
+_BROKEN = 1e-8  # canonical, of tables: what is broken by less the proof may judge, which flies them again
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +46,33 @@ class Breach:
     path: bool = False
 
 
+def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
+    """What the control of an extremal of arcs breaks that its law does not keep to; looked at where there may be any.
+
+    Such are conditions of the path that the law cannot hold, and the bounds of a scalar that keeps what is ridden.
+    """
+    problem = whole.problem
+    for k, (phase, arcs) in enumerate(zip(problem.phases, structure.phases, strict=True)):
+        bounded = {c.name for _, c in scalars(phase.controls) if np.isfinite(c.limits(whole.parameters)).any()}
+        ridden = conditions_of(problem, k, [name for arc in arcs for name in arc.along]).values()
+        steered = len(margins(problem, k)) > len(of_states(problem, k))
+        if steered or any(bounded & moved_by(condition) for condition in ridden):
+            return next(breaches_of(whole, _BROKEN), None)
+    return None
+
+
+def breaches_of(solution: Solution, slack: float) -> Iterator[Breach]:
+    """What a solution breaks on its way by more than a slack [canonical], by its tables; bounds of its control too."""
+    problem, p = solution.problem, solution.parameters
+    for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
+        nodes = (flown.state.time, flown.control.time)
+        t = np.unique(np.concatenate([*nodes, np.linspace(0.0, flown.duration, _LOOKS)]))
+        x, u = solution.flown(k, t)
+        yield from breaches_along(problem, phase, x, u, p, slack)
+        for at, control in scalars(phase.controls):
+            yield from outside(problem, control, u[at], control.limits(p), slack)
+
+
 def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any, slack: float) -> Iterator[Breach]:
     """What is broken by more than a slack [canonical] where states and controls of a phase were looked at."""
     for state, along in zip(phase.states, x, strict=True):
@@ -52,7 +86,7 @@ def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any,
 
 
 def outside(
-    problem: Problem, named: Variable | Free, values: Vector, limits: tuple[float, float], slack: float
+    problem: Problem, named: Variable | Free | Bounded, values: Vector, limits: tuple[float, float], slack: float
 ) -> Iterator[Breach]:
     """Values beyond their bounds. What is no number lies within none, not even where there are none."""
     (lower, upper), name, unit, scale = limits, named.name, named.unit, problem.size_of(named)
@@ -64,7 +98,7 @@ def outside(
             yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale)
 
 
-def _called(named: Variable | Free) -> str:
+def _called(named: Variable | Free | Bounded) -> str:
     """The name of a quantity, with what it is where that is said."""
     about = getattr(named, "description", "")
     return f"{named.name} ({about})" if about else named.name

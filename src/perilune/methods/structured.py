@@ -11,6 +11,9 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
   all along, the condition is touched where the arc begins and ends;
 - an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
 - a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
+
+Bounds and conditions of the control the law of each arc keeps by itself, as far as it can hold them; an extremal that
+breaks one is no answer.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from itertools import pairwise
 import numpy as np
 
 from perilune.methods.answer import Curves
+from perilune.methods.breaches import broken_by_control
 from perilune.methods.flown import Aloft
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
@@ -149,8 +153,7 @@ class Polish:
         """From the first structure that an answer has to the one that its extremal keeps to."""
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
             if structure.count > MOST_ARCS:
-                line = f"structure of more than {MOST_ARCS} arcs: not tried"
-                self.tried += [] if line in self.tried else [line]
+                self._say(f"structure of more than {MOST_ARCS} arcs: not tried")
                 return None
             seen.add(structure.text)
             self.watch(f"structure: {structure.text}")
@@ -164,7 +167,6 @@ class Polish:
             except PeriluneError as error:
                 self.tried.append(f"structure {structure.text}: {error.what}")
                 return None
-            self.tried.append(f"structure {structure.text}: an extremal of another one")
             rough, structure = whole, revised
         return None
 
@@ -176,9 +178,17 @@ class Polish:
         # A neighbour has the arcs of its guess.
         revised = kept if is_neighbour(self.problem) else self._revised(kept, solved, whole)
         if revised is not kept:
+            self._say(f"structure {structure.text}: an extremal of another one")
             return None, revised
+        if not is_neighbour(self.problem) and (breach := broken_by_control(kept, whole)) is not None:
+            self._say(f"structure {structure.text}: an extremal, but {breach.text}")
+            return None, None
         self.tried.append(f"structure {structure.text}: an extremal")
         return self._composed(whole), None
+
+    def _say(self, line: str) -> None:
+        """A line of what was tried, once."""
+        self.tried += [] if line in self.tried else [line]
 
     def _best_along_families(self, first: Solution) -> Solution:
         """The best of an answer and of those to which families along parameters between bounds lead, with its arcs.
