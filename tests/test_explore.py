@@ -533,6 +533,22 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
     assert found.solution.objective == pytest.approx(solve(found.solution.problem, level=0).objective, rel=1e-9)
 
 
+def test_the_last_attempt_is_one_step_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the way in one step; behind it no smaller one leads on, but the whole rest."""
+    answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
+    solve, led = perilune.app.answering.solve, {(440.0, 442.5), (442.5, 450.0)}
+
+    def near(asked: Problem, *, guess: Solution, watch: Watch, level: int) -> Solution:
+        before, thrust = (p.given["vehicle_thrust"].value for p in (guess.problem, asked))
+        if (before, thrust) not in led:
+            raise NotConvergedError("it leads nowhere")
+        return solve(asked, guess=guess, level=level, watch=watch)
+
+    answering.at({})
+    monkeypatch.setattr("perilune.app.answering.solve", near)
+    assert "followed in 2 steps" in answering.at({"vehicle_thrust": 450.0}).words
+
+
 def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_values(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -181,7 +181,7 @@ class Answering:
             if reached == 1.0:
                 return found, steps
             last = found
-        return self._stepped(problem, last, watch, end - time.monotonic()), 1
+        return self._stepped(problem, last, watch, end - time.monotonic()), steps + 1
 
     def _between(self, begin: Mapping[str, Given], problem: Problem, share: float) -> Problem:
         if share == 1.0:
