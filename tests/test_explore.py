@@ -35,10 +35,10 @@ from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError, Problem, Solution
 from perilune.app.answering import Answering, keeps
 from perilune.app.beside import Beside, Dropped, Killed, in_thread
-from perilune.app.client import MESSAGE, Client, asked, hello
-from perilune.app.frames import flight
+from perilune.app.client import MESSAGE, Client, asked
+from perilune.app.files import page_files
+from perilune.app.frames import flight, hello
 from perilune.app.frozen import frozen_page
-from perilune.app.server import page_files
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
 from perilune.io.export import save
@@ -409,8 +409,9 @@ def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:
 
 
 def test_a_page_that_needs_no_server_holds_its_flights(subject: Subject) -> None:
-    page = frozen_page(subject)
+    page, words = frozen_page(subject)
     assert page.count('"type":"flight"') == 225 and "http://" not in page.replace("http://www.w3.org/2000/svg", "")
+    assert words == "a flight at each of 225 points"
 
 
 def test_what_cannot_be_explored_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -427,7 +428,7 @@ def test_a_page_without_an_atlas_jumps_too() -> None:
     """Followed from both ends, so that on either side of 277.867 s the better family is there."""
     subject = subject_of(None)
     knob = next(knob for knob in subject.knobs if knob.name == ISP)
-    page = frozen_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
+    page, _ = frozen_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
     document = json.loads(page.partition('id="frozen">')[2].partition("</script>")[0])
     flights = document["flights"]
     burns = [(flight["values"][ISP], flight["free"]["retro_delta_v"] > 0.0) for flight in flights]
@@ -440,6 +441,7 @@ def test_what_moves_on_a_page_is_chosen_and_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("perilune.app.frozen._BOTH", 3)
+    monkeypatch.setattr("perilune.app.frozen._ALONG", 2)
     file, ask = tmp_path / "page.html", ["explore", str(ROOT / "examples" / "hybrid_lander.toml"), "--html"]
     vary = ["--vary", "vehicle.thrust=429:450 N", "--vary", "retro.specific_impulse=270:290 s"]
     assert obey([*ask, str(file), *vary]) == 0
@@ -450,6 +452,9 @@ def test_what_moves_on_a_page_is_chosen_and_said(
     thrusts = [found["values"]["vehicle_thrust"] for found in flights]
     assert thrusts == [429.0] * 3 + [440.0] * 3 + [450.0] * 3  # that of the scenario is among them
     assert [found["free"]["retro_delta_v"] > 0.0 for found in flights] == [False, True, True] * 3  # the best at each
+    assert obey([*ask, str(tmp_path / "beside.html"), "--vary", "vehicle.thrust=20:430 N"]) == 0
+    words = "a flight at 1 of 2 points; vehicle.thrust as it is stated, 440 N, is none of them"
+    assert words in capsys.readouterr().out and words in (tmp_path / "beside.html").read_text("utf-8")
     for more, words in (
         (["--vary", "vehicle.thrst"], "did you mean 'vehicle.thrust'"),
         ([*vary, "--vary", "vehicle.mass"], "too much moves"),
@@ -461,6 +466,12 @@ def test_what_moves_on_a_page_is_chosen_and_said(
         assert words in capsys.readouterr().err
     assert obey([*ask[:2], "--no-open", *vary]) == 2
     assert "page of --html" in capsys.readouterr().err
+
+
+def test_a_page_that_needs_no_server_is_written_without_one() -> None:
+    """Who only sends pages has no need of its packages."""
+    missing = "import sys; sys.modules.update(dict.fromkeys(['starlette', 'uvicorn', 'websockets']))"
+    subprocess.run([sys.executable, "-c", f"{missing}; import perilune.app.frozen"], check=True)
 
 
 def _light(colour: str) -> float:

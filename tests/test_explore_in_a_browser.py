@@ -30,7 +30,7 @@ def atlas(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def alone(atlas: Path) -> Path:
     """A page in a file, as from a mail."""
     file = atlas.parent / "page.html"
-    file.write_text(frozen_page(subject_of(atlas)), encoding="utf-8")
+    file.write_text(frozen_page(subject_of(atlas)).page, encoding="utf-8")
     return file
 
 

@@ -20,7 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from perilune.app.answering import Answering, Flown, NoneNear, family
 from perilune.app.beside import Beside, Dropped, Killed, in_thread
-from perilune.app.frames import extremals, flight, refusal
+from perilune.app.frames import extremals, flight, hello, refusal
 from perilune.app.resting import compared, from_nothing, proved
 from perilune.app.slices import slice_of
 from perilune.app.subject import Subject
@@ -274,27 +274,6 @@ def in_words(error: Exception) -> PeriluneError:
     return PeriluneError("perilune failed, which is a fault of the program and not yours", got=got)
 
 
-def hello(subject: Subject) -> dict[str, Any]:
-    """What a page has to know before anything is asked."""
-    problem = subject.problem
-    return {
-        "title": subject.title,
-        "kind": problem.name,
-        "mapped": subject.atlas is not None,
-        "scenario": bool(subject.text),
-        "unwritten": subject.unwritten,
-        "maximised": problem.maximised or "",
-        "knobs": [vars(knob) for knob in subject.knobs],
-        "coasts": _coasts() if problem.views.ground is not None and problem.views.ground.coasts else [],
-    }
-
-
-def _coasts() -> list[list[list[float]]]:
-    from perilune.report.ground import coastline
-
-    return [line.round(1).tolist() for line in coastline()]
-
-
 def asked(text: str, subject: Subject) -> dict[str, Any]:
     """A request of a page, looked at: finite numbers of an ordinary size for knobs that there are.
 
@@ -317,7 +296,7 @@ def asked(text: str, subject: Subject) -> dict[str, Any]:
         knob = known[name]
         most = _FAR * max(abs(knob.low), abs(knob.high))
         if not abs(value) <= most:  # nor is what is no number
-            got, expected = (f"{size / knob.size:.6g} {knob.unit}".removesuffix(" 1") for size in (value, most))
+            got, expected = knob.shown(value), knob.shown(most)
             raise PeriluneError(f"{knob.key} is far from its range", got=got, expected=f"at most {expected}")
     return {"number": number, "values": found, "slice": [name for name in axes if name in known and known[name].mapped]}
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.app.subject import Subject
 from perilune.io.columns import columns, seen_at
 from perilune.io.export import extremals_document, solution_document
 from perilune.io.files import finite
@@ -22,6 +23,27 @@ _LEAST = 25  # of a phase, however short it is
 _DIGITS = 6  # significant, more than a screen has
 ALL_DIGITS = 17  # with which a number is read back as it was
 _FLAT = 1e-9  # of its size: what spans less is rounding
+
+
+def hello(subject: Subject) -> dict[str, Any]:
+    """What a page has to know before anything is asked."""
+    problem = subject.problem
+    return {
+        "title": subject.title,
+        "kind": problem.name,
+        "mapped": subject.atlas is not None,
+        "scenario": bool(subject.text),
+        "unwritten": subject.unwritten,
+        "maximised": problem.maximised or "",
+        "knobs": [vars(knob) for knob in subject.knobs],
+        "coasts": _coasts() if problem.views.ground is not None and problem.views.ground.coasts else [],
+    }
+
+
+def _coasts() -> list[list[list[float]]]:
+    from perilune.report.ground import coastline
+
+    return [line.round(1).tolist() for line in coastline()]
 
 
 def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> dict[str, Any]:

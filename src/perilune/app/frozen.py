@@ -6,17 +6,16 @@ import base64
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from perilune.app.answering import Answering, NoneNear
-from perilune.app.client import hello
-from perilune.app.frames import ALL_DIGITS, flight, refusal
+from perilune.app.files import page_files
+from perilune.app.frames import ALL_DIGITS, flight, hello, refusal
 from perilune.app.knobs import Knob
-from perilune.app.server import page_files
 from perilune.app.subject import Subject
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
@@ -41,7 +40,14 @@ def moving(subject: Subject) -> tuple[Knob, ...]:
     return tuple(knob for knob in subject.knobs if knob.mapped)[:2] or subject.knobs[:1]
 
 
-def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] = ()) -> str:
+class Frozen(NamedTuple):
+    """A page, and what is on it in words."""
+
+    page: str
+    words: str
+
+
+def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] = ()) -> Frozen:
     """A page with the flights over one parameter or two, all others as they are.
 
     Parameters
@@ -66,10 +72,24 @@ def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] 
         flights += _along(subject, points[row : row + count], watch)
     if not any(found["type"] == "flight" for found in flights):
         raise PeriluneError("there is no flight at any point of the page", got=flights[0]["what"])
-    told = hello(subject)
+    words = "; ".join((_counted(flights), *_outside(subject, chosen)))
     knobs = [{**vars(knob), "grid": grid, "mapped": False} for knob, grid in zip(chosen, grids, strict=True)]
-    document = {"hello": {**told, "knobs": knobs, "mapped": False, "scenario": False}, "flights": flights}
-    return _page(page_files(), json.dumps(document, allow_nan=False, separators=(",", ":")))
+    told = {**hello(subject), "knobs": knobs, "mapped": False, "scenario": False, "stored": words}
+    document = json.dumps({"hello": told, "flights": flights}, allow_nan=False, separators=(",", ":"))
+    return Frozen(_page(page_files(), document), words)
+
+
+def _counted(found: Sequence[Mapping[str, Any]]) -> str:
+    count = sum(one["type"] == "flight" for one in found)
+    return f"a flight at {'each' if count == len(found) else count} of {len(found)} points"
+
+
+def _outside(subject: Subject, chosen: Sequence[Knob]) -> Iterator[str]:
+    """Of what moves in a range that was chosen the value that was stated, where it is not in that."""
+    for knob in chosen:
+        stated = subject.problem.given.get(knob.name)
+        if stated is not None and not knob.mapped and not knob.low <= stated.value <= knob.high:
+            yield f"{knob.key} as it is stated, {knob.shown(stated.value)}, is none of them"
 
 
 def _grid(knob: Knob, count: int) -> list[float]:

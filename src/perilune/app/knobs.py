@@ -51,6 +51,10 @@ class Knob:
     mapped: bool = False
     natural: bool = False
 
+    def shown(self, value: float) -> str:
+        """A value [SI] in the unit in which it is shown."""
+        return f"{value / self.size:.6g} {self.unit}".removesuffix(" 1")
+
 
 def knobs(problem: Problem, atlas: Atlas | None = None) -> tuple[Knob, ...]:
     """Every given parameter that can be moved, the axes of an atlas first, and what nobody chooses last.

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import Any
 
 from starlette.applications import Starlette
@@ -21,6 +20,7 @@ from starlette.websockets import WebSocket
 
 from perilune.app.beside import Beside, in_thread
 from perilune.app.client import Client
+from perilune.app.files import page_files
 from perilune.app.subject import Subject
 from perilune.app.taken import TAKEN
 from perilune.words.outcome import PeriluneError
@@ -116,19 +116,6 @@ class Explorer:
             await client.run()
         finally:
             del self._open[client.name]
-
-
-def page_files() -> dict[str, bytes]:
-    """All that the page is made of, by name."""
-    found, left = dict[str, bytes](), [("", files("perilune.app") / "page")]
-    while left:
-        before, folder = left.pop()
-        for entry in folder.iterdir():
-            if entry.is_dir():
-                left.append((f"{before}{entry.name}/", entry))
-            else:
-                found[before + entry.name] = entry.read_bytes()
-    return found
 
 
 async def _nothing(request: Request, error: Any) -> Response:

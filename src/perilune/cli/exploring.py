@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 def explore(typed: Namespace) -> Answer:
     """Serve the page until Ctrl-C, or write it."""
+    from perilune.app.subject import subject_of
+
+    if typed.html is not None:
+        return _written(subject_of(typed.target, typed.changes or ()), typed.html, typed.vary or (), typed.force)
     try:
         import starlette  # noqa: F401
         import uvicorn
@@ -32,15 +36,12 @@ def explore(typed: Namespace) -> Answer:
         raise PeriluneError(
             "the explorer needs a web server, which is not installed",
             got=f"no {missing.name}",
-            advice="pip install 'perilune[explore]'",
+            advice="pip install 'perilune[explore]', or write a page that needs none: --html FILE",
         ) from None
     from perilune.app.client import MESSAGE
     from perilune.app.server import Explorer
-    from perilune.app.subject import subject_of
 
     subject = subject_of(typed.target, typed.changes or ())
-    if typed.html is not None:
-        return _written(subject, typed.html, typed.vary or (), typed.force)
     if typed.vary:
         raise PeriluneError("--vary chooses what moves on a page of --html", advice="on a live page everything moves")
     listening = _listening(typed.port)
@@ -73,7 +74,7 @@ def _written(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> 
     chosen = _chosen(subject, vary) or moving(subject)
     new_file(file, "the page", force)
     with progress(False, deque(maxlen=LONGEST_LOG)) as watch:
-        page = frozen_page(subject, watch, chosen)
+        page, words = frozen_page(subject, watch, chosen)
     with fresh_file(file, "the page") as beside:
         beside.write_text(page, encoding="utf-8")
     moves = {
@@ -81,8 +82,8 @@ def _written(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> 
         for knob in chosen
     }
     told = " and ".join(f"{key} from {span}" for key, span in moves.items())
-    text = f"written to {file}: {len(page) / 1e6:.1f} MB; on it {told} can be moved (--vary names others)"
-    return Answer(text=text, document={"written": str(file), "moves": moves})
+    text = f"written to {file}: {len(page) / 1e6:.1f} MB; on it {told} can be moved (--vary names others)\n{words}"
+    return Answer(text=text, document={"written": str(file), "moves": moves, "stored": words})
 
 
 def _chosen(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:

@@ -54,6 +54,7 @@
   // -- parameters -----------------------------------------------------------------------------------------------
   function begin(said) {
     document.title = `${said.title} · perilune`; text($("title"), said.title); state.knobs = said.knobs; state.coasts = said.coasts || []; state.maximised = said.maximised;
+    text($("stored"), said.stored ? `A page in a file: ${said.stored}.` : "");
     for (const knob of said.knobs) { state.first[knob.name] = knob.value; }
     state.values = linked();
     const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.filter((k) => !k.natural).slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
