@@ -20,6 +20,8 @@ from perilune.io.made import made_document, read_made
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.verification import Verification
+from perilune.report.summary import solution_summary
 from perilune.scenario import load_file, load_text
 from perilune.solve import prove, solve
 from perilune.words.outcome import Outcome, PeriluneError
@@ -53,6 +55,21 @@ def test_the_papers_landing_proves_again(hybrid: Solution, tmp_path: Path) -> No
     proved = prove(back, 3)
     assert proved.outcome is Outcome.PROVED
     assert proved.verification.text == "expressions from a file"
+
+
+def test_what_a_file_says_of_its_proof_is_told_as_its_word(hybrid: Solution, tmp_path: Path) -> None:
+    """A flight that was not proved does not come back as one that nobody has looked at."""
+    first, *others = prove(hybrid, 1).verification.checks
+    failed = Verification(checks=(replace(first, value=1.0), *others))
+    pl.save(replace(hybrid, outcome=Outcome.NOT_PROVED, verification=failed), tmp_path)
+    back, count = pl.load(tmp_path), len(others) + 1
+    words = f"not proved again; its file claims level 0: unverified, NOT_PROVED: 1 of {count} checks failed"
+    assert back.verification.level == 0 and not back.verification.passed
+    assert all(words in said for said in (repr(back), back._repr_html_(), solution_summary(back)))
+    proved = prove(back, 1).verification
+    assert proved.title == "level 1: feasible"
+    pl.save(replace(back, verification=Verification()), tmp_path, force=True)
+    assert pl.load(tmp_path).verification.title == "level 0: unverified"  # nothing was claimed
 
 
 def test_a_models_problem_is_made_again(hybrid: Solution, tmp_path: Path) -> None:

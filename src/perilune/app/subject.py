@@ -114,7 +114,7 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
         unwritten = "an atlas keeps the problem, and not the scenario that stated it"
         return Subject(problem=atlas.problem, atlas=atlas, knobs=knobs(atlas.problem, atlas), unwritten=unwritten)
     solution, document = opened(target)
-    _, text, _ = claims_of(document)
+    text, _ = claims_of(document)
     return _stated(solution.problem, text, known=solution, unwritten="the solution was saved without a scenario")
 
 

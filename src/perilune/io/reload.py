@@ -3,7 +3,7 @@
 The problem is built anew from the expressions inside, or by a model from the scenario's text or the values of records
 where they are there; then both must state the same, and the text's hash must match. Every number is compared in shape
 with what that problem needs. What the file *claims* of itself (its outcome, its checks) proves nothing: a solution that
-was verified comes back as SOLVED and unverified, for `perilune.proof` to judge.
+was verified comes back as SOLVED and not proved again, beside what its file claims, for `perilune.proof` to judge.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     Returns
     -------
     Solution
-        Unverified: a file's own claims are not taken over; the tolerance that was stated for its proof is, for the
-        next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
+        Unverified: a file's own claims are told and not taken over; the tolerance that was stated for its proof is, for
+        the next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
         checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
         stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`; and a proof compares what
         the file and the tables beside it `repeated`.
@@ -87,16 +87,22 @@ def opened(
     return replace(found, repeated=Repeated.of(path, document)), document
 
 
-def claims_of(document: Mapping[str, Any]) -> tuple[str, str, dict[str, str]]:
-    """What a file says of itself that nothing here has seen: level of its proof, scenario, versions of programs."""
+def claims_of(document: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
+    """What a file says of itself that nothing here has seen: the scenario, and versions of programs."""
+    told = {one_line(str(name)): one_line(str(v)) for name, v in part(document, "versions", dict).items()}
+    return "" if document.get("scenario") is None else _scenario_text(document), told
+
+
+def _claimed_proof(document: Mapping[str, Any]) -> str:
+    """What a file says of its own proof; nothing where it says that there is none."""
+    if "verification" not in document:
+        return ""
     verification = part(document, "verification", dict)
     level = int(number(verification, "level", "verification"))
     if not 0 <= level < len(LEVEL_NAMES):
         refuse("verification.level", str(level), f"0 to {len(LEVEL_NAMES) - 1}")
-    told = {one_line(str(name)): one_line(str(v)) for name, v in part(document, "versions", dict).items()}
-    scenario = "" if document.get("scenario") is None else _scenario_text(document)
     passed = [isinstance(check, dict) and check.get("passed") is True for check in part(verification, "checks", list)]
-    return f"level {level}: {LEVEL_NAMES[level]}{slips_told(passed)}", scenario, told
+    return f"level {level}: {LEVEL_NAMES[level]}{slips_told(passed)}" if passed else ""
 
 
 def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:
@@ -121,7 +127,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         listed=_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
-        verification=Verification(tolerance=_tolerance(document.get("verification"))),
+        verification=Verification(tolerance=_tolerance(document.get("verification")), claimed=_claimed_proof(document)),
         structure=_structure(document),
     )
 

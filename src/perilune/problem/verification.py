@@ -86,6 +86,8 @@ class Verification:
         What was stated of differences that do not matter. Of a solution without checks, with what it is to be proved.
     certificate
         Of a theorem: what it says and rests on, a tree for JSON; None without one.
+    claimed
+        Of a solution that was loaded: what its file says of its proof, which proves nothing.
     """
 
     checks: tuple[Check, ...] = ()
@@ -93,6 +95,7 @@ class Verification:
     notes: tuple[str, ...] = ()
     tolerance: Tolerance = field(default_factory=Tolerance)
     certificate: Mapping[str, Any] | None = field(default=None, compare=False)
+    claimed: str = field(default="", compare=False)
 
     @property
     def level(self) -> int:
@@ -109,12 +112,12 @@ class Verification:
     @property
     def title(self) -> str:
         """The level and its name, as it stands beside every outcome, with what of the stated tolerance it needed."""
-        return f"level {self.level}: {LEVEL_NAMES[self.level]}{self._qualified}"
+        return self._claim or f"level {self.level}: {LEVEL_NAMES[self.level]}{self._qualified}"
 
     @property
     def headline(self) -> str:
         """The same as the first line of a list of checks."""
-        return f"level {self.level} ({LEVEL_NAMES[self.level]}){self._qualified}"
+        return self._claim or f"level {self.level} ({LEVEL_NAMES[self.level]}){self._qualified}"
 
     @property
     def within(self) -> str:
@@ -122,6 +125,10 @@ class Verification:
         level = self.level
         needed = {c.raised_by for c in self.checks if c.lenient and c.level <= level}
         return f"within the stated tolerance ({self.tolerance.told(needed)})" if needed else ""
+
+    @property
+    def _claim(self) -> str:
+        return f"not proved again; its file claims {self.claimed}" if self.claimed and not self.checks else ""
 
     @property
     def _qualified(self) -> str:

@@ -29,10 +29,8 @@ def provenance(solution: Solution, scenario_text: str | None = None, document: A
         What ``solution.json`` holds, of a solution that was loaded.
     """
     problem, views = solution.problem, solution.problem.views
-    claimed, scenario, made_by = claims_of(document) if document is not None else ("", "", {})
+    scenario, made_by = claims_of(document) if document is not None else ("", {})
     proof = solution.verification.title + slips_told([check.passed for check in solution.verification.checks])
-    if claimed and not solution.verification.checks:
-        proof = f"not proved again; its file claims {claimed}"
     found = {
         "title": problem.heading,
         "source": _program(made_by or versions()),
