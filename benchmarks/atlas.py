@@ -129,8 +129,9 @@ def main() -> None:
         best = solve(problem.with_given(**dict(zip(atlas.region.names, points[i].tolist(), strict=True))), level=0)
         alone.append(time.perf_counter() - begun)
         worst = max(worst, abs(best.objective - found[i]) / abs(best.objective))
-    ratio = statistics.median(alone) / statistics.median(times)
-    print(f"{len(alone)} solved from nothing: largest difference of J {worst:.1e}, {ratio:.0f} times as long each")
+    if alone:
+        ratio = statistics.median(alone) / statistics.median(times)
+        print(f"{len(alone)} solved from nothing: largest difference of J {worst:.1e}, {ratio:.0f} times as long each")
     ours, theirs = first_guesses(atlas, points[:200])
     print(f"first guess: median error {np.median(ours):.1e}, the paper's fit {np.median(theirs):.1e}")
     shutil.rmtree(directory.parent)

@@ -15,8 +15,10 @@ from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.charted import Charted
 from perilune.atlas.descending import Known
 from perilune.atlas.hermite import interpolated
+from perilune.atlas.offers import outdoing, unanswered
 from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Brick, Reader
+from perilune.atlas.walking import Lanes
 from perilune.problem.preflight import possible, preflight
 from perilune.words.asked import demand_numbers
 from perilune.words.outcome import PeriluneError
@@ -24,6 +26,7 @@ from perilune.words.types import Matrix, Vector
 
 _CLEARLY = 1e-3  # relative: cells give J to 1e-6 where one step is enough, and are never so wrong
 _SAME = 1e-10  # relative: J of one flight by way of two charts
+_Breaking = tuple[int, Lanes, Vector, Matrix]  # of which offer, where, J and unknowns
 _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits into a cache
 
 
@@ -150,7 +153,7 @@ class _Work:
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
         doubt, going = np.full(len(some), np.inf), np.ones(len(some), dtype=bool)
-        breaking = list[tuple[int, NDArray[np.int64], Vector, Matrix]]()
+        breaking = list[_Breaking]()
         arcs = {
             id(offer.charted): np.zeros(len(some), dtype=np.int64) for offer in offers
         }  # that keep the path, by charts
@@ -182,24 +185,20 @@ class _Work:
                     doubt[which] = np.minimum(doubt[which], here[which])
                     breaking.append((number, breaks, here[breaks], polished.y[polished.breaking][:, active]))
                     arcs[id(offer.charted)][lanes] -= offer.charted.of_arcs & ~polished.answers
-        told = [(offers[number].charted, lanes, its) for number, lanes, its, _ in breaking]
-        unanswered = self._unanswered(told, arcs, self.cost[some], self.of_arcs[some])
-        breaking = breaking if atlas.descents.names else []
+        left, breaking = self._outdoing(breaking, offers, arcs)
         best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
             self._become(doubt, offers[number], lanes, cost[number, lanes], y, best, turns=True)
-        for number, lanes, its, y in breaking:
-            outdoes = (its < best.cost[lanes]) | (best.chart[lanes] < 0)
-            outdoes &= (best.chart[lanes] < 0) | (not offers[number].charted.breaks_controls_alone)
-            self._become(unanswered, offers[number], lanes[outdoes], its[outdoes], y[outdoes], best, turns=False)
+        for number, lanes, its, y in breaking if atlas.descents.names else ():
+            self._become(left, offers[number], lanes, its, y, best, turns=False)
         best = self.known.of(np.arange(len(some)))
         with np.errstate(invalid="ignore"):
-            left = (unanswered < best.cost) & ~equal(unanswered, best.cost)
-        if atlas.descents.alone and len(lanes := np.nonzero(left)[0]):
+            lanes = np.nonzero((left < best.cost) & ~equal(left, best.cost))[0]
+        if atlas.descents.alone and len(lanes):
             points = self.points[some[lanes]]
             better = atlas.descents.all_over(points, atlas.begins(points), best.of(lanes))
-            unanswered[lanes] = self._settled(lanes, better, unanswered[lanes])
-        doubt = np.minimum(doubt, unanswered)
+            left[lanes] = self._settled(lanes, better, left[lanes])
+        doubt = np.minimum(doubt, left)
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         with np.errstate(invalid="ignore"):
             doubtful &= ~(found & equal(doubt, self.cost[some]))
@@ -210,6 +209,19 @@ class _Work:
         self.answered[some[damaged | (~found & self._where(some, atlas.missing))]] = Answered.NOT_BUILT
         none = some[self.answered[some] != Answered.YES]
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
+
+    def _outdoing(
+        self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], arcs: Mapping[int, Lanes]
+    ) -> tuple[Vector, list[_Breaking]]:
+        """Those that outdo what is known, and the least J of those which are unanswered, or inf, lane by lane."""
+        known, better, doubt = self.cost[self.some], list[_Breaking](), np.full(len(self.some), np.inf)
+        for number, lanes, cost, y in breaking:
+            its = outdoing(offers[number].charted, cost, known[lanes])
+            better.append((number, lanes[its], cost[its], y[its]))
+        told = [(offers[number].charted, lanes) for number, lanes, _, _ in better]
+        for (_, lanes, cost, _), left in zip(better, unanswered(told, arcs, self.of_arcs[self.some]), strict=True):
+            doubt[lanes[left]] = np.minimum(doubt[lanes[left]], cost[left])
+        return doubt, better
 
     def _become(
         self,
@@ -242,24 +254,6 @@ class _Work:
             first = sum(len(other.sheets) for other in atlas.charted[:chart])
             self._polished(self.some[lanes[its]], _no_offer(charted, sheet, first, 0), becomes.y[chart][its])
         return np.where(found, becomes.cost, cost)
-
-    @staticmethod
-    def _unanswered(
-        breaking: Sequence[tuple[Charted, NDArray[np.int64], Vector]],
-        arcs: Mapping[int, NDArray[np.int64]],
-        best: Vector,
-        of_arcs: NDArray[np.bool_],
-    ) -> Vector:
-        """The least J of what breaks the path and is not answered, lane by lane (`offers.unanswered_of`), or inf."""
-        told = [one for one in breaking if not one[0].breaks_controls_alone]
-        wells, total = {chart: known.copy() for chart, known in arcs.items()}, sum(arcs.values(), np.zeros_like(best))
-        doubt = np.full(len(best), np.inf)
-        for charted, lanes, cost in told:
-            wells[id(charted)][lanes] += cost < best[lanes]
-        for charted, lanes, cost in told:
-            which = (~of_arcs[lanes] | (wells[id(charted)][lanes] > total[lanes])) & (cost < best[lanes])
-            doubt[lanes[which]] = np.minimum(doubt[lanes[which]], cost[which])
-        return doubt
 
     def _where(self, some: NDArray[np.int64], says: Callable[[tuple[int, ...]], bool]) -> NDArray[np.bool_]:
         """Which of some points lie in bricks of which something is so."""

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perilune.atlas.charted import Charted
 from perilune.atlas.polish import Polished
 from perilune.atlas.reflight import SLACK
+from perilune.atlas.walking import Lanes
 from perilune.words.types import Vector
+
+_HERE = np.zeros(1, dtype=np.int64)  # one point is one lane
 
 
 @dataclass(slots=True)
@@ -67,16 +72,39 @@ class Offer:
         return f"the second flight does not bear out the extremal of {sheet}: {polished.flown.told}"
 
 
-def unanswered_of(
-    best: Offer | None, alike: Sequence[Offer], breaking: Sequence[Offer], offers: Sequence[Offer]
-) -> list[Offer]:
-    """Extremals that break the path, and of which no answer of arcs is what becomes of them where they keep it.
+def outdoing(charted: Charted, cost: Any, best: Any) -> Any:
+    """Whether extremals of a chart that break the path outdo what is known, J inf for nothing; numbers or arrays."""
+    return np.isinf(best) | ((cost < best) & (not charted.breaks_controls_alone))
+
+
+def unanswered(
+    better: Sequence[tuple[Charted, Lanes]], vouching: Mapping[int, Lanes], of_arcs: NDArray[np.bool_]
+) -> list[NDArray[np.bool_]]:
+    """Of which extremals that outdo the answer, in lanes, no answer of arcs is what becomes of them.
 
     Each well has one extremal of each chart at most, and one of arcs that keeps the path, of which there are as many.
+
+    Parameters
+    ----------
+    better
+        Their charts, and in which lanes there is one.
+    vouching
+        How many extremals of each chart, by its `id`, are made of arcs and keep the path, (lanes,).
+    of_arcs
+        Whether the best answer is made of arcs, (lanes,).
     """
-    if best is None or not any(one.charted.of_arcs for one in alike):
-        return [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
-    arcs = Counter(id(one.charted) for one in offers if one.vouches)
-    better = [one for one in breaking if one.cost < best.cost and not one.charted.breaks_controls_alone]
-    wells = arcs + Counter(id(one.charted) for one in better)
-    return [one for one in better if wells[id(one.charted)] > arcs.total()]
+    total = sum(vouching.values(), np.zeros(len(of_arcs), dtype=np.int64))
+    wells = {id(charted): vouching.get(id(charted), 0) + np.zeros_like(total) for charted, _ in better}
+    for charted, lanes in better:
+        wells[id(charted)][lanes] += 1
+    return [~of_arcs[lanes] | (wells[id(charted)][lanes] > total[lanes]) for charted, lanes in better]
+
+
+def unanswered_of(better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer]) -> list[Offer]:
+    """The same of one point: `alike` are the best answers, and `offers` all that its cells give."""
+    if not better:
+        return []
+    vouching = Counter(id(one.charted) for one in offers if one.vouches)
+    here = {chart: np.array([count]) for chart, count in vouching.items()}
+    told = unanswered([(one.charted, _HERE) for one in better], here, np.array([any(a.charted.of_arcs for a in alike)]))
+    return [one for one, left in zip(better, told, strict=True) if left[0]]

@@ -19,7 +19,7 @@ from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.descending import Known
 from perilune.atlas.many import Answers, answers, clearly_worse, equal
 from perilune.atlas.mapped import Mapped, Query
-from perilune.atlas.offers import Offer, unanswered_of
+from perilune.atlas.offers import Offer, outdoing, unanswered_of
 from perilune.atlas.read import SERVING, Reader, may_be_answers
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
@@ -89,11 +89,13 @@ class Atlas(Reader):
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        unanswered = unanswered_of(best, alike, breaking, offers)
+        outdoes = np.inf if best is None else best.cost
+        breaking = [one for one in breaking if outdoing(one.charted, one.cost, outdoes)]
+        left = unanswered_of(breaking, alike, offers)
         turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
         doubts += self._become(at, best, turns, [], tried)
-        unanswered += self._become(at, best, [], breaking if self.descents.names else [], tried)
-        doubts += self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), unanswered, tried)
+        left += self._become(at, best, [], breaking if self.descents.names else [], tried)
+        doubts += self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
         best = min(tried, key=lambda one: one.cost, default=None)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
         best = min(alike, key=lambda one: (one.charted.rank, one.cost), default=None)
@@ -184,8 +186,6 @@ class Atlas(Reader):
         of that. If it is one that is known or worse than that it is no matter; if it is better it joins what is tried.
         """
         doubts = list[Offer]()
-        breaking = [one for one in breaking if best is None or one.cost < best.cost]
-        breaking = [one for one in breaking if best is None or not one.charted.breaks_controls_alone]
         if not (turns or breaking):
             return doubts
         known, begins = self._known(best, -1), self.begins(at[None])
