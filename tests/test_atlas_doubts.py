@@ -2,31 +2,131 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+import perilune as pl
+from perilune import Problem
+from perilune.atlas import building
 from perilune.atlas.offers import outdoing, unanswered
+from perilune.atlas.query import open_atlas
+from perilune.words.outcome import PeriluneError
+from problems.constrained import bryson_denham, bryson_denham_truth
+
+build = partial(building.build, sample=0)  # proofs have tests of their own
 
 
 class _Chart:
     breaks_controls_alone = False
 
+    def __init__(self, of_arcs: bool) -> None:
+        self.of_arcs = of_arcs
+
 
 def test_each_well_vouches_for_one_extremal_that_breaks_the_path() -> None:
     """Lane by lane: one of each of two charts beside one answer, two of one chart beside one, beside two, and none."""
-    one: Any = _Chart()
-    other: Any = _Chart()
-    better = [(one, np.array([0, 1, 2, 3])), (one, np.array([1, 2])), (other, np.array([0]))]
-    vouching = {id(other): np.array([1, 1, 2, 0])}
+    one: Any = _Chart(False)
+    other: Any = _Chart(True)
+    no, yes = np.zeros(4, dtype=bool), np.ones(4, dtype=bool)
+    better = [(one, np.array([0, 1, 2, 3]), no), (one, np.array([1, 2]), no[:2]), (other, np.array([0]), no[:1])]
+    vouching = [
+        (one, yes),
+        (other, np.array([True, True, True, False])),
+        (other, np.array([False, False, True, False])),
+    ]
     told = unanswered(better, vouching, np.array([True, True, True, False]))
     assert [left.tolist() for left in told] == [[False, True, False, True], [True, False], [True]]
 
 
+def test_what_has_an_arc_shorter_than_nothing_may_become_an_answer_of_no_arcs() -> None:
+    """Beside a plain answer, beside one of its own chart, beside both."""
+    plain: Any = _Chart(False)
+    rides: Any = _Chart(True)
+    vouching = [(plain, np.array([True, False, True])), (rides, np.array([False, True, True]))]
+    told = unanswered([(rides, np.arange(3), np.ones(3, dtype=bool))], vouching, np.zeros(3, dtype=bool))
+    assert told[0].tolist() == [False, True, False]
+
+
 def test_what_is_no_better_or_breaks_bounds_of_singular_controls_outdoes_no_answer() -> None:
     """Beside no answer at all everything outdoes what is known."""
-    chart: Any = _Chart()
+    chart: Any = _Chart(False)
     singular: Any = type("Singular", (), {"breaks_controls_alone": True})()
     best = np.array([2.0, 1.0, np.inf])
     assert outdoing(chart, np.array([1.0, 1.0, 9.0]), best).tolist() == [True, False, True]
     assert outdoing(singular, np.array([1.0, 1.0, 9.0]), best).tolist() == [False, False, True]
+
+
+def two_wells(
+    steep: float, slow: float, fast: float, paid: float, crossed: float, **bounds: float
+) -> tuple[Problem, Callable[[float], float]]:
+    """Bryson and Denham's problem at a speed that is free and has two wells of its price, and the least J."""
+
+    def price(v: Any, l: Any) -> Any:
+        return steep * (v - slow) ** 2 * (v - fast) ** 2 - paid * v + crossed * l * v
+
+    plain, v = bryson_denham(0.2), np.linspace(0.6, 1.6, 2001)
+    given = {name: one for name, one in plain.given.items() if name != "speed"}
+    units = {"one": plain.objective_unit, "pace": "m/s", "far": "m"}
+    problem = replace(
+        plain,
+        free=(pl.Free(name="speed", unit="m/s", typical=1.0, **bounds),),
+        given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
+        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * price(p.speed / p.pace, p.ceiling / p.far),
+    )
+
+    def least(ceiling: float) -> float:
+        flown = np.array([bryson_denham_truth(ceiling / speed) for speed in v.tolist()])
+        return float((v**2 * flown + price(v, ceiling)).min())
+
+    return problem, least
+
+
+@pytest.mark.parametrize(
+    ("steep", "slow", "fast", "paid", "crossed", "high"),
+    [
+        (168.8, 0.792, 1.355, 4.715, -13.921, 0.45),
+        (105.356, 0.564, 1.215, 8.995, -1.953, 0.45),
+        (105.356, 0.564, 1.215, 8.995, -1.953, 0.14),
+        (96.749, 0.746, 1.304, 6.045, -7.581, 0.45),
+    ],
+)
+def test_an_answer_of_arcs_does_not_vouch_for_what_breaks_the_path_in_another_well(
+    tmp_path: Path, steep: float, slow: float, fast: float, paid: float, crossed: float, high: float
+) -> None:
+    """Of two wells of the speed one was mapped with its touch alone, where the ride is; any arcs did for an answer.
+
+    In the second case the ride of the better well was found, and lost: followed beyond a bound it led to the other. In
+    the third no solve has the touch of the better well, in the fourth that well is at no corner of a brick.
+    """
+    problem, least = two_wells(steep, slow, fast, paid, crossed, lower=0.6, upper=1.6)
+    ceilings = np.linspace(0.1, high, 100)
+    store = build(problem, {"ceiling": (0.1, high)}, tmp_path / "wells", bricks=1)
+    atlas = open_atlas(store, lambda _: problem)
+    found = atlas.query_many(ceilings[:, None])
+    alone = [bool(atlas.query_many(np.array([[l]])).good[0]) for l in ceilings[::10].tolist()]
+    assert alone == found.good[::10].tolist()  # whatever else is asked for at once
+    truth = np.array([least(l) for l in ceilings.tolist()])
+    assert found.good.mean() > 0.9 and found.objective[found.good] == pytest.approx(truth[found.good], abs=1e-4)
+
+
+def test_where_an_arc_is_shorter_than_nothing_what_follows_it_has_to_be_known(tmp_path: Path) -> None:
+    """The ride of the slower well becomes a touch that no solve met; the ride of the faster one is no better than that.
+
+    The speed lies between no bounds, along which it would be looked for. Where the faster well is the better one, or
+    its touch is known, such rides cast no doubt.
+    """
+    problem, least = two_wells(121.981, 0.795, 1.365, 8.885, -10.91)
+    atlas = open_atlas(build(problem, {"ceiling": (0.1, 0.45)}, tmp_path / "wells", bricks=4), lambda _: problem)
+    ceilings = np.sort(np.append(np.random.default_rng(0).uniform(0.1, 0.45, 80), [0.145, 0.15]))
+    found = atlas.query_many(ceilings[:, None])
+    truth = np.array([least(l) for l in ceilings.tolist()])
+    assert found.objective[found.good] == pytest.approx(truth[found.good], abs=1e-4)
+    assert 0.145 in ceilings[~found.good] and ((ceilings > 0.14) & (ceilings < 0.155))[~found.good].all()
+    with pytest.raises(PeriluneError, match="shorter than nothing"):
+        atlas.query(ceiling=0.145)

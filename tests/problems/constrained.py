@@ -51,8 +51,8 @@ def bryson_denham(ceiling: float, as_bound: bool = False) -> pl.Problem:
 
 
 def bryson_denham_truth(ceiling: float) -> float:
-    """J of `bryson_denham` [m^2/s^3]."""
-    return 4 / (9 * ceiling) if ceiling <= 1 / 6 else 2 + 6 * (1 - 4 * ceiling) ** 2
+    """J of `bryson_denham` [m^2/s^3]: it rides along the ceiling, touches it, or stays below."""
+    return 4 / (9 * ceiling) if ceiling <= 1 / 6 else 2 + 6 * max(1 - 4 * ceiling, 0.0) ** 2
 
 
 def weak_bryson_denham(ceiling: float, most: float) -> pl.Problem:

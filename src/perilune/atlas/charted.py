@@ -82,6 +82,13 @@ class Charted:
             y = np.where(missed[:, None], self.chart.at(values, y, holds).stepped, y)
         return y, missed
 
+    def short(self, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
+        """Of which extremals, as cells give them, an arc is shorter than nothing, and all else is as it should be."""
+        whole, limits = self.chart.whole(values, y), self.borders.at(values)
+        at = np.full((len(y), self.chart.shooting.plan.held), np.nan)
+        at[:, : self.chart.shooting.plan.free] = whole[:, self.chart.conditions.free_at]
+        return self.borders.short(whole, at, limits)
+
     def free(self, y: Matrix) -> Matrix:
         """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
         chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]

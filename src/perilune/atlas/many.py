@@ -26,7 +26,6 @@ from perilune.words.types import Matrix, Vector
 
 _CLEARLY = 1e-3  # relative: cells give J to 1e-6 where one step is enough, and are never so wrong
 _SAME = 1e-10  # relative: J of one flight by way of two charts
-_Breaking = tuple[int, Lanes, Vector, Matrix]  # of which offer, where, J and unknowns
 _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits into a cache
 
 
@@ -109,7 +108,8 @@ def answers(atlas: Reader, points: Matrix) -> Answers:
 class _Offered:
     """What one branch of a sheet gives for J and y at points; NaN and inf where nothing, J alone where it `breaks`.
 
-    `first` is the number of the first sheet of its chart; of what breaks y is in `broken`.
+    `first` is the number of the first sheet of its chart; of what breaks y is in `broken`, and `short` is what does so
+    by an arc that is shorter than nothing.
     """
 
     charted: Charted
@@ -119,6 +119,22 @@ class _Offered:
     cost: Vector
     breaks: NDArray[np.bool_]
     broken: Matrix
+    short: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Breaking:
+    """Extremals of an offer that are no flights: where, J, unknowns, and whether by an arc shorter than nothing."""
+
+    number: int
+    lanes: Lanes
+    cost: Vector
+    y: Matrix
+    short: NDArray[np.bool_]
+
+    def of(self, its: NDArray[np.bool_]) -> _Breaking:
+        """Some of them."""
+        return _Breaking(self.number, self.lanes[its], self.cost[its], self.y[its], self.short[its])
 
 
 class _Work:
@@ -154,11 +170,7 @@ class _Work:
         order = np.argsort(cost, axis=0)
         doubt, going = np.full(len(some), np.inf), np.ones(len(some), dtype=bool)
         breaking = list[_Breaking]()
-        arcs = {
-            id(offer.charted): np.zeros(len(some), dtype=np.int64) for offer in offers
-        }  # that keep the path, by charts
-        for offer in offers:
-            arcs[id(offer.charted)] += offer.charted.of_arcs & np.isfinite(offer.y[:, 0]) & ~offer.breaks
+        vouching = [np.isfinite(offer.y[:, 0]) for offer in offers]
         turning = list[tuple[int, NDArray[np.int64], Matrix]]()
         self.some, self.known = some, Known.none(atlas.charted, len(some))
         for rank in range(len(offers)):
@@ -172,7 +184,8 @@ class _Work:
                 ends, breaks = np.isnan(offer.y[lanes, 0]), offer.breaks[lanes]
                 which = lanes[ends & ~breaks]
                 doubt[which] = np.minimum(doubt[which], here[which])
-                breaking.append((number, lanes[breaks], here[lanes[breaks]], offer.broken[lanes[breaks]]))
+                at = lanes[breaks]
+                breaking.append(_Breaking(number, at, here[at], offer.broken[at], offer.short[at]))
                 if len(lanes := lanes[~ends]):
                     active = offer.charted.chart.active
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
@@ -181,16 +194,17 @@ class _Work:
                     outside = polished.beyond.any(axis=1) & (polished.cost < self.cost[some[lanes]])
                     if (turns := outside | (polished.gains & ~polished.beyond.any(axis=1))).any():
                         turning.append((number, lanes[turns], polished.y[turns][:, active]))
-                    which, breaks = lanes[polished.doubtful], lanes[polished.breaking]
+                    which = lanes[polished.doubtful]
                     doubt[which] = np.minimum(doubt[which], here[which])
-                    breaking.append((number, breaks, here[breaks], polished.y[polished.breaking][:, active]))
-                    arcs[id(offer.charted)][lanes] -= offer.charted.of_arcs & ~polished.answers
-        left, breaking = self._outdoing(breaking, offers, arcs)
+                    own = _Breaking(number, lanes, here[lanes], polished.y[:, active], polished.short)
+                    breaking.append(own.of(polished.breaking | polished.short))
+                    vouching[number][lanes] = polished.answers
+        left, breaking = self._outdoing(breaking, offers, vouching)
         best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
             self._become(doubt, offers[number], lanes, cost[number, lanes], y, best, turns=True)
-        for number, lanes, its, y in breaking if atlas.descents.names else ():
-            self._become(left, offers[number], lanes, its, y, best, turns=False)
+        for one in breaking if atlas.descents.names else ():
+            self._become(left, offers[one.number], one.lanes, one.cost, one.y, best, turns=False)
         best = self.known.of(np.arange(len(some)))
         with np.errstate(invalid="ignore"):
             lanes = np.nonzero((left < best.cost) & ~equal(left, best.cost))[0]
@@ -211,16 +225,16 @@ class _Work:
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
 
     def _outdoing(
-        self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], arcs: Mapping[int, Lanes]
+        self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], vouching: Sequence[NDArray[np.bool_]]
     ) -> tuple[Vector, list[_Breaking]]:
         """Those that outdo what is known, and the least J of those which are unanswered, or inf, lane by lane."""
-        known, better, doubt = self.cost[self.some], list[_Breaking](), np.full(len(self.some), np.inf)
-        for number, lanes, cost, y in breaking:
-            its = outdoing(offers[number].charted, cost, known[lanes])
-            better.append((number, lanes[its], cost[its], y[its]))
-        told = [(offers[number].charted, lanes) for number, lanes, _, _ in better]
-        for (_, lanes, cost, _), left in zip(better, unanswered(told, arcs, self.of_arcs[self.some]), strict=True):
-            doubt[lanes[left]] = np.minimum(doubt[lanes[left]], cost[left])
+        known, doubt, of = self.cost[self.some], np.full(len(self.some), np.inf), [offer.charted for offer in offers]
+        better = [one.of(outdoing(of[one.number], one.cost, known[one.lanes])) for one in breaking]
+        told = [(of[one.number], one.lanes, one.short) for one in better]
+        for one, left in zip(
+            better, unanswered(told, list(zip(of, vouching, strict=True)), self.of_arcs[self.some]), strict=True
+        ):
+            doubt[one.lanes[left]] = np.minimum(doubt[one.lanes[left]], one.cost[left])
         return doubt, better
 
     def _become(
@@ -299,7 +313,8 @@ class _Work:
                 for sheet, root in brick.minima:
                     met[sheet] += 1
                     offer = offers.setdefault((sheet, met[sheet]), _no_offer(charted, sheet, first, count))
-                    _fill(offer, brick, root, lanes, inside, (high - low) / WHOLE / charted.chart.scale)
+                    step = (high - low) / WHOLE / charted.chart.scale
+                    _fill(offer, brick, root, lanes, self.points[some[lanes]] / charted.chart.scale, inside, step)
             for offer in offers.values():
                 given = np.nonzero(np.isfinite(offer.y[:, 0]))[0]
                 values = self.points[some[given]] / charted.chart.scale
@@ -328,20 +343,28 @@ class _Work:
 
 def _no_offer(charted: Charted, sheet: int, first: int, count: int) -> _Offered:
     y, cost = np.full((count, charted.unknowns), np.nan), np.full(count, np.inf)
-    return _Offered(charted, sheet, first, y, cost, np.zeros(count, dtype=bool), y.copy())
+    no = np.zeros(count, dtype=bool)
+    return _Offered(charted, sheet, first, y, cost, no, y.copy(), no.copy())
 
 
-def _fill(offer: _Offered, brick: Brick, root: int, lanes: NDArray[np.int64], inside: Matrix, step: Vector) -> None:
-    """What the cells of a branch give at points of a brick, in lattice steps; `step` is one of them, canonical."""
+def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix, inside: Matrix, step: Vector) -> None:
+    """What the cells of a branch give at points of a brick, `inside` it in lattice steps; `step` is one of them.
+
+    `values` are those of the axes, canonical as `step` is.
+    """
     cells = brick.leaves(root, inside)
     status = brick.arrays[3][cells]
-    serving = np.isin(status, SERVING)
-    if serving.any():
-        said = brick.cells[cells[serving]]
-        share = (inside[serving] - said["low"]) / said["size"]
+    serving, short = np.isin(status, SERVING), (status == Status.NO_ANSWER) & offer.charted.borders.of_arcs
+    if (some := np.nonzero(serving | short)[0]).size:
+        said = brick.cells[cells[some]]
+        share = (inside[some] - said["low"]) / said["size"]
         given = interpolated(brick.nodes["terms"][said["corners"]], share, said["size"] * step)
-        offer.y[lanes[serving]], offer.cost[lanes[serving]] = given[:, :-1], given[:, -1]
-    offer.breaks[lanes] = breaks = status == Status.BREAKS
+        short[some] &= offer.charted.short(values[some], given[:, :-1])
+        offer.y[lanes[serving]], offer.broken[lanes[short]] = given[serving[some], :-1], given[short[some], :-1]
+        offer.cost[lanes[some]] = np.where((serving | short)[some], given[:, -1], np.inf)
+    offer.short[lanes] = short
+    breaks = status == Status.BREAKS
+    offer.breaks[lanes] = breaks | short
     for i in np.nonzero(breaks)[0].tolist():
         offer.broken[lanes[i]] = brick.given(int(cells[i]), inside[i], step)[:-1]
     for i in np.nonzero((status == Status.ENDS) | (status == Status.BREAKS))[0].tolist():

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,7 +30,8 @@ class Offer:
     y: Vector | None
     cost: float
     cell: Vector
-    breaks: bool = False  # the path: all over the cell
+    breaks: bool = False  # the path all over the cell, or there is an arc that is shorter than nothing
+    short: bool = False  # the latter
     polished: Polished | None = None
 
     @property
@@ -41,9 +41,9 @@ class Offer:
 
     @property
     def vouches(self) -> bool:
-        """Whether it is made of arcs and keeps the path, as far as is known."""
+        """Whether it is an answer, good or bad, as far as is known."""
         known = self.y is not None if self.polished is None else bool(self.polished.answers[0])
-        return self.charted.of_arcs and not self.breaks and known
+        return known and not self.breaks
 
     @property
     def beyond(self) -> list[tuple[str, str]]:
@@ -61,6 +61,8 @@ class Offer:
             return f"an extremal of {sheet} lies beyond the {side} bound of {name}, and one held there may be better"
         if polished is not None and polished.gains[0]:
             return f"an extremal of {sheet} would gain by leaving what it holds, and what it would become is not known"
+        if self.short:
+            return f"an arc of an extremal of {sheet} is shorter than nothing, and what it becomes may be better"
         if self.breaks or (polished is not None and polished.breaking[0]):
             return f"an extremal of {sheet} breaks a condition, and a flight that keeps it may be better than is known"
         if polished is None:
@@ -73,38 +75,49 @@ class Offer:
 
 
 def outdoing(charted: Charted, cost: Any, best: Any) -> Any:
-    """Whether extremals of a chart that break the path outdo what is known, J inf for nothing; numbers or arrays."""
+    """Whether extremals of a chart that are no flights outdo what is known, J inf for nothing; numbers or arrays."""
     return np.isinf(best) | ((cost < best) & (not charted.breaks_controls_alone))
 
 
 def unanswered(
-    better: Sequence[tuple[Charted, Lanes]], vouching: Mapping[int, Lanes], of_arcs: NDArray[np.bool_]
+    better: Sequence[tuple[Charted, Lanes, NDArray[np.bool_]]],
+    vouching: Sequence[tuple[Charted, NDArray[np.bool_]]],
+    of_arcs: NDArray[np.bool_],
 ) -> list[NDArray[np.bool_]]:
-    """Of which extremals that outdo the answer, in lanes, no answer of arcs is what becomes of them.
+    """Of which extremals that outdo the answer, and are no flights, no answer may be what becomes of them.
 
-    Each well has one extremal of each chart at most, and one of arcs that keeps the path, of which there are as many.
+    Each well has one extremal of each chart at most, and one answer, of which there are as many. What breaks the path
+    becomes one of arcs; what has an arc that is shorter than nothing one of other arcs, or of none.
 
     Parameters
     ----------
     better
-        Their charts, and in which lanes there is one.
+        Their charts, in which lanes there is one, and which of these have such an arc.
     vouching
-        How many extremals of each chart, by its `id`, are made of arcs and keep the path, (lanes,).
+        Charts of extremals, and in which lanes they are answers, good or bad, (lanes,).
     of_arcs
         Whether the best answer is made of arcs, (lanes,).
     """
-    total = sum(vouching.values(), np.zeros(len(of_arcs), dtype=np.int64))
-    wells = {id(charted): vouching.get(id(charted), 0) + np.zeros_like(total) for charted, _ in better}
-    for charted, lanes in better:
-        wells[id(charted)][lanes] += 1
-    return [~of_arcs[lanes] | (wells[id(charted)][lanes] > total[lanes]) for charted, lanes in better]
+    arcs, answers = np.zeros((2, len(of_arcs)), dtype=np.int64)
+    wells = {charted: np.zeros_like(arcs) for charted, *_ in [*better, *vouching]}
+    for charted, known in vouching:
+        answers += known
+        if charted.of_arcs:
+            arcs += known
+            wells[charted] += known
+    for charted, lanes, _ in better:
+        wells[charted][lanes] += 1
+    left = [(wells[charted] > answers, ~of_arcs | (wells[charted] > arcs)) for charted, *_ in better]
+    return [np.where(its, of[lanes], to[lanes]) for (_, lanes, its), (of, to) in zip(better, left, strict=True)]
 
 
 def unanswered_of(better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer]) -> list[Offer]:
     """The same of one point: `alike` are the best answers, and `offers` all that its cells give."""
     if not better:
         return []
-    vouching = Counter(id(one.charted) for one in offers if one.vouches)
-    here = {chart: np.array([count]) for chart, count in vouching.items()}
-    told = unanswered([(one.charted, _HERE) for one in better], here, np.array([any(a.charted.of_arcs for a in alike)]))
+    told = unanswered(
+        [(one.charted, _HERE, np.array([one.short])) for one in better],
+        [(one.charted, np.array([one.vouches])) for one in offers],
+        np.array([any(one.charted.of_arcs for one in alike)]),
+    )
     return [one for one, left in zip(better, told, strict=True) if left[0]]

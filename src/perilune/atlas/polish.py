@@ -63,6 +63,8 @@ class Polished:
     breaking
         Whether it is an extremal of its sheet but for breaking the path: a flight that keeps that may still be better
         than other sheets.
+    short
+        Whether it is an extremal but for an arc that is shorter than nothing: it becomes another there.
     beyond
         Which bounds of what the user states it lies beyond, being an extremal but for that, as `Borders.beyond` has
         them: a flight that is held there may still be better.
@@ -80,6 +82,7 @@ class Polished:
     answers: NDArray[np.bool_]
     doubtful: NDArray[np.bool_]
     breaking: NDArray[np.bool_]
+    short: NDArray[np.bool_]
     beyond: NDArray[np.bool_]
     gains: NDArray[np.bool_]
     steps: NDArray[np.int64]
@@ -166,6 +169,7 @@ class Polisher:
             answers=answers,
             doubtful=~answers & ~(reached & ~inside) & ~breaking,
             breaking=breaking,
+            short=reached & self.borders.short(y, at, limits),
             beyond=beyond,
             gains=reached & ~inside & allowed & (flown.path >= -SLACK) & (flown.residual <= _FLOWN),
             steps=steps,

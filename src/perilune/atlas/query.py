@@ -77,7 +77,8 @@ class Atlas(Reader):
             polished = offer.polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
             if polished.reached[0] and np.isfinite(polished.cost[0]):
                 offer.cost = float(polished.cost[0])
-            if polished.breaking[0]:
+            offer.short = bool(polished.short[0])
+            if polished.breaking[0] or offer.short:
                 breaking.append(offer)
             elif polished.doubtful[0]:
                 doubts.append(offer)
@@ -172,6 +173,10 @@ class Atlas(Reader):
                     step = (high - low) / WHOLE / charted.chart.scale
                     y, least = brick.given(cell, inside, step)[:-1], brick.least(cell, inside, step)
                     offers.append(Offer(charted, sheet, y, least, low, breaks=True))
+                elif brick.status[cell] == Status.NO_ANSWER and charted.borders.of_arcs:
+                    given = brick.given(cell, inside, (high - low) / WHOLE / charted.chart.scale)
+                    if charted.short((at / charted.chart.scale)[None], given[None, :-1])[0]:
+                        offers.append(Offer(charted, sheet, given[:-1], float(given[-1]), low, breaks=True, short=True))
                 elif brick.status[cell] == Status.ENDS:
                     least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
                     offers.append(Offer(charted, sheet, None, least, low))

@@ -208,6 +208,23 @@ class Borders:
         stated = {*user.free_names, *(c.name for phase in user.phases for c in phase.end_conditions)}
         return np.array([name in stated for name in self.names], dtype=bool)
 
+    @cached_property
+    def of_arcs(self) -> bool:
+        """Whether any of what can be held is how long an arc is."""
+        return bool((np.isfinite(self._lower) & ~self.users).any())
+
+    def short(self, y: Matrix, at: Matrix, limits: Limits) -> NDArray[np.bool_]:
+        """Which lanes are answers but for an arc that is shorter than nothing, as far as values tell; as of `margins`.
+
+        NaN in `at` is not looked at.
+        """
+        if not self.of_arcs:
+            return np.zeros(len(y), dtype=bool)
+        with np.errstate(invalid="ignore"):
+            below, above = at < limits[0] - SLACK, at > limits[1] + SLACK
+        speaks_against = ((below | above) & self.users).any(axis=1) | (y[:, self._touched] > SLACK).any(axis=1)
+        return np.any(below & ~self.users, axis=1) & ~speaks_against
+
     def beyond(self, at: Matrix, choice: Matrix, limits: Limits) -> NDArray[np.bool_]:
         """Which `bounds` of what the user states, and is not held, lanes lie beyond, (lanes, bounds)."""
         lower, upper = limits
