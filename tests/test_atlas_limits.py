@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,12 @@ import perilune as pl
 from perilune import PeriluneError
 from perilune.atlas import building
 from perilune.atlas.chart import Chart, Holds
+from perilune.atlas.extending import extend
 from perilune.atlas.query import open_atlas
 from perilune.atlas.sheets import Borders, Sheet
+from perilune.models.bodies import MOON
+from perilune.models.landing import Orbit, hybrid_landing
+from perilune.models.vehicle import Retro, Vehicle
 from perilune.problem.extremal import Nature
 from perilune.problem.variables import Given, Variable
 from perilune.words.types import Matrix, Vector
@@ -121,6 +126,39 @@ def test_ranges_that_an_atlas_cannot_keep_are_refused(tmp_path: Path) -> None:
     answer = atlas.query(high=0.6)
     assert answer.query is not None
     np.testing.assert_allclose([answer.objective, answer.query.slopes["high"]], [J[0], by_high[0]], rtol=1e-10)
+
+
+def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move(tmp_path: Path) -> None:
+    """Records of a model let its own ranges be made again, and no others: also where both agree at its own values."""
+    vehicle, orbit = (
+        Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0),
+        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
+    )
+    model = hybrid_landing(vehicle, Retro(specific_impulse=310.0), orbit, body=MOON)
+    ranges = model.ranges
+    assert ranges is not None and model.declared
+
+    def slower(p: Any, m: Any) -> Any:
+        found = dict(ranges(p, m))
+        least, most, typical = found["retro_delta_v"]
+        return {**found, "retro_delta_v": (least, most - 10.0 * (p.vehicle_thrust - 440.0), typical)}
+
+    for name in ("hybrid_landing", "landing_of_my_own"):
+        problem = replace(model, name=name, ranges=slower)
+        with pytest.raises(PeriluneError, match=r"the range of retro\.delta_v follows from what varies"):
+            build(problem, {"vehicle.thrust": (435.0, 445.0)}, tmp_path / "map")
+
+
+def test_an_atlas_that_has_lost_what_its_ranges_follow_from_is_not_extended(tmp_path: Path) -> None:
+    """Within its axes they do not move; what they do beyond nobody who opens it knows."""
+    problem = replace(
+        haul(True).with_given(high=0.6), ranges=lambda p, m: {"T": (0.0, LONGEST - m.fmax(p.high - 0.7, 0.0), 1.0)}
+    )
+    directory = build(problem, {"high": (0.5, 0.7)}, tmp_path / "map", bricks=1)
+    with pytest.raises(PeriluneError, match="follow from a function that this atlas does not keep"):
+        extend(directory, {"high": (0.5, 0.9)})
+    extend(directory, {}, sample=0)
+    assert open_atlas(directory).query_many(np.array([[0.6]])).good.all()
 
 
 def two_hauls() -> pl.Problem:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.columns import (
     MOST_NOTES,
+    RANGES,
     brick_name,
     digest_of,
     header_axes,
@@ -27,6 +28,7 @@ from perilune.atlas.survey import Found, Survey, said_of, seeds
 from perilune.atlas.tasks import Task, computed, first_tasks, tasks_going_on
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.io.export import problem_document, versions
+from perilune.io.reload import as_read_back
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand, demand_callable, demand_path
@@ -94,7 +96,6 @@ def build(
     demand(problem, Problem, "a problem to map")
     demand_callable(watch, "a watch")
     region, say = region_of(problem, axes, bricks), watch or silent
-    refuse_moving_ranges(problem, region)
     if not (isinstance(tolerance, float) and _TIGHTEST <= tolerance <= _LOOSEST):
         raise PeriluneError(
             "the tolerance of an atlas is out of range", got=repr(tolerance)[:40],
@@ -104,7 +105,11 @@ def build(
     if chosen := {axis.name: axis.low for axis in region.axes if axis.name in problem.free_names}:
         problem = problem.with_given(**chosen)  # an axis is told, not chosen
     kept = Store(demand_path(store, "the directory of an atlas"))
-    header = {**header_axes(region), "tolerance": tolerance, "versions": versions(), **problem_document(problem)}
+    document = problem_document(problem)
+    refuse_moving_ranges(problem, as_kept := as_read_back(document), region)
+    header = {**header_axes(region), "tolerance": tolerance, "versions": versions(), **document}
+    if problem.ranges is not None and as_kept.ranges is None:
+        header[RANGES] = "as they are within the axes; the function that they follow from is not kept"
     survey = _surveyed(kept, header, problem, region, method or Indirect(), say, force)
     completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
     sampled(kept, sample, executor, say)

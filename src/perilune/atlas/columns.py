@@ -18,6 +18,7 @@ from perilune.problem.problem import Problem
 from perilune.words.types import Vector
 
 MOST_NOTES = 100
+RANGES = "ranges"  # key of a header whose problem has lost what its ranges follow from
 
 
 def node_type(d: int, n: int) -> np.dtype[Any]:

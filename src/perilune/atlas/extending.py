@@ -22,6 +22,7 @@ from perilune.atlas.cells import same
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import (
     MOST_NOTES,
+    RANGES,
     digest_of,
     header_region,
     seed_type,
@@ -31,7 +32,7 @@ from perilune.atlas.columns import (
 )
 from perilune.atlas.course import course_from
 from perilune.atlas.lines import told_of_damage
-from perilune.atlas.region import Region, refuse_moving_ranges, refuse_untaken, wider
+from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
@@ -96,7 +97,12 @@ def extend(
     wide = wider(region, axes)
     if wide != region:
         refuse_untaken(problem, wide)
-        refuse_moving_ranges(problem, wide)
+        if RANGES in header:
+            raise PeriluneError(
+                "ranges of free parameters follow from a function that this atlas does not keep",
+                got=str(kept.directory), expected="ranges that hold beyond what is mapped as well",
+                advice="build an atlas of the wider region from the problem itself",
+            )  # fmt: skip
         with kept.claimed("survey") as ours:
             if not ours or kept.survey() != survey:
                 raise PeriluneError("another builder surveys this atlas at this moment", advice="wait until it is done")

@@ -211,22 +211,23 @@ def refuse_untaken(problem: Problem, region: Region) -> None:
         problem.with_given(**dict(zip(region.names, corner, strict=True)))
 
 
-def refuse_moving_ranges(problem: Problem, region: Region) -> None:
-    """Refuse ranges of free parameters that follow, by a function of the user's, from what varies.
+def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> None:
+    """Refuse ranges of free parameters that move otherwise than in the problem as an atlas keeps it.
 
-    An atlas keeps formulas and numbers: whoever opens it would have these ranges at one point only.
+    An atlas keeps formulas and numbers, and models with the values of their records: of a function of the user's
+    whoever opens it would have the ranges at one point only.
     """
-    if problem.ranges is None or problem.declared:
+    if problem.ranges is None:
         return
     within = np.random.default_rng(0).uniform(region.low, region.high, (_LOOKS, len(region.axes))).tolist()
     for at in [*product(*((axis.low, axis.high) for axis in region.axes)), *within]:
-        there = problem.with_given(**{n: v for n, v in zip(region.names, at, strict=True) if n in problem.given})
-        for here, f in zip(problem.free, there.free, strict=True):
-            if f.name not in region.names and (here.lower, here.upper) != (f.lower, f.upper):
+        values = {n: v for n, v in zip(region.names, at, strict=True) if n in problem.given}
+        for here, f in zip(kept.with_given(**values).free, problem.with_given(**values).free, strict=True):
+            if (here.lower, here.upper) != (f.lower, f.upper):
                 raise PeriluneError(
                     f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
                     got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where {region.told(at)}",
-                    expected=f"{told(here.lower, here.unit)} to {told(here.upper, here.unit)} everywhere",
+                    expected=f"{told(here.lower, here.unit)} to {told(here.upper, here.unit)} there, as it is kept",
                     advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "
                     "parameter",
                 )

@@ -193,6 +193,15 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
     return stated
 
 
+def as_read_back(document: Mapping[str, Any]) -> Problem:
+    """The problem of a document that `perilune.io.export.problem_document` made without a scenario."""
+    return read_problem({**document, "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION}}, _no_scenario)
+
+
+def _no_scenario(_: str) -> Problem:
+    raise AssertionError("a document that was made without a scenario has none")
+
+
 def _close(one: Any, other: Any) -> bool:
     """Whether two trees of names and numbers are the same but for rounding."""
     if isinstance(one, tuple) and isinstance(other, tuple):
