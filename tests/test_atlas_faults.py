@@ -22,9 +22,11 @@ from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, snapshot
 from perilune.atlas import building, read
 from perilune.atlas.extending import extend
+from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
 from perilune.atlas.store import MANIFEST, Store
+from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.models.kinds import key_of
 from perilune.words.outcome import PeriluneError
@@ -233,6 +235,28 @@ def test_what_dead_and_other_builders_leave_is_removed(copy: Path) -> None:
     (copy / ".claim-0-0-0").touch()  # of one that looked when another had just let go
     build(cho_landing(), AXES, copy)
     assert snapshot(copy) == whole
+
+
+def test_an_atlas_without_its_survey_is_not_built_and_nothing_of_it_is_verified(copy: Path) -> None:
+    """A manifest that is lost, or was cut in its first line, says nothing of where sheets have answers."""
+    (copy / MANIFEST).write_bytes((copy / MANIFEST).read_bytes()[:200])
+    atlas = open_atlas(copy)
+    with pytest.raises(PeriluneError, match="not built yet"):
+        atlas.query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
+    assert atlas.query_many(np.array([[440.0, 300.0]])).answered == Answered.NOT_BUILT
+    with pytest.raises(PeriluneError, match="no survey"):
+        verify_atlas(atlas, 0)
+
+
+def test_a_damaged_shard_of_the_survey_is_found(copy: Path) -> None:
+    """No query reads it, but who extends or merges the atlas does; it is named once, with what is wrong of it."""
+    file = copy / "survey-0.npy"
+    content = bytearray(file.read_bytes())
+    content[-9] ^= 1
+    file.write_bytes(content)
+    found = verify_atlas(open_atlas(copy), 0)
+    assert not found.passed and len(found.damaged) == 1
+    assert found.damaged[0].count(file.name) == 1 and "than its checksum says" in found.damaged[0]
 
 
 def test_a_line_that_was_not_written_whole_is_no_line(tmp_path: Path) -> None:

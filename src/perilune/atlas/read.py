@@ -195,7 +195,9 @@ class Reader:
         return [self.damaged[key] for key in keys if key in self.damaged]
 
     def missing(self, brick: tuple[int, ...]) -> bool:
-        """Whether the survey has a sheet for a place of which no brick is there."""
+        """Whether the survey has a sheet for a place of which no brick is there, or is not there itself."""
+        if not self.survey["charts"]:
+            return True
         here = [(number, *brick) for number in range(len(self.survey["charts"]))]
         return not any(key in self.said for key in here) and any(key in self._surveyed for key in here)
 

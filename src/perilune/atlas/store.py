@@ -244,11 +244,12 @@ class Store:
         if not _OURS.fullmatch(name):
             raise _damaged(name[:60], "no name of a shard")
         try:
-            if check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256"):
-                raise _damaged(name, "another content than its checksum says")
-            found = np.load(path, mmap_mode="r", allow_pickle=False)
+            altered = check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256")
+            found = None if altered else np.load(path, mmap_mode="r", allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise _damaged(name, str(error)[:80]) from error
+        if found is None:
+            raise _damaged(name, "another content than its checksum says")
         if found.dtype != dtype or found.ndim != 1 or len(found) != said.get("rows"):
             raise _damaged(name, f"{found.dtype} {found.shape}"[:80])
         return found

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.atlas.columns import cell_type, node_type
+from perilune.atlas.columns import cell_type, node_type, seed_type
 from perilune.atlas.query import Atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sampling import (
@@ -78,24 +78,35 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
         Of the draw; by default another each time, so that nobody can choose what is looked at.
     watch
         Receives lines of text.
+
+    Raises
+    ------
+    PeriluneError
+        If there is no survey, so that nobody knows what should be there.
     """
-    d, damaged, shards, nodes, good = len(atlas.region.axes), list[str](), 0, 0, 0
+    d, damaged, nodes, good = len(atlas.region.axes), list[str](), 0, 0
+    if not (charts := atlas.survey["charts"]):
+        raise PeriluneError(
+            "this atlas has no survey, and nothing to verify", got=str(atlas.store.directory),
+            advice="build it first, or again what is lost of it: perilune atlas build ... --resume",
+        )  # fmt: skip
+    shards = [(-1, chart["seeds"], seed_type(d, chart["unknowns"])) for chart in charts]
     for (number, *_), line in sorted(atlas.said.items()):
-        charted = atlas.charted[number]
-        for kind, dtype in (("nodes", node_type(d, charted.unknowns)), ("cells", cell_type(d))):
-            shards += 1
-            watch(f"shard {shards} of {2 * len(atlas.said)}")
-            try:
-                rows = atlas.store.shard(line[kind], dtype)
-            except PeriluneError as error:
-                damaged.append(str(error))
-                continue
-            if kind == "nodes":
-                nodes += len(rows)
-                good += int(may_be_answers(rows, charted.sheets).sum())
+        shards.append((number, line["nodes"], node_type(d, charts[number]["unknowns"])))
+        shards.append((-1, line["cells"], cell_type(d)))
+    for count, (number, said, dtype) in enumerate(shards, 1):
+        watch(f"shard {count} of {len(shards)}")
+        try:
+            rows = atlas.store.shard(said, dtype)
+        except PeriluneError as error:
+            damaged.append(str(error))
+            continue
+        if number >= 0:
+            nodes += len(rows)
+            good += int(may_be_answers(rows, atlas.charted[number].sheets).sum())
     found = certified(drawn_at_random(atlas, sample, np.random.default_rng(seed)), None, watch)
     unproved = tuple(unproved_text(atlas, one) for one in found if not one.proved)
     return Verified(
-        shards=shards, damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
+        shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
         drawn=len(found), unproved=unproved,
     )  # fmt: skip
