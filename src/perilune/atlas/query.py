@@ -28,7 +28,7 @@ from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.extremals import Found
 from perilune.words.asked import called_in_words, demand_path
 from perilune.words.declared import parameter_name
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.outcome import NotConvergedError, PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
 
 _NEAREST = 64  # nodes that are asked where there is an answer
@@ -54,7 +54,9 @@ class Atlas(Reader):
         Raises
         ------
         PeriluneError
-            If a value is missing or outside of the region, or if the map has no answer there: why, and what is near.
+            If a value is missing or outside of the region, or its part of the map is not built or damaged.
+        NotConvergedError
+            If the map has no answer there: why, and what is near.
         InfeasibleError
             If physics refuses the point.
         """
@@ -274,7 +276,7 @@ class Atlas(Reader):
             )
         near = self._nearest(at)
         why = "no sheet has an answer in this cell" if doubt is None else doubt.why
-        return PeriluneError(
+        return NotConvergedError(
             f"the atlas has no answer here: {why}",
             got=got,
             expected=f"for instance {near}" if near else "another point",

@@ -145,8 +145,10 @@ class Region:
         """What of a point lies outside, in words; None for a point of the region."""
         for axis, value in zip(self.axes, values, strict=True):
             if not axis.low <= value <= axis.high:
-                mapped = f"{told(axis.low, axis.unit)} to {told(axis.high, axis.unit)}"
-                return f"{axis.told(value)}, which is mapped from {mapped}"
+                near = axis.low if value < axis.low else axis.high
+                digits = 6 if told(value, axis.unit) != told(near, axis.unit) else 17  # just outside
+                said, low, high = (told(v, axis.unit, digits) for v in (value, axis.low, axis.high))
+                return f"{axis.key} {said}, which is mapped from {low} to {high}"
         return None
 
 
