@@ -240,6 +240,15 @@ class ArcSystem:
         return ca.Function("crossings", [z, rate, mode, p], [ca.vertcat(g, ca.densify(ca.jtimes(g, z, rate)))])
 
     @property
+    def course(self) -> str:
+        """How events are met, whatever they are: all that the stepping loop depends on."""
+        met = [
+            (e.direction, e.terminal, e.steady, bool(e.levels), *map(e.watched, range(len(self.modes))))
+            for e in self.events
+        ]
+        return repr((met, self.transitions, self.carried))
+
+    @property
     def carried(self) -> list[tuple[int, int]]:
         """(event, mode before) of the transitions that change Y."""
         return [(event, before) for event, before, _ in self.transitions if not self.events[event].steady]

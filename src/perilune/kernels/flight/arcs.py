@@ -19,8 +19,9 @@ MAX_EVENTS = 64
 #: Step attempts allowed to an arc when nothing else is asked.
 MAX_STEPS = 5000
 
-#: What the machine code is handed: one table of pointers and whole numbers, in this order.
+#: What the stepping loop is handed: one table of pointers and whole numbers, in this order.
 TABLE = (
+    "equations",
     "lanes",
     "order",
     "z0",
@@ -40,6 +41,9 @@ TABLE = (
     "log",
     "nodes",
 )
+#: What equations tell of themselves in a table of their own, behind which are their transitions: how many numbers there
+#: are, where the entries of S kept in Y lie within an array (nz, nc), and where their functions are.
+EQUATIONS = ("nz", "n", "np", "nc", "constants", "offsets", "fill", "field", "crossings")
 #: What is reported of each lane, as doubles.
 INFO = ("time", "status", "steps", "mode", "events")
 

@@ -14,6 +14,7 @@ mode.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from perilune.kernels.algebra.system import Event
 from perilune.kernels.code.ir import BIT, INT, Mask, Num, Ptr, Vec, Writer
@@ -36,11 +37,12 @@ class Crossing:
         self.f, self.w, self.count = frame, w, count
         self.old, self.new, self.after = (w.buffer(2 * count) for _ in range(3))
         self.fired, self.crossed = w.allocate(w.mask, count), w.allocate(w.mask, count)
+        self.aimed = w.allocate(w.mask, 1)
 
     def begin(self) -> None:
         """Evaluate the events at the start."""
         f, w = self.f, self.w
-        f.call("crossings", f.state, f.slopes, f.mode, self.old)
+        f.crossings(f.state, f.slopes[0], self.old)
         for number in range(self.count):
             w.store(self._just_after(self.old, number), self.old, number)
             w.store(w.const_mask(False), self.fired, number)
@@ -54,7 +56,7 @@ class Crossing:
     def locate(self, h: Vec, held: Ptr[Mask]) -> None:
         """Look for crossings in an accepted step; where there are, refuse it or let the event fire at its end."""
         f, w, count = self.f, self.w, self.count
-        f.call("crossings", f.new, f.slopes_after, f.mode, self.new)
+        f.crossings(f.new, f.slopes[-1], self.new)
         accepted = w.load(held)
         theta, ahead = w.buffer(1), w.buffer(1)
         w.store(w.const(2.0), theta)
@@ -112,11 +114,16 @@ class Crossing:
         w.store(w.select(heads, nearer, w.load(ahead)), ahead)
         inside = w.but_not(crosses, arrives)
         with w.when(w.any(inside)):
-            _aim(w, inside, (g0, g1, rate0, rate1), theta, derivative=False)
+            self._aim("zero", inside, (g0, g1, rate0, rate1), theta)
         turns = w.both(w.compare("olt", w.mul(g0, rate0), zero), w.compare("ogt", w.mul(g1, rate1), zero))
         dips = w.both(w.but_not(watched, crosses), w.both(same_side, turns))
         with w.when(w.any(dips)):
-            _aim(w, dips, (g0, g1, rate0, rate1), theta, derivative=True)
+            self._aim("dip", dips, (g0, g1, rate0, rate1), theta)
+
+    def _aim(self, name: str, mask: Mask, ends: Iterable[Vec], theta: Ptr[Vec]) -> None:
+        values = ", ".join(f"{self.w.vector} {x}" for x in ends)
+        self.w.store(mask, self.aimed)
+        self.w.run(f"call void @{name}(ptr {self.aimed}, {values}, ptr {theta})")
 
     def fire(self, t: Table) -> None:
         """Note the events at the end of the committed step, and end the arc or change its mode."""
@@ -137,7 +144,7 @@ class Crossing:
             if f.system.transitions:
                 self._transit(masks)
                 f.field(f.state, f.new)
-                f.blend(some, f.new, f.slopes, f.n)
+                f.blend(some, f.new, f.slopes[0], f.n)
             self._look_again(masks, some)
             w.store(w.select(some, w.const(math.inf), w.load(f.limit)), f.limit)
         for number in range(self.count):
@@ -167,7 +174,7 @@ class Crossing:
             here = w.both(masks[number], w.compare("oeq", mode, w.const(float(before))))
             if not f.system.events[number].steady:
                 with w.when(w.any(here)):
-                    f.call(f"transition{number}_{before}", f.state, f.new)
+                    f.carry(number, before, f.state, f.new)
                     f.blend(here, f.new, f.state, f.n)
             new_mode = w.select(here, w.const(float(after)), new_mode)
         w.store(new_mode, f.mode)
@@ -175,7 +182,7 @@ class Crossing:
     def _look_again(self, masks: list[Mask], some: Mask) -> None:
         """Evaluate the events after one: its own g counts as passed, one that crossed with it as ahead."""
         f, w, count = self.f, self.w, self.count
-        f.call("crossings", f.state, f.slopes, f.mode, self.after)
+        f.crossings(f.state, f.slopes[0], self.after)
         for number, mask in enumerate(masks):
             old = w.load(self.old, number)
             pending = w.both(some, w.load(self.crossed, number))
@@ -188,9 +195,15 @@ class Crossing:
             w.store(w.select(some, rate, w.load(self.old, count + number)), self.old, count + number)
 
 
-def _aim(w: Writer, mask: Mask, ends: tuple[Vec, Vec, Vec, Vec], theta: Ptr[Vec], *, derivative: bool) -> None:
+def aiming(width: int) -> str:
+    """Return the IR of what aims at a crossing inside of a step: ``zero``, and ``dip`` where there are two."""
+    return _aim("zero", Writer(width), derivative=False) + _aim("dip", Writer(width), derivative=True)
+
+
+def _aim(name: str, w: Writer, *, derivative: bool) -> str:
     """Bisect the Hermite cubic for its zero, or its slope for a dip through zero; the earliest counts."""
-    g0, g1, rate0, rate1 = ends
+    mask, theta = w.load(Ptr("%mask", w.mask)), Ptr("%theta", w.vector)
+    g0, g1, rate0, rate1 = (Vec(f"%{x}") for x in ("g0", "g1", "rate0", "rate1"))
     jump = w.sub(g1, g0)
     c2 = w.sub(w.mul(w.const(3.0), jump), w.fma(w.const(2.0), rate0, rate1))
     c3 = w.sub(w.add(rate0, rate1), w.mul(w.const(2.0), jump))
@@ -224,3 +237,5 @@ def _aim(w: Writer, mask: Mask, ends: tuple[Vec, Vec, Vec, Vec], theta: Ptr[Vec]
     found = w.smaller(w.larger(found, w.const(1e-3)), w.const(_WHOLE))
     earlier = w.both(mask, w.compare("olt", found, w.load(theta)))
     w.store(w.select(earlier, found, w.load(theta)), theta)
+    taken = ", ".join(["ptr %mask", *(f"{w.vector} {x}" for x in (g0, g1, rate0, rate1)), "ptr %theta"])
+    return f"define internal void @{name}({taken}) nounwind {{\n{w.body()}\n  ret void\n}}\n"

@@ -17,11 +17,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from perilune.kernels.algebra.system import ArcSystem
-from perilune.kernels.code.ir import BIT, INT, Int, Mask, Ptr, Vec
+from perilune.kernels.code.ir import BIT, INT, Int, Mask, Ptr, Vec, Writer
 from perilune.kernels.flight import lanes, tableau
 from perilune.kernels.flight.arcs import ArcStatus
-from perilune.kernels.flight.crossing import Crossing
-from perilune.kernels.flight.frame import SLOT, Frame, Kernels, Table
+from perilune.kernels.flight.crossing import Crossing, aiming
+from perilune.kernels.flight.frame import Frame, Table
 
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 10.0
 # Hairer's first step is for any order: with order 8 its error was found 1e-6 to 1e-5 of what is allowed.
@@ -31,39 +31,39 @@ _RESOLVED = 1e-14  # a step below this fraction of the duration is not taken
 
 
 def module(system: ArcSystem, width: int) -> str:
-    """Return the IR of ``void arcs(i64 first group, i64 last group, ptr table)`` and, for one lane, of ``rates``."""
-    kernels = Kernels(system, width)
-    offsets = ", ".join(f"i64 {x}" for x in system.offsets)
-    values = f"[{offsets}]" if offsets else "zeroinitializer"
-    constant = f"{lanes.OFFSETS} = internal constant [{len(system.offsets)} x i64] {values}\n"
-    rates = _rates(system, kernels) if width == 1 else ""
-    return "\n".join([constant, kernels.text(), _Stepping(system, kernels).arcs(), rates])
+    """Return the IR of ``void arcs(i64 first group, i64 last group, ptr table)`` and, for one lane, of ``rates``.
+
+    It is that of any system of the same `course`.
+    """
+    parts = [aiming(width)] if system.events else []
+    return "\n".join([*parts, _Stepping(system, width).arcs(), *([_rates(system)] if width == 1 else [])])
 
 
-def _rates(system: ArcSystem, kernels: Kernels) -> str:
-    """Write ``rates(count, Y, p, modes, result)``: Y' at many points with one p, for the dense output."""
-    f = Frame(system, kernels)
+def _rates(system: ArcSystem) -> str:
+    """Write ``rates(count, Y, p, modes, result, equations)``: Y' at many points with one p, for the dense output."""
+    f = Frame(system, Writer(1), Ptr("%equations", INT))
     w, y, p, modes, out = f.w, *(Ptr(f"%{name}", f.w.vector) for name in ("y", "p", "modes", "out"))
-    with w.loop(0, system.np) as c:
+    with w.loop(0, f.np) as c:
         w.store(w.load(p, c), f.parameters, c)
     f.fill_constants()
     with w.loop(0, Int("%count")) as k:
         w.store(w.load(modes, k), f.mode)
         row = w.integer("mul", k, f.n)
         f.field(w.at(y, row), w.at(out, row))
-    head = "define void @rates(i64 %count, ptr %y, ptr %p, ptr %modes, ptr %out) nounwind"
+    head = "define void @rates(i64 %count, ptr %y, ptr %p, ptr %modes, ptr %out, ptr %equations) nounwind"
     return f"{head} {{\n{w.body()}\n  ret void\n}}\n"
 
 
 class _Stepping:
     """Writes the stepping loop."""
 
-    def __init__(self, system: ArcSystem, kernels: Kernels) -> None:
-        f = self.f = Frame(system, kernels)
-        self.w, self.nz, self.n = f.w, f.nz, f.n
+    def __init__(self, system: ArcSystem, width: int) -> None:
+        w = self.w = Writer(width)
+        self.table = Table(w)
+        f = self.f = Frame(system, w, self.table.equations)
+        self.nz, self.n, self.entries = f.nz, f.n, w.broadcast(f.nz)
         self.crossing = Crossing(f) if system.events else None
-        self.table = Table(f.w)
-        self.fixed = f.w.let(BIT, f"icmp sgt i64 {self.table.fixed_steps}, 0")
+        self.fixed = w.let(BIT, f"icmp sgt i64 {self.table.fixed_steps}, 0")
 
     def arcs(self) -> str:
         """Return the IR of ``arcs``."""
@@ -71,7 +71,7 @@ class _Stepping:
         with w.loop(Int("%first"), Int("%last")) as group:
             lanes.gather(f, self.table, group)
             f.fill_constants()
-            f.field(f.state, f.slopes)
+            f.field(f.state, f.slopes[0])
             self._first_step()
             if self.crossing:
                 self.crossing.begin()
@@ -91,7 +91,7 @@ class _Stepping:
             scale = w.fma(w.load(f.rtol), size, w.load(f.atol))
             x = w.div(value(c), scale)
             w.store(w.fma(x, x, w.load(total)), total)
-        return w.intrinsic("sqrt", w.mul(w.load(total), w.const(1 / self.nz)))
+        return w.intrinsic("sqrt", w.div(w.load(total), self.entries))
 
     def _first_step(self) -> None:
         """Hairer's initial step from the sizes of z, z' and an estimate of z''."""
@@ -99,15 +99,15 @@ class _Stepping:
         duration = w.load(f.duration)
         length = w.intrinsic("fabs", duration)
         d0 = self._norm(lambda c: w.load(f.state, c))
-        d1 = self._norm(lambda c: w.load(f.slopes, c))
+        d1 = self._norm(lambda c: w.load(f.slopes[0], c))
         small = w.either(w.compare("olt", d0, w.const(1e-5)), w.compare("olt", d1, w.const(1e-5)))
         h0 = w.select(small, w.const(1e-6), w.mul(w.const(0.01), w.div(d0, d1)))
         h0 = w.smaller(h0, length)
         signed = w.intrinsic("copysign", h0, duration)
         with w.loop(0, self.n) as c:
-            w.store(w.fma(signed, w.load(f.slopes, c), w.load(f.state, c)), f.new, c)
-        f.field(f.new, f.slopes_after)
-        d2 = w.div(self._norm(lambda c: w.sub(w.load(f.slopes_after, c), w.load(f.slopes, c))), h0)
+            w.store(w.fma(signed, w.load(f.slopes[0], c), w.load(f.state, c)), f.new, c)
+        f.field(f.new, f.slopes[-1])
+        d2 = w.div(self._norm(lambda c: w.sub(w.load(f.slopes[-1], c), w.load(f.slopes[0], c))), h0)
         d = w.larger(d2, d1)
         root = w.div(w.const(0.01), d)
         for _ in range(3):
@@ -156,13 +156,13 @@ class _Stepping:
         for stage in range(1, tableau.STAGES):
             with w.loop(0, self.n) as c:
                 w.store(w.fma(h, self._combine(tableau.A[stage], c), w.load(f.state, c)), f.new, c)
-            f.field(f.new, w.at(f.slopes, SLOT[stage] * self.n))
+            f.field(f.new, f.slopes[stage])
 
     def _combine(self, weights: dict[int, float], c: Int) -> Vec:
         """Sum the slopes of an entry with the weights of a row of the tableau."""
         w, f, total = self.w, self.f, None
         for stage, weight in weights.items():
-            slope = w.load(w.at(f.slopes, SLOT[stage] * self.n), c)
+            slope = w.load(f.slopes[stage], c)
             factor = w.const(weight)
             total = w.mul(slope, factor) if total is None else w.fma(slope, factor, total)
         assert total is not None, "a row of the tableau has weights"
@@ -185,7 +185,7 @@ class _Stepping:
                 x = w.mul(self._combine(weights, c), inverse)
                 w.store(w.fma(x, x, w.load(total)), total)
         e5, e3 = w.load(fifth), w.load(third)
-        both = w.mul(w.fma(w.const(0.01), e3, e5), w.const(float(self.nz)))
+        both = w.mul(w.fma(w.const(0.01), e3, e5), self.entries)
         bottom = w.larger(w.intrinsic("sqrt", both), w.const(1e-300))
         return w.div(w.mul(w.intrinsic("fabs", h), e5), bottom)
 
@@ -194,7 +194,7 @@ class _Stepping:
         w, f = self.w, self.f
         with w.loop(self.nz, self.n) as c:
             w.store(w.fma(h, self._combine(tableau.B, c), w.load(f.state, c)), f.new, c)
-        f.field(f.new, f.slopes_after)
+        f.field(f.new, f.slopes[-1])
 
     def _adapt(self, h: Vec, error: Vec, active: Mask, good: Mask, limited: Mask) -> None:
         """Set the next step: err^(-1/8), held back after a refusal or by a trend, untouched by a step cut short."""
@@ -229,7 +229,7 @@ class _Stepping:
         w.store(w.add(w.load(f.steps), w.select(accepted, w.const(1.0), w.const(0.0))), f.steps)
         with w.when(w.any(accepted)):
             f.blend(accepted, f.new, f.state, self.n)
-            f.blend(accepted, f.slopes_after, f.slopes, self.n)
+            f.blend(accepted, f.slopes[-1], f.slopes[0], self.n)
 
     def _record(self, h: Vec, accepted: Mask, time: Vec) -> None:
         """Note the start of an accepted step (time, length, mode, z), where nodes are asked for."""
@@ -237,7 +237,9 @@ class _Stepping:
         wanted = w.let(BIT, f"icmp ne ptr {nodes}, null")
         with w.when(w.and_bit(wanted, w.any(accepted))):
             row = w.let(INT, f"fptosi double {w.lane(w.load(f.steps), 0)} to i64")
-            base = Ptr(w.at(nodes, w.integer("mul", row, 3 + self.nz)), w.vector)  # one lane: a double is a vector
+            base = Ptr(
+                w.at(nodes, w.integer("mul", row, w.integer("add", self.nz, 3))), w.vector
+            )  # one lane: a double is a vector
             for place, value in enumerate((time, h, w.load(f.mode))):
                 w.store(value, base, place)
             with w.loop(0, self.nz) as c:

@@ -2,8 +2,9 @@
 
 Four lanes are the width that measures fastest (the stages of eight leave the first cache). One arc goes with the code
 for four, which takes a tenth longer than code of its own would: so it is what it is among many, to the last bit. Only
-the nodes of a dense arc are written by code for one lane. Each pair (columns or not, lanes) is an object of its own,
-compiled when first asked for.
+the nodes of a dense arc are written by code for one lane. The equations of each pair (columns or not, lanes) are an
+object of their own, compiled when first asked for; the loop that steps them is that of all whose events are met alike,
+which for a small system would be most of its code.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import ctypes
 import logging
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from perilune.kernels.algebra.system import ArcSystem, Event
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.threads import spread
-from perilune.kernels.flight.arcs import TABLE, Arcs, Request, request
+from perilune.kernels.flight.arcs import EQUATIONS, TABLE, Arcs, Request, request
 from perilune.kernels.flight.bound import BoundArcs, Engine
 from perilune.kernels.flight.dense import DenseArc, dense_arc
 from perilune.words.types import Matrix, Vector
@@ -28,6 +29,7 @@ from perilune.words.types import Matrix, Vector
 _LOG = logging.getLogger("perilune.kernels")
 LANES = 4
 _GROUPS_PER_THREAD = 16  # below this a second thread costs more than it gives
+_loops = dict[str, native.MachineCode]()  # those loaded, by what they depend on
 _told: list[str] = []  # the fallback is mentioned once for each process
 
 
@@ -88,23 +90,24 @@ class NativeEngine:
         self.system = system
         self._bare = system.without_columns() if system.nc else system
         self._cache = cache
-        self._code: dict[tuple[bool, int], native.MachineCode] = {}
-        self._calls: dict[tuple[bool, int], Callable[..., None]] = {}
-        self._rate: Callable[..., None] | None = None
+        self._flown = dict[tuple[bool, int], _Flown]()
 
-    def _object(self, columns: bool, width: int) -> native.MachineCode:
+    def _code(self, columns: bool, width: int) -> _Flown:
         which = (columns, width)
-        if which not in self._code:
+        if which not in self._flown:
             system = self.system if columns else self._bare
 
             def build() -> bytes:
-                from perilune.kernels.flight import driver
+                from perilune.kernels.flight import equations
 
-                return native.compile_ir(driver.module(system, width))
+                return native.compile_ir(equations.module(system, width))
 
-            code = disk.fetch(_name(system, width), build, enabled=self._cache)
-            self._code[which] = native.MachineCode(code)
-        return self._code[which]
+            name = disk.key(system.key, str(width), *native.processor(), *native.versions())
+            code = native.MachineCode(disk.fetch(name, build, enabled=self._cache))
+            table = native.table([0] * (len(EQUATIONS) + len(system.transitions)))
+            code.function("equations", ctypes.c_void_p)(table)
+            self._flown[which] = _Flown(_stepping(system, width), ctypes.addressof(table), (table, code))
+        return self._flown[which]
 
     def propagate(
         self,
@@ -172,33 +175,48 @@ class NativeEngine:
             Where the start of each step of the one arc goes: (steps, 3 + nz).
         """
         width = LANES if nodes is None else 1  # nodes are written by the code for one lane only
-        call = self._call(asked.seeds is not None, width)
-        return BoundArcs(self.system, asked, lambda flight: _flying(call, width, flight), nodes)
-
-    def _call(self, columns: bool, width: int) -> Callable[..., None]:
-        which = (columns, width)
-        if which not in self._calls:
-            kinds = (ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
-            self._calls[which] = self._object(columns, width).function("arcs", *kinds)
-        return self._calls[which]
+        flown = self._code(asked.seeds is not None, width)
+        return BoundArcs(self.system, asked, lambda flight: _flying(flown, width, flight), nodes)
 
     def _rates(self, z: Matrix, p: Vector, mode: Vector) -> Matrix:
         """Return z' at many points, (count, nz)."""
-        rates = self._rate
-        if rates is None:
-            kinds = (ctypes.c_int64, *[ctypes.c_void_p] * 4)
-            rates = self._rate = self._object(False, 1).function("rates", *kinds)
-        out = np.empty(z.shape)
+        flown, out = self._code(False, 1), np.empty(z.shape)
+        rates = flown.stepping.function("rates", ctypes.c_int64, *[ctypes.c_void_p] * 5)
         held = [np.ascontiguousarray(array) for array in (z, p, mode, out)]
-        rates(len(z), *map(native.address, held))
+        rates(len(z), *map(native.address, held), flown.equations)
         return out
 
 
-def _flying(call: Callable[..., None], width: int, flight: BoundArcs) -> Callable[[int | None], None]:
+class _Flown(NamedTuple):
+    """A system in machine code: the stepping loop of its course, and where its equations are."""
+
+    stepping: native.MachineCode
+    equations: int
+    held: Any  # what has to live as long
+
+
+def _stepping(system: ArcSystem, width: int) -> native.MachineCode:
+    """Return the stepping loop of all systems whose events are met alike."""
+    name = disk.key("arcs", system.course, str(width), *native.processor(), *native.versions())
+    if name not in _loops:
+
+        def build() -> bytes:
+            from perilune.kernels.flight import driver
+
+            return native.compile_ir(driver.module(system, width))
+
+        _loops[name] = native.MachineCode(disk.fetch(name, build, enabled=True))
+    return _loops[name]
+
+
+def _flying(flown: _Flown, width: int, flight: BoundArcs) -> Callable[[int | None], None]:
     """What flies bound arcs, whose arrays live as long as they do."""
     asked, order, duration, lanes = flight.asked, flight.order, flight.asked.duration, len(flight.order)
-    held = {**vars(asked), **vars(flight), "lanes": lanes, "p_stride": asked.p.shape[1] if len(asked.p) > 1 else 0}
+    call = flown.stepping.function("arcs", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+    counts = {"lanes": lanes, "p_stride": asked.p.shape[1] if len(asked.p) > 1 else 0}
+    held = {**vars(asked), **vars(flight), **counts, "equations": flown.equations}
     table = native.table(native.address(v) if isinstance(v, np.ndarray) else v or 0 for v in map(held.get, TABLE))
+    table.of = flown  # which lives as long as what points to it
     groups = -(-lanes // width)
     most = groups // _GROUPS_PER_THREAD
 
@@ -213,8 +231,3 @@ def _flying(call: Callable[..., None], width: int, flight: BoundArcs) -> Callabl
         spread(lambda first: call(first, min(first + piece, groups), table), list(range(0, groups, piece)), count)
 
     return fly if groups > 1 else lambda _: call(0, groups, table)
-
-
-def _name(system: ArcSystem, width: int) -> str:
-    """Key of a system's machine code."""
-    return disk.key(system.key, str(width), *native.processor(), *native.versions())

@@ -6,8 +6,6 @@ from perilune.kernels.code.ir import INT, NUM, Index, Int, Mask, Num, Ptr, Vec
 from perilune.kernels.flight.arcs import INFO
 from perilune.kernels.flight.frame import Frame, Table
 
-OFFSETS = Ptr("@offsets", INT)  # of the entries of S kept in Y, within an array (nz, nc)
-
 
 def gather(f: Frame, t: Table, group: Int) -> None:
     """Fetch the lanes of a group; places beyond the batch repeat its last lane and are not active."""
@@ -20,10 +18,10 @@ def gather(f: Frame, t: Table, group: Int) -> None:
         lane = w.load(t.order, w.choose(inside, INT, place, final))
         w.store(lane, f.lane, k)
         _copy_in(f, t.z0, w.integer("mul", lane, f.nz), f.state, f.nz, k)
-        _copy_in(f, t.p, w.integer("mul", lane, t.p_stride), f.parameters, f.system.np, k)
-        base = w.integer("mul", lane, f.nz * f.system.nc)
-        with w.loop(0, f.n - f.nz) as c:
-            source = w.integer("add", base, w.load(OFFSETS, c))
+        _copy_in(f, t.p, w.integer("mul", lane, t.p_stride), f.parameters, f.np, k)
+        base = w.integer("mul", lane, w.integer("mul", f.nz, f.nc))
+        with w.loop(0, f.kept) as c:
+            source = w.integer("add", base, w.load(f.offsets, c))
             value = w.load(t.seeds, source)
             w.store(value, w.by_lane(f.state), w.entry(w.integer("add", c, f.nz), f.width, k))
         for number, array in enumerate((t.duration, t.rtol, t.atol, t.mode)):
@@ -38,7 +36,7 @@ def gather(f: Frame, t: Table, group: Int) -> None:
         w.store(w.const(0.0), target)
 
 
-def _copy_in(f: Frame, source: Ptr[Num], base: Int, target: Ptr[Vec], count: int, lane: Index) -> None:
+def _copy_in(f: Frame, source: Ptr[Num], base: Int, target: Ptr[Vec], count: Index, lane: Index) -> None:
     w = f.w
     with w.loop(0, count) as c:
         value = w.load(source, w.integer("add", base, c))
@@ -57,15 +55,15 @@ def write_out(f: Frame, t: Table, ended: Mask) -> None:
         with w.when(w.positive(flag)):
             lane = w.load(f.lane, k)
             _copy_out(f, f.state, t.z, w.integer("mul", lane, f.nz), f.nz, k)
-            _copy_out(f, f.slopes, t.rates, w.integer("mul", lane, f.nz), f.nz, k)
-            base = w.integer("mul", lane, f.nz * f.system.nc)
-            with w.loop(0, f.n - f.nz) as c:
+            _copy_out(f, f.slopes[0], t.rates, w.integer("mul", lane, f.nz), f.nz, k)
+            base = w.integer("mul", lane, w.integer("mul", f.nz, f.nc))
+            with w.loop(0, f.kept) as c:
                 value = w.load(w.by_lane(f.state), w.entry(w.integer("add", c, f.nz), f.width, k))
-                w.store(value, t.columns, w.integer("add", base, w.load(OFFSETS, c)))
+                w.store(value, t.columns, w.integer("add", base, w.load(f.offsets, c)))
             _copy_out(f, f.element, t.info, w.integer("mul", lane, len(INFO)), len(INFO), k)
 
 
-def _copy_out(f: Frame, source: Ptr[Vec], target: Ptr[Num], base: Int, count: int, lane: Index) -> None:
+def _copy_out(f: Frame, source: Ptr[Vec], target: Ptr[Num], base: Int, count: Index, lane: Index) -> None:
     w = f.w
     with w.loop(0, count) as c:
         value = w.load(w.by_lane(source), w.entry(c, f.width, lane))
