@@ -101,6 +101,8 @@ def test_a_page_is_told_what_moves_and_the_flight_that_follows(address: str) -> 
         assert min(family["objective"]) == pytest.approx(found["objective"], rel=1e-9)
         proof = _told(page, "proof")
         assert (proof["outcome"], proof["level"]) == ("PROVED", 3)
+        with urllib.request.urlopen(f"{address}flight.csv?client={said['client']}&number=1") as answer:
+            assert answer.read().decode().rstrip().endswith(",level 3: locally optimal")
 
 
 class _Page:

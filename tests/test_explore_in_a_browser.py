@@ -237,7 +237,7 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     for share, burn in ((0.05, "=== 0"), (0.95, "> 500")):
         _drag(page, share, share, 0.1)
         until(page, f"perilune.flight.free.retro_delta_v {burn}")
-    assert "stored" in page.inner_text("#source")
+    assert "stored" in page.inner_text("#source") and "a flight at each of 225 points" in page.inner_text("#stored")
     said = page.evaluate(
         "[[0.1, 0.2], [3.45123, 3.45124, 3.45125], [0.0345, 0.0345 + 1e-9, 0.0345 + 2e-9]].map(Draw.labels)"
     )

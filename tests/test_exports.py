@@ -79,7 +79,9 @@ def test_flat_ground_is_nowhere_in_space(tmp_path: Path) -> None:
     for form in ("oem", "czml"):
         with pytest.raises(PeriluneError, match="needs a place in space, and precision_landing has none"):
             pl.export(flat, tmp_path / "flight", form, epoch=EPOCH)
-    assert "inertial_x" not in pl.export(flat, tmp_path / "flight.csv", "csv").read_text().splitlines()[0]
+    head, *rows = pl.export(flat, tmp_path / "flight.csv", "csv").read_text().splitlines()
+    assert "inertial_x" not in head
+    assert head.endswith(",proof") and all(row.endswith(",level 0: unverified") for row in rows)
 
 
 def test_a_body_that_nobody_knows_is_not_placed(hybrid: Solution, tmp_path: Path) -> None:

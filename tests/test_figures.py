@@ -16,8 +16,8 @@ from perilune.io.columns import Column
 from perilune.io.export import trajectory_csv
 from perilune.problem.solution import Solution
 from perilune.report.family import family_csv, family_document
-from perilune.report.figures import save, solution_figures
-from perilune.report.histories import _costate_symbol
+from perilune.report.figures import label, save, solution_figures
+from perilune.report.histories import _costate_symbol, open_at_wraps
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import Outcome
@@ -37,6 +37,13 @@ def descent() -> Solution:
     return solve(load_file(EXAMPLES / "polar_descent.toml").problem, level=0)
 
 
+def test_a_flight_that_is_not_proved_is_drawn_with_a_line_that_says_so(hybrid: Solution, ordinary: Solution) -> None:
+    proved = replace(hybrid, outcome=Outcome.PROVED)
+    said = [solution_figures(*flights)["altitude"].get_supxlabel() for flights in ((hybrid,), (proved, ordinary))]
+    assert said == ["level 0: unverified", f"{label(ordinary)}: level 0: unverified"]
+    assert not solution_figures(proved)["altitude"].get_supxlabel()
+
+
 def test_a_site_below_the_datum_is_in_the_picture(below: Solution, ordinary: Solution, tmp_path: Path) -> None:
     axes = solution_figures(below)["altitude"].axes[0]
     assert axes.get_ylim()[0] == pytest.approx(-5.0, abs=1e-6)
@@ -53,6 +60,13 @@ def test_a_site_below_the_datum_is_in_the_picture(below: Solution, ordinary: Sol
     assert (flight[:, 1] - under).min() > -1e-2  # km on the paper: it comes down to the ground, and not below
     assert abs(flight[-1, 1] - under[-1]) < 0.02 * np.ptp(flight[:, 1])
     save(path, tmp_path, "path")
+
+
+def test_an_angle_that_goes_on_from_the_other_end_is_no_line_across() -> None:
+    time, angle = np.arange(4.0), np.array([170.0, 179.0, -178.0, -170.0])
+    assert open_at_wraps(time, angle, "deg")[0].tolist() == [0.0, 1.0, 2.0, 2.0, 3.0]
+    np.testing.assert_array_equal(open_at_wraps(time, angle, "deg")[1], [170.0, 179.0, np.nan, -178.0, -170.0])
+    assert open_at_wraps(time, angle, "m")[1].tolist() == angle.tolist()  # of which nothing goes round
 
 
 def test_a_switch_is_drawn_as_a_step() -> None:

@@ -171,7 +171,9 @@ class Client:
                 await self._beside_it("family", number, partial(family, better))
                 proof = await self._done(request, "proving", None, proved, better)
                 if proof is not None:
-                    await self._send({"type": "proof", "number": number, **proof})
+                    if self.shown.number == number:  # what is taken away says it too
+                        self.shown = self.shown._replace(solution=proof.of(better))
+                    await self._send({"type": "proof", "number": number, **proof.document})
         except WebSocketDisconnect:
             raise
         except Exception as error:

@@ -15,7 +15,9 @@ from perilune.app.frames import proof
 from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.verification import Verification
 from perilune.solve import prove, solve
+from perilune.words.outcome import Outcome
 from perilune.words.units import told
 from perilune.words.watch import Watch
 
@@ -43,6 +45,25 @@ class Compared:
     jumped: bool
     words: str
     family: dict[str, object] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proved:
+    """A proof of a solution: how that ended, its checks, and how long it took [s]."""
+
+    outcome: Outcome
+    verification: Verification
+    took: float
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What a page is told."""
+        level, shown = self.verification.level, proof(self.verification)
+        return {"outcome": self.outcome.name, "level": level, "proof": shown, "took": self.took}
+
+    def of(self, solution: Solution) -> Solution:
+        """The solution with it."""
+        return replace(solution, outcome=self.outcome, verification=self.verification)
 
 
 def compared(followed: Solution, watch: Watch) -> Compared:
@@ -81,12 +102,11 @@ def from_nothing(problem: Problem, watch: Watch) -> Compared:
     return Compared(solution=found, jumped=True, words=words, family=family(found))
 
 
-def proved(solution: Solution, watch: Watch) -> dict[str, Any]:
-    """The proof of a solution: its checks, whether it is proved, and how long that took."""
+def proved(solution: Solution, watch: Watch) -> Proved:
+    """The proof of a solution."""
     began = time.perf_counter()
     found = prove(solution, LEVEL)
-    outcome, level = found.outcome.name, found.verification.level
-    return {"outcome": outcome, "level": level, "proof": proof(found.verification), "took": time.perf_counter() - began}
+    return Proved(outcome=found.outcome, verification=found.verification, took=time.perf_counter() - began)
 
 
 def cost(solution: Solution) -> str:

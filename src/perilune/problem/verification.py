@@ -115,6 +115,11 @@ class Verification:
         return self._claim or f"level {self.level}: {LEVEL_NAMES[self.level]}{self._qualified}"
 
     @property
+    def told(self) -> str:
+        """The same with what failed, as it stands in what leaves the program."""
+        return self.title + slips_told([check.passed for check in self.checks])
+
+    @property
     def headline(self) -> str:
         """The same as the first line of a list of checks."""
         return self._claim or f"level {self.level} ({LEVEL_NAMES[self.level]}){self._qualified}"

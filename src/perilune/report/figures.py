@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,9 +18,10 @@ from perilune.report.ground import ground_track
 from perilune.report.histories import costates, history
 from perilune.report.limb import path_over_limb
 from perilune.report.optimality import optimality
-from perilune.report.style import save
+from perilune.report.style import VERMILION, WIDEST, save
 from perilune.report.track import track
 from perilune.words.bounded import one_line
+from perilune.words.outcome import Outcome
 
 __all__ = ["drawings", "label", "save", "solution_figures"]
 
@@ -59,7 +61,22 @@ def drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Ca
     if solution.trajectories[0].costate is not None:
         made["costates"] = partial(costates, solution)
         made["hamiltonian"] = partial(optimality, solution)
-    return made
+    doubt = "; ".join(_doubts(flights))
+    return {name: partial(_doubted, draw, doubt) for name, draw in made.items()} if doubt else made
+
+
+def _doubts(flights: Mapping[str, Solution]) -> Iterator[str]:
+    """What is known of each flight that is not proved; a figure may go where nothing else tells."""
+    for called, flight in flights.items():
+        if flight.outcome is not Outcome.PROVED:
+            yield f"{called}: {flight.verification.told}" if len(flights) > 1 else flight.verification.told
+
+
+def _doubted(draw: Callable[[], Figure], doubt: str) -> Figure:
+    """A figure with a line below it."""
+    figure = draw()
+    figure.supxlabel(fill(doubt, WIDEST), fontsize=6, color=VERMILION)
+    return figure
 
 
 def label(solution: Solution) -> str:

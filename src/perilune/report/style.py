@@ -21,7 +21,7 @@ from perilune.io.files import DRAWN_BY
 from perilune.problem.problem import Problem
 
 COLUMN_WIDTH = 3.4  # inches
-_WIDEST = 54  # letters of a legend on one line, beside its stroke
+WIDEST = 54  # letters of a legend on one line, beside its stroke
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#6B6B6B",
 )  # fmt: skip
@@ -84,7 +84,7 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 def legend_above(figure: Figure, axes: Any, columns: int = 2) -> None:
     """Legend over the axes, where it can hide no line; what is longer than the figure is wide is broken."""
     handles, labels = axes.get_legend_handles_labels()
-    labels = [fill(label, _WIDEST) for label in labels]
+    labels = [fill(label, WIDEST) for label in labels]
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=2.2)
 
 

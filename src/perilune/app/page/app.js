@@ -173,7 +173,14 @@
   }
   function series(flight, name) {
     const x = [], values = []; let unit = "";
-    for (const phase of flight.phases) { const column = phase.columns[name]; if (column) { x.push(...phase.time); values.push(...column.values); unit = column.unit; } }
+    for (const phase of flight.phases) {
+      const column = phase.columns[name]; if (!column) { continue; }
+      unit = column.unit;
+      phase.time.forEach((t, i) => { // no line where an angle goes on from the other end of its range
+        if (i && unit === "deg" && Math.abs(column.values[i] - column.values[i - 1]) > 180) { x.push(t); values.push(null); }
+        x.push(t); values.push(column.values[i]);
+      });
+    }
     return { x, values, unit };
   }
   function histories(flight) {
@@ -284,8 +291,8 @@
     if (!frozen) { fetched("flight.csv", "text/csv"); return; }
     const f = state.flight; if (!f) { return; }
     const names = [...new Set(f.phases.flatMap((p) => Object.keys(p.columns)))], unit = (n) => (f.phases.find((p) => p.columns[n]) || { columns: {} }).columns[n].unit;
-    const lines = [["phase", "time [s]", ...names.map((n) => `${n} [${unit(n)}]`)].join(",")];
-    for (const p of f.phases) { p.time.forEach((t, i) => lines.push([p.name, t, ...names.map((n) => p.columns[n] ? p.columns[n].values[i] : "")].join(","))); }
+    const lines = [["phase", "time [s]", ...names.map((n) => `${n} [${unit(n)}]`), "proof"].join(",")];
+    for (const p of f.phases) { p.time.forEach((t, i) => lines.push([p.name, t, ...names.map((n) => p.columns[n] ? p.columns[n].values[i] : ""), "stored without a proof to level 3"].join(","))); }
     give("flight.csv", "text/csv", lines.join("\n") + "\n");
   };
   $("picture").onclick = () => { const svg = $("path-svg"); if (svg) { give("path.svg", "image/svg+xml", svg.outerHTML); } };

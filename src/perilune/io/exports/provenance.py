@@ -13,7 +13,6 @@ from perilune.io.export import results, versions
 from perilune.io.files import finite
 from perilune.io.reload import claims_of
 from perilune.problem.solution import Solution
-from perilune.problem.verification import slips_told
 
 
 def provenance(solution: Solution, scenario_text: str | None = None, document: Any = None) -> dict[str, str]:
@@ -30,13 +29,12 @@ def provenance(solution: Solution, scenario_text: str | None = None, document: A
     """
     problem, views = solution.problem, solution.problem.views
     scenario, made_by = claims_of(document) if document is not None else ("", {})
-    proof = solution.verification.title + slips_told([check.passed for check in solution.verification.checks])
     found = {
         "title": problem.heading,
         "source": _program(made_by or versions()),
         "method": solution.method,
         "outcome": solution.outcome.name,
-        "proof": proof,
+        "proof": solution.verification.told,
         "objective": f"{float(solution.objective)!r} {problem.objective_unit}",
         "free_parameters": _parameters({name: (value, problem.unit_of(name)) for name, value in solution.free.items()}),
         "given_parameters": _parameters({name: (g.value, g.unit) for name, g in problem.given.items()}),

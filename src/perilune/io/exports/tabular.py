@@ -39,7 +39,10 @@ _DIMENSION = "obs"
 
 
 def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
-    """One row of names with units, then numbers that read back to the last bit; angles without the rounding of pi."""
+    """One row of names with units, then numbers that read back to the last bit; angles without the rounding of pi.
+
+    A format without words beside the table: the proof stands in each row, whatever is cut out of it.
+    """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         stamps = [] if epoch is None else [("utc", "", [stamp(epoch, float(t)) for t in table.time])]
@@ -50,6 +53,7 @@ def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | No
         shown = [
             ("time", "s", list(map(repr, table.time.tolist()))), *stamps,
             ("phase", "", table.phase_names.tolist()), *cells,
+            *((name, "", [about[name]] * len(table.time)) for name in ("proof",) if name in about),
         ]  # fmt: skip
         writer.writerow([f"{name} [{unit}]" if unit else name for name, unit, _ in shown])
         writer.writerows(zip(*(column for _, _, column in shown), strict=True))
