@@ -227,6 +227,15 @@ def test_what_nobody_looks_at_of_an_answer_is_not_made(atlas: Atlas) -> None:
     assert pickle.loads(pickle.dumps(again)) == replace(answer, query=again.query)
 
 
+@pytest.mark.parametrize("wrong", [3, (0,), "ab", ([], 0), None])
+def test_what_is_no_place_or_point_is_refused_of_every_question(atlas: Atlas, wrong: Any) -> None:
+    for ask in (atlas.damage, atlas.missing):
+        with pytest.raises(PeriluneError, match=r"no place of a brick(.|\n)*along each of: vehicle_thrust"):
+            ask(wrong)
+    with pytest.raises(PeriluneError, match="not points of the region"):
+        atlas.begins(wrong)
+
+
 @pytest.mark.parametrize("place", [(0, 3), (0, (0,)), ("a", (0, 0)), (0, ([], 0))])
 def test_what_is_no_place_of_a_brick_is_refused(atlas: Atlas, place: Any) -> None:
     with pytest.raises(PeriluneError, match=r"no place of a brick(.|\n)*along each of: vehicle_thrust"):

@@ -32,6 +32,7 @@ ORBIT = Orbit(parking_altitude=100e3, perilune_altitude=15e3)
 # As who types it without a type checker.
 Loose: Any = pl
 LOOSE: Any = LANDING
+TURN: Any = pl.Direction(names=("x", "y"))
 Lander: Any = Vehicle
 hybrid_of: Any = hybrid_landing
 precision_of: Any = precision_landing
@@ -120,6 +121,12 @@ load_any: Any = load_file
         (lambda: Loose.Variable(name="two words"), ("Python identifier", "'two words'")),
         (lambda: Loose.Direction(names="up"), ("not names of components", "'up'", "toward_x")),
         (lambda: Loose.Scales(length=[1.0]), ("no scale of a length", "[1.0]")),
+        (lambda: Loose.Scales().of([]), ("no unit", "[]", "a text")),
+        (lambda: TURN.normalised([1.0, 2.0]), ("normalised of a Direction cannot be", "list", "arrays of NumPy")),
+        (lambda: TURN.samples(3.0, 1.0, None), ("samples of a Direction cannot be", "3.0, 1.0, None")),
+        (lambda: TURN.tangents(np.zeros((2, 3))), ("tangents needs scale",)),
+        (lambda: TURN.example(iter(()), None, "x", 3), ("example takes at most 3",)),
+        (lambda: Loose.Bounded(name="a", lower="b").limits(3), ("limits of a Bounded cannot be", "3", "parameters")),
         (lambda: Loose.Table("x", [1.0]), ("not a column x of a table", "'x'", "a list of numbers")),
         (lambda: Loose.Problem(name="p", phases=LANDING.phases[0], start=None, objective=None),
          ("not a row of phases", "Phase")),

@@ -29,7 +29,7 @@ from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand_numbers, refused
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -171,12 +171,21 @@ class Reader:
         """What follows extremals that are no answers over its charts."""
         return Descents(self.charted)
 
+    @called_in_words
     def begins(self, points: Matrix) -> list[Matrix]:
         """The node of each chart that is nearest to points [SI], good or bad: values of the axes, and unknowns there.
 
         Canonical, NaN where a chart has none, (points, d + n) each.
+
+        Raises
+        ------
+        PeriluneError
+            If these are no points, one row each.
         """
-        d, places = points.shape[1], self.region.bricks_of(points)
+        d = len(self.region.axes)
+        if np.shape(points := demand_numbers(points, "points of the region", most=2))[1:] != (d,):
+            raise refused(points, f"an array (points, {d}), its columns {self._axes}", "points of the region")
+        places = self.region.bricks_of(points)
         found = [np.full((len(points), d + charted.unknowns), np.nan) for charted in self.charted]
         for number, charted in enumerate(self.charted):
             there = np.array([key[1:] for key in self.said if key[0] == number]).reshape(-1, d)
@@ -189,16 +198,19 @@ class Reader:
                     found[number][rows] = np.hstack([nodes["values"] / charted.chart.scale, nodes["terms"][:, 0, :-1]])
         return found
 
+    @called_in_words
     def damage(self, brick: tuple[int, ...]) -> list[str]:
         """What is damaged at a place, in words; of bricks that were looked at."""
-        keys = [(number, *brick) for number in range(len(self.charted))]
+        keys = [(number, *self._place(brick)) for number in range(len(self.charted))]
         return [self.damaged[key] for key in keys if key in self.damaged]
 
+    @called_in_words
     def missing(self, brick: tuple[int, ...]) -> bool:
         """Whether the survey has a sheet for a place of which no brick is there, or is not there itself."""
+        place = self._place(brick)
         if not self.survey["charts"]:
             return True
-        here = [(number, *brick) for number in range(len(self.survey["charts"]))]
+        here = [(number, *place) for number in range(len(self.survey["charts"]))]
         return not any(key in self.said for key in here) and any(key in self._surveyed for key in here)
 
     @cached_property
@@ -244,9 +256,20 @@ class Reader:
             self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
         return self._bricks[key]
 
+    def _place(self, brick: Any) -> tuple[int, ...]:
+        """The numbers of a brick along the axes; refuses what has not as many."""
+        place = tuple(brick) if isinstance(brick, Sequence | np.ndarray) else ()
+        if len(place) != len(self.region.axes) or not all(isinstance(part, Integral) for part in place):
+            expected = f"the number of the brick along each of: {self._axes}"
+            raise PeriluneError("this is no place of a brick", got=repr(brick)[:80], expected=expected)
+        return place
+
+    @property
+    def _axes(self) -> str:
+        return ", ".join(axis.name for axis in self.region.axes)
+
     def _no_brick(self, number: Any, brick: Any) -> PeriluneError:
-        axes = ", ".join(axis.name for axis in self.region.axes)
-        expected = f"a chart, 0 to {len(self.charted) - 1}, and the number of the brick along each of: {axes}"
+        expected = f"a chart, 0 to {len(self.charted) - 1}, and the number of the brick along each of: {self._axes}"
         return PeriluneError("this is no place of a brick", got=f"{number!r}, {brick!r}"[:80], expected=expected)
 
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from perilune.words.asked import called_in_words, demand_identifier, demand_si, refused
+from perilune.words.asked import called_in_words, computing_in_words, demand_identifier, demand_si, refused
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales
@@ -25,6 +25,12 @@ from perilune.words.units import Scales
 Regime = Literal["lower", "interior", "upper", "held", "direction", "singular"]
 # A limit: a number in SI, or the name of the parameter that holds it.
 Limit = float | str
+
+_computing = computing_in_words(
+    "arrays of NumPy whose first axis is the components, and the record p of all parameters, as solution.parameters",
+    "limits", "box", "normalised", "admissible", "admissible_rates", "broken", "tangents", "samples", "example",
+    "rough", "middle",
+)  # fmt: skip
 
 # Distances of the samples beside a value, in canonical units or radians.
 _CLOSE = (-1e-1, -1e-2, -1e-3, -1e-4, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -50,6 +56,7 @@ def demand_limits(bounded: Any) -> None:
 
 
 @called_in_words
+@_computing
 @dataclass(frozen=True, kw_only=True)
 class Direction:
     """A control that is a unit vector of two or three components, free on the circle or sphere."""
@@ -138,6 +145,7 @@ class Direction:
 
 
 @called_in_words
+@_computing
 @dataclass(frozen=True, kw_only=True)
 class Bounded:
     """A scalar control between bounds, such as a throttle or an angle.

@@ -16,6 +16,7 @@ from typing import Any, TypeVar, cast
 from perilune.words.outcome import PeriluneError, unknown_name
 
 Asked = TypeVar("Asked", bound=Callable[..., Any])
+Kind = TypeVar("Kind")
 
 
 def called_in_words(asked: Asked) -> Asked:
@@ -39,6 +40,34 @@ def called_in_words(asked: Asked) -> Asked:
         return cast("Asked", call)
     given.__init__ = call
     return asked
+
+
+def computing_in_words(expected: str, *names: str) -> Callable[[type[Kind]], type[Kind]]:
+    """A class whose methods of these names say what cannot be computed with, and what they expect."""
+
+    def of(kind: type[Kind]) -> type[Kind]:
+        for name in names:
+            setattr(kind, name, _computing(vars(kind)[name], f"{name} of a {kind.__name__}", expected))
+        return kind
+
+    return of
+
+
+def _computing(method: Callable[..., Any], name: str, expected: str) -> Callable[..., Any]:
+    @wraps(method)
+    def call(*args: Any, **keywords: Any) -> Any:
+        try:
+            return method(*args, **keywords)
+        except PeriluneError:
+            raise
+        except (TypeError, ValueError, IndexError, AttributeError) as error:
+            wrong = _wrong_call(method.__name__, method, args, keywords)
+            if wrong is None:
+                got = ", ".join(map(_shown, (*args[1:], *keywords.values())))[:80]
+                wrong = PeriluneError(f"{name} cannot be computed of this", got=got, expected=expected)
+            raise wrong from error
+
+    return call
 
 
 def _wrong_call(

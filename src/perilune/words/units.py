@@ -247,8 +247,10 @@ class Scales:
 
     def of(self, unit_text: str) -> float:
         """SI size of one canonical unit of the given unit's dimension: ``canonical = SI / scale``."""
-        size = self._sizes.get(unit_text)
+        size = self._sizes.get(unit_text) if isinstance(unit_text, str) else None
         if size is None:
+            if not isinstance(unit_text, str):
+                raise PeriluneError("this is no unit", got=repr(unit_text)[:60], expected='a text, as "km/s"')
             a, b, c, d = unit(unit_text)[1]
             size = self._sizes[unit_text] = self.length**a * self.time**b * self.mass**c * self.temperature**d
         return size
