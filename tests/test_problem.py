@@ -45,6 +45,16 @@ def test_a_sound_problem_is_accepted() -> None:
     assert problem.unit_of("distance") == "m"
 
 
+def test_what_is_named_twice_is_refused() -> None:
+    """Values of free parameters, multipliers and tables go by these names: the second would stand for both."""
+    (phase,), (time,) = slider().phases, slider().free
+    with pytest.raises(PeriluneError, match="two free parameters are called time"):
+        slider(free=(time, replace(time, lower=1.0)))
+    with pytest.raises(PeriluneError, match="two phases are called slide"):
+        slider(phases=(phase, phase), links=(lambda x, p, m: (x.x, x.v),))
+    slider(phases=(phase, replace(phase, name="glide")), links=(lambda x, p, m: (x.x, x.v),))
+
+
 def test_a_hidden_constant_is_found() -> None:
     """A dimensional number typed into the physics would be wrong in canonical units."""
     phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v, p.push * u.along - 9.81))

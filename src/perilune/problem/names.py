@@ -6,7 +6,7 @@ place, or be lost.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from perilune.problem.phase import Phase
@@ -34,18 +34,18 @@ def check_names(problem: Any) -> None:
     for phase in problem.phases:
         demand_identifier(phase.name.replace("-", "_") if isinstance(phase.name, str) else phase.name)
         for kind, names in (("state", phase.state_names), ("control", phase.control_names)):
-            _check_distinct(phase, kind, names)
+            _check_distinct(f"{kind}s of the phase {phase.name}", names)
+            for name in names:
+                demand_identifier(name)
         _check_columns(phase)
+    _check_distinct("phases", [phase.name for phase in problem.phases])
+    _check_distinct("free parameters", problem.free_names)
     _check_units(problem.phases)
 
 
-def _check_distinct(phase: Phase, kind: str, names: Iterable[str]) -> None:
-    seen = set[str]()
-    for name in names:
-        if name in seen:
-            raise PeriluneError(f"two {kind}s of the phase {phase.name} are called {name}")
-        demand_identifier(name)
-        seen.add(name)
+def _check_distinct(what: str, names: Sequence[str]) -> None:
+    if again := next((name for i, name in enumerate(names) if name in names[:i]), None):
+        raise PeriluneError(f"two {what} are called {again}", expected="each by a name of its own")
 
 
 def _check_columns(phase: Phase) -> None:
