@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import perilune
 from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.cli.answer import Answer, deliver
 from perilune.cli.progress import progress
@@ -121,6 +122,23 @@ def test_ctrl_c_in_a_destructor_is_not_lost() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
     assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_ctrl_c_before_there_is_anybody_to_answer_ends_it_without_a_word() -> None:
+    """Not a traceback: the shell sees 130. Before that little is loaded, where nothing can be said."""
+    program = (
+        f"import sys; sys.path.insert(0, {str(Path(perilune.__file__).parents[1])!r})\n"
+        "import perilune.cli as cli\n"
+        "slow = [name for name in ('enum', 'typing', 're', 'threading') if name in sys.modules]\n"
+        "class Stopped:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        name == 'perilune.cli.stopping' and cli.os.kill(cli.os.getpid(), 2)\n"
+        "sys.meta_path.insert(0, Stopped())\n"
+        "print(slow, flush=True)\n"
+        "cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "[]\n", "")
 
 
 def test_help_loads_nothing_heavy() -> None:

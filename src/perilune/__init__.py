@@ -5,10 +5,8 @@ from __future__ import annotations
 import importlib
 import sys
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
 
-from perilune.words.face import listed
-
+TYPE_CHECKING = False  # as checkers know it by its name too: nothing is loaded for it before Ctrl-C can be answered
 __version__ = "0.2.0"
 
 # name: module. Loaded on first use, so that `import perilune` costs nothing.
@@ -125,6 +123,7 @@ _METHODS = {
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import Any
 
     from perilune import atlas, models, scenario
     from perilune.families.family import Family, FamilyPoint
@@ -178,6 +177,8 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    from perilune.words.face import listed
+
     return listed((*__all__, "__version__"))
 
 

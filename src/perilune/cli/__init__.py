@@ -9,25 +9,33 @@ Everything heavy is imported inside the commands, so that ``--help`` is quick.
 
 from __future__ import annotations
 
+import _signal  # pyright: ignore[reportMissingImports] - what `signal` is made of, without the time its names take
 import gc
 import os
-import signal
 import sys
-from collections.abc import Sequence
-from typing import NoReturn
 
-from perilune.cli.stopping import stop
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import NoReturn
 
 
 def main() -> NoReturn:
     """Entry point of the console script."""
+    heeded = _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler  # a job in the background ignores Ctrl-C
+    if heeded:
+        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # it ends without a word until there is somebody to say one
+    import signal
+
+    from perilune.cli.stopping import stop
+
+    if heeded:
+        signal.signal(signal.SIGINT, stop)
     # Before NumPy is loaded: the matrices are tiny, and threads that wait for each other cost more than they give.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports make a hundred thousand objects that stay: looking through them again and again takes long.
     gc.set_threshold(200_000)
     _fill_closed_streams()
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a job in the background ignores Ctrl-C
-        signal.signal(signal.SIGINT, stop)
     code = run(sys.argv[1:])
     if signal.getsignal(signal.SIGINT) is stop:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is said, and the exit code is that of what was said
