@@ -12,10 +12,11 @@ import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.methods import structured
 from perilune.problem.neighbours import movable, moved
-from perilune.problem.solution import Deferred, Solution
+from perilune.problem.solution import Solution
 from perilune.structures import read as reading
 from perilune.structures.carry import Joined
 from perilune.structures.read import own_readings, readings
+from perilune.words.deferred import Deferred
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 

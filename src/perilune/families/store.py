@@ -31,9 +31,10 @@ from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import array, member, part, refuse, text, tree
 from perilune.io.reload import read_answer, read_trajectories
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Deferred, Solution, Trajectory
+from perilune.problem.solution import Solution, Trajectory
 from perilune.problem.verification import Verification
 from perilune.words.bounded import bounded_bytes, bounded_text
+from perilune.words.deferred import Deferred
 from perilune.words.outcome import Outcome, PeriluneError
 
 if TYPE_CHECKING:

@@ -12,9 +12,10 @@ from perilune.methods.assemble import free_values, multipliers, objective_scale,
 from perilune.methods.flown import Aloft, exported
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Deferred, Solution, Statistics, Trajectory
+from perilune.problem.solution import Solution, Statistics, Trajectory
 from perilune.shooting.extremals import Found, same
 from perilune.shooting.function import Root
+from perilune.words.deferred import Deferred
 from perilune.words.outcome import Outcome
 from perilune.words.types import Vector
 

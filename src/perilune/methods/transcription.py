@@ -10,8 +10,9 @@ import numpy as np
 
 from perilune.direct.collocation import Mesh, Scheme, rule
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Deferred, Solution, Statistics
+from perilune.problem.solution import Solution, Statistics
 from perilune.words.asked import demand_number, demand_whole, refused
+from perilune.words.deferred import Deferred
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch, silent

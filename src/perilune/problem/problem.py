@@ -29,7 +29,6 @@ from typing import Any, get_args
 
 from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
 from perilune.problem.controls import Control, scalars
-from perilune.problem.declared import given_of
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
 from perilune.problem.phase import Phase
 from perilune.problem.shown import ShownProblem
@@ -38,16 +37,14 @@ from perilune.problem.variables import Free, Given, Variable, given_as, positive
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
 from perilune.words.asked import called_in_words, demand, refused
-from perilune.words.bounded import one_line
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics
-from perilune.words.units import Scales, told
+from perilune.words.units import Scales
 
 _TRACED = ("form", "structure")  # what is found of a problem once, and may be known
 _SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Control))
 _HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
-MOST_TOLD = 4  # values that were given later, in a heading
 
 
 @called_in_words
@@ -183,21 +180,6 @@ class Problem(ShownProblem):
             for phase in self.phases
             for c in (*phase.states, *phase.end_conditions, *(c for _, c in scalars(phase.controls)))
         ]
-
-    @property
-    def heading(self) -> str:
-        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger.
-
-        A title tells the records that the problem was made of; values that were given later are told behind it.
-        """
-        made = given_of(*self.declared)
-        later = [
-            f"{name} {one_line(told(g.value, g.unit, 10))}"
-            for name, g in self.given.items()
-            if name in made and made[name].value != g.value
-        ]
-        said = ", ".join([*later[:MOST_TOLD], *([f"{len(later) - MOST_TOLD} more"] if later[MOST_TOLD:] else [])])
-        return one_line(self.title or self.name) + (f", but with {said}" if said else "")
 
     @property
     def text(self) -> str:

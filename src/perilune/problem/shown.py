@@ -9,7 +9,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from perilune.problem.declared import given_of
 from perilune.words.asked import called_in_words
+from perilune.words.bounded import one_line
 from perilune.words.face import method
 from perilune.words.units import told, told_range
 
@@ -20,8 +22,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_MOST_TOLD = 4  # values that were given later, in a heading
+
+
 class ShownProblem:
     """How a problem shows itself."""
+
+    @property
+    def heading(self: Any) -> str:
+        """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger.
+
+        A title tells the records that the problem was made of; values that were given later are told behind it.
+        """
+        made = given_of(*self.declared)
+        later = [
+            f"{name} {one_line(told(g.value, g.unit, 10))}"
+            for name, g in self.given.items()
+            if name in made and made[name].value != g.value
+        ]
+        said = ", ".join([*later[:_MOST_TOLD], *([f"{len(later) - _MOST_TOLD} more"] if later[_MOST_TOLD:] else [])])
+        return one_line(self.title or self.name) + (f", but with {said}" if said else "")
 
     def __repr__(self: Any) -> str:
         phases = ", ".join(f"{p.name} ({len(p.states)} states)" for p in self.phases)

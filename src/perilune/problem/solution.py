@@ -7,7 +7,7 @@ loses nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -150,47 +150,6 @@ def _read_only(values: Any) -> Any:
         array = np.array(array)
         array.flags.writeable = False
     return array
-
-
-class Deferred(Sequence[Any]):
-    """What is made when first looked at, or sent away, as trajectories: of most members of a table it never is.
-
-    Parameters
-    ----------
-    count
-        How many there are; None where that is not known before.
-    make
-        Makes them.
-    """
-
-    def __init__(self, count: int | None, make: Callable[[], tuple[Any, ...]]) -> None:
-        self._count, self._make = count, make
-        self._made: tuple[Any, ...] | None = None
-
-    @property
-    def made(self) -> bool:
-        """Whether it was looked at."""
-        return self._made is not None
-
-    def __len__(self) -> int:
-        return len(self[:]) if self._count is None else self._count
-
-    def __getitem__(self, index: Any) -> Any:
-        if self._made is None:
-            self._made = self._make()
-        return self._made[index]
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, (tuple, Deferred)) and tuple(self) == tuple(other))
-
-    def __hash__(self) -> int:
-        return hash(tuple(self))
-
-    def __repr__(self) -> str:
-        return repr(tuple(self))
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self[:])  # an IndexError while they are made is a fault, and not the end of a sequence
 
 
 @dataclass(frozen=True, kw_only=True)

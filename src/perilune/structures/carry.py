@@ -14,11 +14,12 @@ import numpy as np
 
 from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Deferred, Solution, Trajectory
+from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.verification import Verification
 from perilune.structures.named import with_names
 from perilune.structures.restate import part_durations, part_name, restate, summed
 from perilune.structures.structure import Structure, check_structure
+from perilune.words.deferred import Deferred
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Vector
 

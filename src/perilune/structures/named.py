@@ -12,10 +12,11 @@ from perilune.problem.controls import scalars
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.phase import Phase
 from perilune.problem.rates import acts
-from perilune.problem.solution import Deferred, Solution
+from perilune.problem.solution import Solution
 from perilune.problem.variables import Variable
 from perilune.structures.regimes import Stay, stays_of
 from perilune.structures.structure import Structure, margins
+from perilune.words.deferred import Deferred
 from perilune.words.types import Vector
 
 AT = 1e-4  # of its range: so near to a bound a control is at it, as a mesh leaves it between its points
