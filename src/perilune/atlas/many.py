@@ -15,7 +15,7 @@ from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.charted import Charted
 from perilune.atlas.descending import Known
 from perilune.atlas.hermite import interpolated
-from perilune.atlas.offers import outdoing, unanswered
+from perilune.atlas.offers import doubted, outdoing, unanswered
 from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Brick, Reader
 from perilune.atlas.walking import Lanes
@@ -199,11 +199,11 @@ class _Work:
                     own = _Breaking(number, lanes, here[lanes], polished.y[:, active], polished.short)
                     breaking.append(own.of(polished.breaking | polished.short))
                     vouching[number][lanes] = polished.answers
-        left, breaking = self._outdoing(breaking, offers, vouching)
+        left, followed = self._doubted(breaking, offers, vouching)
         best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
             self._become(doubt, offers[number], lanes, cost[number, lanes], y, best, turns=True)
-        for one in breaking if atlas.descents.names else ():
+        for one in followed:
             self._become(left, offers[one.number], one.lanes, one.cost, one.y, best, turns=False)
         best = self.known.of(np.arange(len(some)))
         with np.errstate(invalid="ignore"):
@@ -224,18 +224,19 @@ class _Work:
         none = some[self.answered[some] != Answered.YES]
         self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
 
-    def _outdoing(
+    def _doubted(
         self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], vouching: Sequence[NDArray[np.bool_]]
     ) -> tuple[Vector, list[_Breaking]]:
-        """Those that outdo what is known, and the least J of those which are unanswered, or inf, lane by lane."""
+        """The least J, or inf, of those that outdo what is known and cast doubt, lane by lane, and what is followed."""
         known, doubt, of = self.cost[self.some], np.full(len(self.some), np.inf), [offer.charted for offer in offers]
         better = [one.of(outdoing(of[one.number], one.cost, known[one.lanes])) for one in breaking]
-        told = [(of[one.number], one.lanes, one.short) for one in better]
-        for one, left in zip(
-            better, unanswered(told, list(zip(of, vouching, strict=True)), self.of_arcs[self.some]), strict=True
-        ):
-            doubt[one.lanes[left]] = np.minimum(doubt[one.lanes[left]], one.cost[left])
-        return doubt, better
+        told, answers = [(of[one.number], one.lanes, one.short) for one in better], list(zip(of, vouching, strict=True))
+        followed, follows = list[_Breaking](), bool(self.atlas.descents.names)
+        for one, left in zip(better, unanswered(told, answers, self.of_arcs[self.some]), strict=True):
+            which, its = doubted(one.short, left, follows=follows)
+            doubt[one.lanes[which]] = np.minimum(doubt[one.lanes[which]], one.cost[which])
+            followed.append(one.of(its))
+        return doubt, followed
 
     def _become(
         self,

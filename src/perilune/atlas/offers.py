@@ -111,13 +111,26 @@ def unanswered(
     return [np.where(its, of[lanes], to[lanes]) for (_, lanes, its), (of, to) in zip(better, left, strict=True)]
 
 
-def unanswered_of(better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer]) -> list[Offer]:
+def doubted(short: Any, left: Any, *, follows: bool) -> tuple[Any, Any]:
+    """Which of them cast doubt, and which are followed to what they become, where that can be; one or arrays.
+
+    What breaks the path is followed in any case: it may become another well than the one that vouches for it. What has
+    an arc that is shorter than nothing most often has gone on as what vouches, and else casts doubt by what it becomes.
+    """
+    return (left & ~(short & follows)), (left | ~short) & follows
+
+
+def doubted_of(
+    better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer], *, follows: bool
+) -> tuple[list[Offer], list[Offer]]:
     """The same of one point: `alike` are the best answers, and `offers` all that its cells give."""
     if not better:
-        return []
-    told = unanswered(
-        [(one.charted, _HERE, np.array([one.short])) for one in better],
+        return [], []
+    short = [np.array([one.short]) for one in better]
+    left = unanswered(
+        [(one.charted, _HERE, its) for one, its in zip(better, short, strict=True)],
         [(one.charted, np.array([one.vouches])) for one in offers],
         np.array([any(one.charted.of_arcs for one in alike)]),
     )
-    return [one for one, left in zip(better, told, strict=True) if left[0]]
+    told = [doubted(its, own, follows=follows) for its, own in zip(short, left, strict=True)]
+    return tuple([one for one, both in zip(better, told, strict=True) if both[k][0]] for k in (0, 1))  # pyright: ignore

@@ -19,7 +19,7 @@ from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.descending import Known
 from perilune.atlas.many import Answers, answers, clearly_worse, equal
 from perilune.atlas.mapped import Mapped, Query
-from perilune.atlas.offers import Offer, outdoing, unanswered_of
+from perilune.atlas.offers import Offer, doubted_of, outdoing
 from perilune.atlas.read import SERVING, Reader, may_be_answers
 from perilune.problem.neighbours import placed
 from perilune.problem.preflight import preflight, refuse_impossible
@@ -94,10 +94,10 @@ class Atlas(Reader):
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
         outdoes = np.inf if best is None else best.cost
         breaking = [one for one in breaking if outdoing(one.charted, one.cost, outdoes)]
-        left = unanswered_of(breaking, alike, offers)
+        left, followed = doubted_of(breaking, alike, offers, follows=bool(self.descents.names))
         turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
         doubts += self._become(at, best, turns, [], tried)
-        left += self._become(at, best, [], breaking if self.descents.names else [], tried)
+        left += self._become(at, best, [], followed, tried)
         doubts += self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
         best = min(tried, key=lambda one: one.cost, default=None)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
