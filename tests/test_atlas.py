@@ -295,6 +295,15 @@ def test_what_physics_refuses_is_said(tmp_path: Path) -> None:
     assert found.answered.tolist() == 3 * [Answered.IMPOSSIBLE] + [Answered.YES]
 
 
+def test_what_physics_refuses_is_refused_though_it_has_extremals(tmp_path: Path) -> None:
+    """Below its perilune no parking orbit is: the equations do not know, as `solve` says."""
+    axes = {"orbit.parking_altitude": (10e3, 20e3)}
+    atlas = open_atlas(build(cho_landing(), axes, tmp_path / "map", bricks=2))
+    with pytest.raises(InfeasibleError, match="the perilune lies above the parking orbit"):
+        atlas.query(orbit_parking_altitude=14.9e3)
+    assert atlas.query(orbit_parking_altitude=15.1e3).objective < 0
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [
