@@ -220,6 +220,15 @@ def test_two_side_by_side_make_one(parts: tuple[Path, Path], tmp_path: Path) -> 
     assert_right(open_atlas(tmp_path / "0"), {"vehicle.thrust": (430.0, 451.0), **ISP})
 
 
+def test_a_merged_atlas_names_the_versions_that_computed_it(parts: tuple[Path, Path], tmp_path: Path) -> None:
+    other = Path(shutil.copytree(parts[1], tmp_path / "other"))
+    header = json.loads((other / HEADER).read_text())
+    ours, header["versions"]["perilune"] = header["versions"]["perilune"], "0.0.1"
+    (other / HEADER).write_text(json.dumps(header))
+    versions = json.loads((merge(parts[0], other, tmp_path / "both") / HEADER).read_text())["versions"]
+    assert versions == {**header["versions"], "perilune": f"{ours} and 0.0.1"}
+
+
 def test_two_parts_of_one_survey_make_a_whole(low: Path, parts: tuple[Path, Path], tmp_path: Path) -> None:
     other = Path(shutil.copytree(low, tmp_path / "other"))
     lines = (low / MANIFEST).read_text().splitlines(keepends=True)

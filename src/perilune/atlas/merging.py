@@ -30,10 +30,10 @@ from perilune.atlas.columns import (
     survey_region,
     widths_of,
 )
+from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.sampling import LEVEL, lines_of_samples
 from perilune.atlas.store import HEADER, Store, clear
-from perilune.io.export import versions
 from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_path
@@ -138,7 +138,7 @@ def merge(
         )  # fmt: skip
     if kept.directory.resolve() in (one.kept.directory.resolve(), other.kept.directory.resolve()):
         raise PeriluneError("two atlases are merged into a third", got=str(out), expected="another directory")
-    header = {**one.header, **header_axes(region), "versions": versions()}
+    header = {**one.header, **header_axes(region), "versions": _versions_of(one.header, other.header)}
     kept.prepare(None)
     if (kept.directory / HEADER).exists():
         clear(kept.directory)
@@ -162,6 +162,14 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
 def _nodes(lines: Iterable[Mapping[str, Any]]) -> int:
     """How many nodes bricks have, by their lines."""
     return sum(line["nodes"]["rows"] for line in lines)
+
+
+def _versions_of(*headers: Mapping[str, Any]) -> dict[str, str]:
+    """The versions that computed what is there, which merging does not: where they differ, both."""
+    with told_of_damage(HEADER):
+        found = [dict[str, str](header["versions"]) for header in headers]
+        names = list(dict.fromkeys(name for one in found for name in one))
+        return {n: " and ".join(dict.fromkeys(str(one[n]) for one in found if n in one)) for n in names}
 
 
 def _refuse_unlike(one: _Part, other: _Part) -> None:
