@@ -141,6 +141,16 @@ def test_ctrl_c_before_there_is_anybody_to_answer_ends_it_without_a_word() -> No
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "[]\n", "")
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="a POSIX signal")
+def test_workers_of_a_killed_program_end() -> None:
+    """They hold both ends of the queue from which they are told what to do, and would wait for ever."""
+    killed = "import os; from perilune.cli.sweeping import workers\n"
+    killed += "with workers(2) as pool: pool.submit(abs, -1).result(); os.kill(os.getpid(), 9)"
+    one = subprocess.Popen([sys.executable, "-c", killed], env=ENVIRONMENT, stdout=subprocess.PIPE)
+    assert one.communicate(timeout=30) == (b"", None)  # whoever lives holds the other end of this
+    assert one.returncode == -signal.SIGKILL
+
+
 def test_help_loads_nothing_heavy() -> None:
     heavy = "numpy scipy casadi matplotlib pydantic llvmlite rich"
     program = (

@@ -6,16 +6,15 @@ Neither outlives the program.
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
-from multiprocessing import active_children, get_context, parent_process
-from multiprocessing.connection import wait
+from multiprocessing import active_children, get_context
 from threading import Thread
 from typing import Any, TypeVar
 
+from perilune.families.elsewhere import end_with_parent
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Iteration
 
@@ -138,14 +137,7 @@ def _begin(wanted: Any) -> None:
     """Know what is waited for, and leave nothing behind a program that was killed."""
     global _number
     _number = wanted
-    parent = parent_process()
-    assert parent is not None, "of a process of a pool"
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    Thread(target=watch, daemon=True).start()
+    end_with_parent()
 
 
 def _in_process(number: int, work: Callable[..., _T], *arguments: Any) -> _T:

@@ -86,7 +86,7 @@ def workers(count: int) -> Iterator[Executor | None]:
     from multiprocessing import get_context
 
     # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_leave_interrupts) as pool:
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_begin) as pool:
         yield pool
 
 
@@ -105,9 +105,12 @@ def elsewhere(order: Namespace) -> Iterator[Submits | None]:
         yield machines
 
 
-def _leave_interrupts() -> None:
-    """Ctrl-C is the parent's to answer."""
+def _begin() -> None:
+    """Ctrl-C is the parent's to answer; if that is killed, its processes end too."""
+    from perilune.families.elsewhere import end_with_parent
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
 
 
 def ranges(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]) -> dict[str, Kind]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Hashable, Iterator
 from concurrent.futures import BrokenExecutor
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
 from queue import Empty, SimpleQueue
+from threading import Thread
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from perilune.words.outcome import PeriluneError
@@ -59,6 +63,18 @@ def here(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
     """What each call returns, one after the other."""
     for name, (function, *arguments) in calls:
         yield name, function(*arguments)
+
+
+def end_with_parent() -> None:
+    """Let this process of a pool end when its program is killed: it holds both ends of its queue, and would wait on."""
+    parent = parent_process()
+    assert parent is not None, "of a process of a pool"
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
