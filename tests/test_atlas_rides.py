@@ -80,6 +80,16 @@ def test_answers_that_ride_along_a_condition_are_those_of_closed_forms(
     assert alone.verification is not None
 
 
+def test_a_condition_that_is_broken_between_two_steps_is_seen(tmp_path: Path) -> None:
+    """Just below l = 1/3 the flight without a ride is over its ceiling in its last 0.7 %, by 2e-8: J 2e-8 too low."""
+    problem = parked(0.33)
+    atlas = open_atlas(build(problem, {"ceiling": (0.325, 0.34)}, tmp_path / "map", bricks=1), lambda _: problem)
+    ceilings = np.linspace(0.33, 0.3333, 40)
+    found = atlas.query_many(ceilings[:, None])
+    assert found.good.sum() > 30
+    np.testing.assert_allclose(found.objective[found.good], 2 / (9 * ceilings[found.good]), rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("problem", "name"),
     [(drawn_off(), "T"), (string(1.2, 0.8, 1.0, 0.9).problem, "k"), (bryson_denham(0.12), "ceiling")],

@@ -116,10 +116,11 @@ def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
     state = ca.SX.sym("state", size + len(NOTHING_SEEN))
     z = state[:size]
     after = extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
-    path, minimum, value = _seen(rides, k, mode, z, numbers, free)
+    path, minimum, value, smooth = _seen(rides, k, mode, z, numbers, free)
+    dip = _between(smooth, lambda point: extremal.modes[mode](point, numbers), z, after, h)
     bent = singular.bent(rides.stated, rides.stated.phases[k], extremal, mode, z, numbers, free)
     seen = [
-        ca.fmin(state[size], path),
+        ca.mmin(ca.vertcat(state[size], path, dip)),
         ca.fmin(state[size + 1], minimum),
         ca.fmin(state[size + 2], value),
         ca.fmax(state[size + 3], value),
@@ -140,8 +141,9 @@ def step_settling(rides: Rides, k: int, mode: int) -> ca.Function:
     state = ca.SX.sym("state", size + len(NOTHING_SEEN))
     after = extrapolated(lambda point: flown(point, numbers[known]), state[:size], h)
     still = ca.vertcat(state[: extremal.half], ca.SX.zeros(extremal.half, 1))
-    path, _, _ = _seen(rides, k, mode, still, numbers, free)
-    seen = ca.vertcat(ca.fmin(state[size], path), state[size + 1 :])
+    path, _, _, smooth = _seen(rides, k, mode, still, numbers, free)
+    dip = _between(smooth, lambda point: flown(point, numbers[known]), state[:size], after, h)
+    seen = ca.vertcat(ca.mmin(ca.vertcat(state[size], path, dip)), state[size + 1 :])
     return ca.Function("step", [state, numbers, free, h], [ca.cse(ca.vertcat(after, seen))])
 
 
@@ -164,10 +166,29 @@ def extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
     return z + table[-1]
 
 
-def _seen(rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _between(smooth: tuple[ca.SX, ca.SX], rate: Any, before: ca.SX, after: ca.SX, h: ca.SX) -> ca.SX:
+    """The least of conditions on states inside a step, by the cubic that has their values and rates at both ends."""
+    x, conditions = smooth
+    if not conditions.numel():
+        return ca.SX(FAR)
+    way, n = ca.SX.sym("way", x.numel()), x.numel()
+    changes = ca.jtimes(conditions, x, way)
+    (a, b), (far, slope) = (
+        ca.substitute([conditions, h * changes], [x, way], [z[:n], rate(z)[:n]]) for z in (before, after)
+    )
+    c, d = 3 * (far - a) - 2 * b - slope, 2 * (a - far) + b + slope
+    below = c + ca.sqrt(ca.fmax(c * c - 3 * b * d, 0))  # of a + b s + c s^2 + d s^3, which turns up at -b/below
+    s = ca.if_else(ca.fabs(below) > 0, ca.fmin(ca.fmax(-b / below, 0), 1), 0)
+    return ca.mmin(a + s * (b + s * (c + s * d)))
+
+
+def _seen(
+    rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
+) -> tuple[ca.SX, ca.SX, ca.SX, tuple[ca.SX, ca.SX]]:
     """At a point the least condition, the least H of another control beyond that of the one flown, and that H.
 
-    Where something is ridden other controls leave it, and are compared by L.
+    Where something is ridden other controls leave it, and are compared by L. Behind these are symbols for the states,
+    and the conditions on them alone.
     """
     problem, extremal = rides.stated, rides.conditions.phases[k]
     phase = problem.phases[k]
@@ -214,7 +235,9 @@ def _seen(rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
             gain = ca.if_else(ca.norm_inf(told[always]) <= _KEPT, gain, FAR)
         others.append(gain)
     least = ca.mmin(ca.vertcat(*others)) if others else ca.SX(FAR)
-    return ca.mmin(kept) if kept.numel() else ca.SX(FAR), least, best
+    alone = ca.vertcat(ca.SX(0, 1), *(e for e in ca.vertsplit(conditions) if not ca.depends_on(e, u)))
+    alone = ca.substitute(alone, ca.vertcat(*known), ca.vertcat(given, free, plain))
+    return ca.mmin(kept) if kept.numel() else ca.SX(FAR), least, best, (x, alone)
 
 
 def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:

@@ -3,8 +3,9 @@
 The machine code of shooting goes by Dormand and Prince's pair of order 8 with steps of its own choice. Here the
 canonical equations are marched in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns
 alone, and the conditions at the ends are evaluated anew. At each step the conditions of the path and the bounds of the
-states are looked at, and whether H is less for any of some admissible controls than for the one that is flown. All of
-it is one call of machine code for each piece between switches, for one extremal or for many in lanes.
+states are looked at (those on states alone inside it too, by cubics), and whether H is less for any of some admissible
+controls than for the one that is flown. All of it is one call of machine code for each piece between switches, for one
+extremal or for many in lanes.
 
 Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., Springer 1993,
 section II.9 (9.10), (9.13).
