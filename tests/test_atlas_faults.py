@@ -259,6 +259,22 @@ def test_a_damaged_shard_of_the_survey_is_found(copy: Path) -> None:
     assert found.damaged[0].count(file.name) == 1 and "than its checksum says" in found.damaged[0]
 
 
+@pytest.mark.parametrize("kind", ["nodes", MANIFEST])
+def test_a_file_that_may_not_be_read_is_not_called_damaged(
+    kind: str, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who is told so removes its line, and what it stands for is lost."""
+
+    def denied(path: Path, *_: Any) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    atlas = open_atlas(copy)
+    monkeypatch.setattr(Path, "read_bytes" if kind == "nodes" else "open", denied)
+    with pytest.raises(PeriluneError, match="cannot be read: ") as said:
+        atlas.query(vehicle_thrust=440.0, retro_specific_impulse=300.0) if kind == "nodes" else atlas.refresh()
+    assert kind in said.value.what and "damaged" not in said.value.what
+
+
 def test_a_line_that_was_not_written_whole_is_no_line(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.add({"kind": "brick", "name": "a"})

@@ -136,6 +136,8 @@ class Store:
                 content = opened.read()
         except FileNotFoundError:
             return []
+        except OSError as error:
+            raise _unreadable(MANIFEST, error) from error
         whole = content[: content.rfind(b"\n") + 1]
         self._read += len(whole)
         for line in whole.splitlines():
@@ -246,6 +248,8 @@ class Store:
         try:
             altered = check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256")
             found = None if altered else np.load(path, mmap_mode="r", allow_pickle=False)
+        except PermissionError as error:
+            raise _unreadable(name, error) from error
         except (OSError, ValueError, EOFError) as error:
             raise _damaged(name, str(error)[:80]) from error
         if found is None:
@@ -323,6 +327,13 @@ def _unwritable(name: str, error: OSError) -> PeriluneError:
         "the atlas cannot be written", got=f"{name}: {error.strerror}",
         expected="a directory that you may write, with space left",
         advice="what is there is kept: make space, and give the same order again (atlas build: with --resume)",
+    )  # fmt: skip
+
+
+def _unreadable(name: str, error: OSError) -> PeriluneError:
+    return PeriluneError(
+        f"a file of the atlas cannot be read: {name}", got=str(error.strerror), expected="a file that you may read",
+        advice="look at its rights",
     )  # fmt: skip
 
 
