@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import product
 
@@ -13,7 +14,6 @@ from perilune.atlas.charted import Charted
 from perilune.atlas.course import Course
 from perilune.atlas.held import HeldFamilies
 from perilune.atlas.region import Region
-from perilune.methods.trials import bounded_parameters
 from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
 from perilune.structures.structure import margins
@@ -24,9 +24,8 @@ _MOST = 256  # points
 
 
 def scanned_names(problem: Problem, region: Region) -> list[str]:
-    """Free parameters between bounds along which there may be several wells: no durations, and no axes."""
-    names = [problem.free[i].name for i in bounded_parameters(problem)]
-    return [name for name in names if name not in region.names]
+    """Free parameters and durations between bounds, along which there may be several wells: no axes."""
+    return [f.name for f in problem.free if math.isfinite(f.upper - f.lower) and f.name not in region.names]
 
 
 def scanned_points(region: Region) -> Matrix:
@@ -70,16 +69,18 @@ class Scan:
         before = np.count_nonzero(self._flown)
         said = {**course.document(), "widths": self._widths.tolist(), "times": [], "sheets": []}
         charted = Charted(self._problem, self._region, {**said, "unknowns": len(chart.places)})
-        families = HeldFamilies(charted, self.names)
+        own = [name for name in self.names if name in charted.borders.names]
+        families = HeldFamilies(charted, own)
         begin = np.concatenate([values / chart.scale, chart.told(np.array(first.unknowns))])
-        for k in range(len(self.names)):
+        for at, name in enumerate(own):
+            k = self.names.index(name)
             lanes = np.nonzero(~self._flown[k].all(axis=1))[0]
             if len(lanes):
                 points, begins = self._points[lanes], begin[None].repeat(len(lanes), axis=0)
                 lower, upper = families.bounds(points)
                 starts = families.clipped(points, begins[:, len(values) :])
                 ends = starts.copy()
-                starts[:, k], ends[:, k] = lower[:, k], upper[:, k]
+                starts[:, at], ends[:, at] = lower[:, at], upper[:, at]
                 found, cost, _ = families.along(points, begins, starts, ends, _STEPS)
                 self._met[k, lanes] |= np.isfinite(found[:, :, 0])
                 self._flown[k, lanes] |= np.isfinite(cost)

@@ -67,7 +67,7 @@ def wells_around(
 
     They are carried there with all of that held, so that no well need be there: `values` and `y` are theirs.
     """
-    at = [borders.names.index(name) for name in names]
+    at = [borders.names.index(name) for name in names if name in borders.names]
     held = chart.shooting.plan.held
     nothing = Holds(np.zeros((len(y), 2 * held)))
     begins = chart.shooting.held_values(chart.at(values, y, nothing).roots)[0][:, at]
