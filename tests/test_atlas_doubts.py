@@ -12,11 +12,15 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune import Problem
+from perilune import Indirect, Problem
 from perilune.atlas import building
 from perilune.atlas.offers import outdoing, unanswered
 from perilune.atlas.query import open_atlas
+from perilune.atlas.region import region_of
+from perilune.atlas.scanning import Scan
+from perilune.atlas.solving import Solving
 from perilune.words.outcome import PeriluneError
+from perilune.words.watch import silent
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
@@ -130,3 +134,40 @@ def test_where_an_arc_is_shorter_than_nothing_what_follows_it_has_to_be_known(tm
     assert 0.145 in ceilings[~found.good] and ((ceilings > 0.14) & (ceilings < 0.155))[~found.good].all()
     with pytest.raises(PeriluneError, match="shorter than nothing"):
         atlas.query(ceiling=0.145)
+
+
+def test_ranges_of_several_parameters_are_looked_over_in_turn(tmp_path: Path) -> None:
+    """Where arcs of the better well are missed, flights with speed and q held tell that nothing there is better.
+
+    What breaks the path there leads nowhere on the straight way to the answer; these points were refused.
+    """
+    problem, least = two_wells(96.749, 0.746, 1.304, 6.045, -7.581, lower=0.6, upper=1.6)
+    priced, q = problem.objective, pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5)
+    several = replace(
+        problem, free=(*problem.free, q), objective=lambda x, p, m: priced(x, p, m) + p.one * (p.q - 0.4) ** 2
+    )
+    atlas = open_atlas(build(several, {"ceiling": (0.1, 0.45)}, tmp_path / "wells", bricks=1), lambda _: several)
+    ceilings = np.linspace(0.18, 0.21, 4)
+    found = atlas.query_many(ceilings[:, None])
+    assert found.good.all()
+    assert found.objective == pytest.approx([least(l) for l in ceilings.tolist()], abs=1e-4)
+    alone = atlas.query(ceiling=float(ceilings[1]))
+    assert alone.objective == pytest.approx(found.objective[1], rel=1e-10)
+
+
+def test_durations_between_bounds_are_followed_over_their_ranges_too() -> None:
+    """A duration of several arcs is held by their sum."""
+    plain = bryson_denham(0.12)
+    given = {name: one for name, one in plain.given.items() if name != "T"}
+    units = {"one": plain.objective_unit, "second": "s"}
+    problem = replace(
+        plain,
+        free=(pl.Free(name="T", unit="s", lower=0.9, upper=1.2, typical=1.0),),
+        given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
+        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * (p.T / p.second - 1) ** 2,
+    )
+    region = region_of(problem, {"ceiling": (0.1, 0.14)}, bricks=1)
+    scan = Scan(problem, region, widths := np.array([0.04]))
+    solved = Solving(problem, region, Indirect(), silent, widths).run()
+    assert scan.names == ["T"] and "along" in solved[0].course.text
+    assert scan.add(solved[0].values, solved[0].course, solved[0].extremals) and scan.gap() is None

@@ -22,6 +22,7 @@ from perilune.atlas.walking import Lanes
 from perilune.words.types import Matrix, Vector
 
 _STEPS = 16  # of a way from bound to bound
+_ROUNDS = 2  # over the ranges of several parameters
 _BETWEEN = 8  # parts of a step in which J is looked for where it is less than at both ends
 _NOTHING = 1e-9  # of 1 + |J|: a slope that is none
 
@@ -83,7 +84,6 @@ class Descents:
         self._charted = charted
         each = [_bounded(one.borders) for one in charted]
         self.names: list[str] = [name for name in each[0] if all(name in own for own in each)] if each else []
-        self.alone: bool = len(self.names) == 1  # so that its range is all that there is to be looked over
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
     def become(self, points: Matrix, outdoing: Known, begins: Sequence[Matrix], best: Known) -> Known:
@@ -120,28 +120,68 @@ class Descents:
         found.put(lanes[here], candidates, np.nonzero(here)[0])
         return found
 
-    def all_over(self, points: Matrix, begins: Sequence[Matrix], best: Known) -> Known:
-        """What is better than answers anywhere along the one parameter between bounds.
+    def all_over(self, points: Matrix, begins: Sequence[Matrix], best: Known, outdoing: Known | None = None) -> Known:
+        """What is better than answers anywhere along each of the parameters between bounds, from the answers.
 
         The answers themselves where nothing is; of chart -1 where in part of a range no flight is known, or what is
-        better is not found. `points` and `begins` are as of `become`.
+        better is not found. `points` and `begins` are as of `become`. With several such parameters their ranges are
+        looked over in turn, the others held, from the least J that was met; then `outdoing` may be where to begin, and
+        what is found is what that leads down to, better or not.
         """
-        found, least = best.of(np.arange(len(points))), best.cost.copy()
-        better, known = Known.none(self._charted, len(points)), best.chart >= 0
-        starts = self._places(points, best, np.zeros((len(points), 1)))
-        for ends in self._of[0].bounds(points):
+        found, known = best.of(np.arange(len(points))), best.chart >= 0
+        places = self._places(points, best, np.zeros((len(points), len(self.names))))
+        bottom, least = Known.none(self._charted, len(points)), best.cost.copy()
+        if outdoing is not None:
+            places, least = self._places(points, outdoing, places), np.full(len(points), np.inf)
+        for _ in range(1 if len(self.names) == 1 else _ROUNDS):
+            before = least.copy()
+            for k in range(len(self.names)):
+                lanes = np.nonzero(known)[0]
+                some = [y[lanes] for y in begins]
+                known[lanes] = self._lowered(k, points[lanes], places, some, best.of(lanes), lanes, bottom, least)
+            with np.errstate(invalid="ignore"):
+                if not (known & (least < before)).any():
+                    break
+        lanes = np.nonzero(known & (bottom.chart >= 0))[0]
+        led = self._settled(points[lanes], bottom.of(lanes))
+        if outdoing is None:
+            led.chart[~(led.cost < best.cost[lanes])] = -1
+        else:
+            here = self._confirmed(points[lanes], places[lanes], [y[lanes] for y in begins], led)
+            led.chart[~here] = -1
+        found.put(lanes, led, np.arange(len(lanes)))
+        found.chart[~known] = -1
+        return found
+
+    def _lowered(
+        self,
+        k: int,
+        points: Matrix,
+        places: Matrix,
+        begins: Sequence[Matrix],
+        best: Known,
+        lanes: Lanes,
+        bottom: Known,
+        least: Vector,
+    ) -> NDArray[np.bool_]:
+        """Go to the least J along one parameter, from bound to bound; whether flights are known all over its range.
+
+        Of `lanes` the `places`, what is at their `bottom` and the `least` J are put in.
+        """
+        known, starts = np.ones(len(lanes), dtype=bool), places[lanes]
+        for bounds in self._of[0].bounds(points):
+            ends = starts.copy()
+            ends[:, k] = bounds[:, k]
             way = self._way(points, starts, ends, begins, best, _STEPS)
             known &= (way.chart >= 0).all(axis=1)
             lowest, at = way.lowest()
-            for lane in np.nonzero(known & (lowest < least - _NOTHING * (1.0 + np.abs(least))))[0].tolist():
-                least[lane], number = lowest[lane], int(way.chart[lane, at[lane]])
-                better.chart[lane], better.y[number][lane] = number, way.y[number][lane, at[lane]]
-        lanes = np.nonzero(better.chart >= 0)[0]
-        led = self._settled(points[lanes], better.of(lanes))
-        found.put(lanes, led, np.arange(len(lanes)))
-        found.chart[lanes[~(led.cost < best.cost[lanes])]] = -1
-        found.chart[~known] = -1
-        return found
+            for row, lane in enumerate(lanes.tolist()):
+                bar = least[lane]
+                if known[row] and (np.isinf(bar) or lowest[row] < bar - _NOTHING * (1.0 + abs(bar))):
+                    least[lane], number = lowest[row], int(way.chart[row, at[row]])
+                    bottom.chart[lane], bottom.y[number][lane] = number, way.y[number][row, at[row]]
+                    places[lane] = starts[row] + at[row] / _STEPS * (ends[row] - starts[row])
+        return known
 
     def _places(self, points: Matrix, known: Known, otherwise: Matrix) -> Matrix:
         """Values of what is followed at extremals, within bounds, (lanes, k); others where none is known."""

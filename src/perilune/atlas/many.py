@@ -203,15 +203,15 @@ class _Work:
         best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
             self._become(doubt, offers[number], lanes, cost[number, lanes], y, best, turns=True)
-        for one in followed:
-            self._become(left, offers[one.number], one.lanes, one.cost, one.y, best, turns=False)
+        standing = list[_Breaking]()
+        for one, which in followed:
+            stands = self._become(left, offers[one.number], one.lanes, one.cost, one.y, best, turns=False)
+            standing.append(one.of(which | stands))
         best = self.known.of(np.arange(len(some)))
         with np.errstate(invalid="ignore"):
             lanes = np.nonzero((left < best.cost) & ~equal(left, best.cost))[0]
-        if atlas.descents.alone and len(lanes):
-            points = self.points[some[lanes]]
-            better = atlas.descents.all_over(points, atlas.begins(points), best.of(lanes))
-            left[lanes] = self._settled(lanes, better, left[lanes])
+        if atlas.descents.names and len(lanes):
+            left[lanes] = self._looked_over(lanes, best.of(lanes), left[lanes], offers, standing)
         doubt = np.minimum(doubt, left)
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         with np.errstate(invalid="ignore"):
@@ -226,16 +226,19 @@ class _Work:
 
     def _doubted(
         self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], vouching: Sequence[NDArray[np.bool_]]
-    ) -> tuple[Vector, list[_Breaking]]:
-        """The least J, or inf, of those that outdo what is known and cast doubt, lane by lane, and what is followed."""
+    ) -> tuple[Vector, list[tuple[_Breaking, NDArray[np.bool_]]]]:
+        """The least J, or inf, of those that outdo what is known and cast doubt, lane by lane; what is followed.
+
+        Of the latter it is told which cast doubt in any case.
+        """
         known, doubt, of = self.cost[self.some], np.full(len(self.some), np.inf), [offer.charted for offer in offers]
         better = [one.of(outdoing(of[one.number], one.cost, known[one.lanes])) for one in breaking]
         told, answers = [(of[one.number], one.lanes, one.short) for one in better], list(zip(of, vouching, strict=True))
-        followed, follows = list[_Breaking](), bool(self.atlas.descents.names)
+        followed, follows = list[tuple[_Breaking, NDArray[np.bool_]]](), bool(self.atlas.descents.names)
         for one, left in zip(better, unanswered(told, answers, self.of_arcs[self.some]), strict=True):
             which, its = doubted(one.short, left, follows=follows)
             doubt[one.lanes[which]] = np.minimum(doubt[one.lanes[which]], one.cost[which])
-            followed.append(one.of(its))
+            followed.append((one.of(its), which[its]))
         return doubt, followed
 
     def _become(
@@ -248,17 +251,41 @@ class _Work:
         best: Known,
         *,
         turns: bool,
-    ) -> None:
-        """Let extremals that are no answers cast doubt, or what they become answer, as one by one."""
+    ) -> NDArray[np.bool_]:
+        """Let extremals that are no answers cast doubt, or what they become answer; which doubt is left of."""
         if not len(lanes):
-            return
+            return np.zeros(0, dtype=bool)
         atlas, points = self.atlas, self.points[self.some[lanes]]
-        number = atlas.charted.index(offer.charted)
-        extremals = Known.none(atlas.charted, len(lanes))
-        extremals.chart[:], extremals.y[number][:], extremals.cost[:] = number, y, cost
+        extremals = self._extremals(offer, y, cost)
         extremals.sheet[:] = offer.sheet if turns else -1
         becomes = atlas.descents.become(points, extremals, atlas.begins(points), best.of(lanes))
-        doubt[lanes] = np.minimum(doubt[lanes], self._settled(lanes, becomes, cost))
+        cost, best = self._settled(lanes, becomes, cost), self.known.of(lanes)
+        doubt[lanes] = np.minimum(doubt[lanes], cost)
+        return (cost < best.cost) & ~equal(cost, best.cost)
+
+    def _looked_over(
+        self, lanes: Lanes, best: Known, cost: Vector, offers: Sequence[_Offered], standing: Sequence[_Breaking]
+    ) -> Vector:
+        """What J doubt is cast by where J is looked at all over what lies between bounds, as one by one."""
+        atlas, points = self.atlas, self.points[self.some[lanes]]
+        begins, doubt, known = atlas.begins(points), np.full(len(lanes), np.inf), np.ones(len(lanes), dtype=bool)
+        for one in [None, *(standing if len(atlas.descents.names) > 1 else [])]:
+            here, its = np.nonzero(known)[0], known
+            if one is not None:
+                here, its = np.nonzero(known[:, None] & (lanes[:, None] == one.lanes))
+            if not len(here):
+                continue
+            outdoing = None if one is None else self._extremals(offers[one.number], one.y[its], one.cost[its])
+            better = atlas.descents.all_over(points[here], [y[here] for y in begins], best.of(here), outdoing)
+            doubt[here] = np.minimum(doubt[here], self._settled(lanes[here], better, cost[here]))
+            known[here] = better.chart >= 0
+        return doubt
+
+    def _extremals(self, offer: _Offered, y: Matrix, cost: Vector) -> Known:
+        """Extremals of an offer as what follows them knows them."""
+        number, found = self.atlas.charted.index(offer.charted), Known.none(self.atlas.charted, len(y))
+        found.chart[:], found.y[number][:], found.cost[:] = number, y, cost
+        return found
 
     def _settled(self, lanes: NDArray[np.int64], becomes: Known, cost: Vector) -> Vector:
         """What J doubt is cast by where something becomes another, `cost` where that is not known; it may answer."""

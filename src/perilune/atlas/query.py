@@ -206,10 +206,15 @@ class Atlas(Reader):
 
     def _unanswered(self, at: Vector, best: Offer | None, doubts: list[Offer], tried: list[Offer]) -> list[Offer]:
         """Those of the extremals which cast doubt where J has been looked at all over what lies between bounds."""
-        if not doubts or best is None or not self.descents.alone:
+        if not doubts or best is None or not self.descents.names:
             return doubts
-        better = self.descents.all_over(at[None], self.begins(at[None]), self._known(best, -1))
-        return [] if self._settled(at, better, best, doubts[0], tried) else doubts
+        begins, known = self.begins(at[None]), self._known(best, -1)
+        for one in [None, *({id(one): one for one in doubts}.values() if len(self.descents.names) > 1 else ())]:
+            outdoing = None if one is None else self._known(one, -1)
+            better = self.descents.all_over(at[None], begins, known, outdoing)
+            if not self._settled(at, better, best, doubts[0], tried):
+                return doubts
+        return []
 
     def _settled(self, at: Vector, becomes: Known, best: Offer | None, one: Offer, tried: list[Offer]) -> bool:
         """Whether what something becomes is known and no matter, or joins what is tried; else `one` has its J."""
