@@ -69,7 +69,10 @@ class Scan:
         before = np.count_nonzero(self._flown)
         said = {**course.document(), "widths": self._widths.tolist(), "times": [], "sheets": []}
         charted = Charted(self._problem, self._region, {**said, "unknowns": len(chart.places)})
-        own = [name for name in self.names if name in charted.borders.names]
+        with np.errstate(invalid="ignore"):  # of several arcs a duration may have no bound that is held
+            lower, upper = charted.borders.at(self._points / chart.scale)
+            bounded: list[bool] = np.isfinite(upper - lower).min(axis=0).tolist()
+        own = [name for name, both in zip(charted.borders.names, bounded, strict=True) if both and name in self.names]
         families = HeldFamilies(charted, own)
         begin = np.concatenate([values / chart.scale, chart.told(np.array(first.unknowns))])
         for at, name in enumerate(own):
