@@ -40,11 +40,11 @@ FREE_IGNITION = (
 )  # fmt: skip
 
 
-def returning(folder: Path, ballistic_coefficient: int) -> pl.Problem:
+def returning(folder: Path, ballistic_coefficient: int, *changes: str) -> pl.Problem:
     """Neighbour B with a free ignition and another ballistic coefficient [kg/m^2]."""
     text, light = NEIGHBOUR_B.read_text(encoding="utf-8"), f'ballistic_coefficient = "{ballistic_coefficient} kg/m^2" #'
     (folder / "light.toml").write_text(text.replace('drag_area = "0.6 m^2" ', light), encoding="utf-8")
-    return load_file(folder / "light.toml", FREE_IGNITION).problem
+    return load_file(folder / "light.toml", (*FREE_IGNITION, *changes)).problem
 
 
 def test_a_return_of_four_phases_is_proved() -> None:
@@ -169,6 +169,14 @@ def test_a_fall_that_forgets_everything_is_solved_and_proved(tmp_path: Path) -> 
     assert solution.verification.passed and solution.verification.level == 3
     landing = {c.name: c.value for c in solution.verification.checks if c.name.startswith("entry_")}
     assert landing["entry_costate_vx"] < 1e-10
+
+
+@pytest.mark.parametrize("coefficient", [40, 100])
+def test_a_limit_of_a_speed_that_nothing_moves_hinders_no_answer(tmp_path: Path, coefficient: int) -> None:
+    """Whether J curves down along a speed at which everything falls is chance, and was taken for a maximum."""
+    limited = pl.solve(returning(tmp_path, coefficient, 'site.speed_upper="300 m/s"'), level=0)
+    assert limited.results["landing_speed"].value < 100.0
+    assert limited.objective == pytest.approx(-478.5, abs=0.1)
 
 
 def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from perilune.shooting.propagate import flight
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
+_FLOWN = 1e-11  # relative error of what a flight ends with
 _LAST_DIGITS = 1e-12  # of |y|: what moves it less is rounding
 
 
@@ -261,7 +262,9 @@ class Shooting:
     def curving_down(self, root: Root, p: Vector) -> list[int]:
         """Numbers of the ranges at ends that a root does not hold, and along which J has a maximum there.
 
-        With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian.
+        With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian. Where what the unknowns
+        may do moves v by no more than errors of a flight, as the speed of a fall through thick air, its sign is chance and
+        there is nothing to go along.
         """
         found, first = list[int](), self.plan.free
         for k, (_, nu) in enumerate(self.conditions.ranges):
@@ -269,7 +272,10 @@ class Shooting:
                 held = root.choice.copy()
                 self.plan.hold(held, first + k, root.ranges[k])
                 inverse = self.at(root.y[None], p, held)[0].inverse
-                if inverse[self.plan.active.searchsorted(nu), self.plan.held_rows[first + k]] > 0.0:
+                along = inverse[:, self.plan.held_rows[first + k]]
+                least = _FLOWN * (1.0 + abs(root.ranges[k]))  # change of v
+                moves = np.linalg.norm(along) * least <= 1.0 + np.linalg.norm(root.y)
+                if moves and along[self.plan.active.searchsorted(nu)] > 0.0:
                     found.append(k)
         return found
 
