@@ -302,6 +302,8 @@ def test_what_physics_refuses_is_refused_though_it_has_extremals(tmp_path: Path)
     with pytest.raises(InfeasibleError, match="the perilune lies above the parking orbit"):
         atlas.query(orbit_parking_altitude=14.9e3)
     assert atlas.query(orbit_parking_altitude=15.1e3).objective < 0
+    found = atlas.query_many(np.array([[14.9e3], [15.1e3]]))
+    assert found.answered.tolist() == [Answered.IMPOSSIBLE, Answered.YES] and np.isnan(found.objective[0])
 
 
 @pytest.mark.parametrize(

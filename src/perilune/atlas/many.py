@@ -221,8 +221,7 @@ class _Work:
         self.answered[some[found]] = Answered.YES
         self.answered[some[doubtful]] = Answered.ENDS
         self.answered[some[damaged | (~found & self._where(some, atlas.missing))]] = Answered.NOT_BUILT
-        none = some[self.answered[some] != Answered.YES]
-        self.answered[none[~self.allowed[none]]] = Answered.IMPOSSIBLE
+        self.answered[some[~self.allowed[some]]] = Answered.IMPOSSIBLE
 
     def _doubted(
         self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], vouching: Sequence[NDArray[np.bool_]]

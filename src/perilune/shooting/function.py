@@ -262,9 +262,9 @@ class Shooting:
     def curving_down(self, root: Root, p: Vector) -> list[int]:
         """Numbers of the ranges at ends that a root does not hold, and along which J has a maximum there.
 
-        With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian. Where what the unknowns
-        may do moves v by no more than errors of a flight, as the speed of a fall through thick air, its sign is chance and
-        there is nothing to go along.
+        With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian. Where nothing that
+        the unknowns may do moves v by more than errors of a flight, as the speed of a fall through thick air, its sign
+        is chance and there is nothing to go along.
         """
         found, first = list[int](), self.plan.free
         for k, (_, nu) in enumerate(self.conditions.ranges):
