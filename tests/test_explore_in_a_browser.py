@@ -179,7 +179,36 @@ def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
         north = page.evaluate("perilune.flight.phases[0].columns.north.values")
         assert north[0] == pytest.approx(after["approach_north"], rel=1e-5) and north[0] < first
         assert abs(north[-1]) < 1e-3
+        assert page.evaluate("getComputedStyle(document.getElementById('ground')).touchAction") == "none"  # by a finger
         until(page, f"({_INK})(['article:has(#ground)', '--pin1']) > 20")  # to its own site
+
+
+def test_a_finger_that_scrolls_the_page_from_a_slider_moves_nothing(browser: Any, alone: Path) -> None:
+    """On a phone; one that goes along the slider drags it."""
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    touch = context.new_cdp_session(page)
+
+    def swiped(place: str, right: float, down: float) -> None:
+        page.locator(place).scroll_into_view_if_needed()
+        box = page.locator(place).bounding_box()
+        x, y = box["x"] + 0.9 * box["width"], box["y"] + 0.5 * box["height"]
+        for step in range(10):
+            at = {"x": x + step / 9 * right, "y": y + step / 9 * down}
+            kind = "touchMove" if step else "touchStart"
+            touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [at]})
+            time.sleep(0.02)
+        touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    page.goto(alone.as_uri())
+    until(page, "perilune.frames > 0")
+    before = page.evaluate("perilune.values")
+    swiped(ISP, 0, -120)
+    until(page, "scrollY > 0")
+    assert page.evaluate("perilune.values") == before and page.evaluate("perilune.past.length") == 0
+    swiped(ISP, -60, 0)
+    assert page.evaluate("perilune.values") != before and page.evaluate("perilune.past.length") == 1
+    context.close()
 
 
 _INK = """([view, name]) => {

@@ -103,6 +103,8 @@
     let held = false;
     const move = (v) => { if (!held) { remember(); held = true; } state.values[knob.name] = placed(knob, v * knob.size); set(); ask(); };
     slider.oninput = () => move(parseFloat(slider.value)); slider.onchange = () => { held = false; save(); };
+    slider.onpointerdown = () => { held = false; }; // a touch where it is already ends without a change
+    slider.onpointercancel = () => { if (held) { held = false; restore(state.past.pop()); } }; // a finger that scrolls the page moves nothing
     slider.onkeydown = (event) => { // an even step, ten times as far with Shift
       const way = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
       if (way) { event.preventDefault(); held = false; move(clamp(knob, state.values[knob.name] + way * (event.shiftKey ? 10 : 1) * (knob.high - knob.low) / 200) / knob.size); held = false; save(); }
@@ -258,6 +260,7 @@
   function from_above(flights, flat) {
     const moves = flat ? knob("approach_east") && knob("approach_north") : knob("site_longitude") && knob("site_latitude");
     text($("ground-title"), flat ? "From above" : "Ground track");
+    $("ground").style.touchAction = moves ? "none" : ""; // a finger moves the site, not the page
     if (flat) {
       const shown = Draw.plan($("ground"), flights, [state, ...state.pins].map(offset), dragging ? frame : null);
       frame = shown.box; if (!dragging) { back = shown.back; }
@@ -278,7 +281,7 @@
   }
   $("ground").onpointerdown = (event) => { if (back && $("ground-words").textContent.match(/drag/i)) { dragging = true; remember(); $("ground").setPointerCapture(event.pointerId); toSite(event); } };
   $("ground").onpointermove = (event) => { if (dragging) { toSite(event); } };
-  $("ground").onpointerup = () => { dragging = false; save(); show(); };
+  $("ground").onpointerup = $("ground").onpointercancel = () => { dragging = false; save(); show(); };
 
   // -- tools ----------------------------------------------------------------------------------------------------
   function give(name, kind, content) {
