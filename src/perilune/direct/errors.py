@@ -10,7 +10,8 @@ All segments fly at once: with twice as many Gauss points as the segment has, Pi
     x <- X(start) + integral of f(x, u)
 
 ends at the flight of order four times the degree (Bai, Junkins 2011), a handful of evaluations of whole arrays.
-Where it does not, as along a steep entry in one segment, SciPy's DOP853 flies the segment step by step.
+Where it does not, as along a steep entry in one segment, SciPy's DOP853 flies the segment step by step, as far as
+`EVALUATIONS` lead: beyond them the polynomial of an answer that was not found says nothing of where it would fly.
 """
 
 from __future__ import annotations
@@ -35,6 +36,12 @@ from perilune.words.types import Matrix, Vector
 PICARD = 40
 # Of its canonical unit: a state that stays as small is simulated no more closely than one of this size.
 NOTHING = 1e-3
+# Of the rates of one segment that is flown step by step: some thousand steps.
+EVALUATIONS = 12_000
+
+
+class _TooFar(Exception):
+    """A segment that takes more steps than are given to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,15 +138,22 @@ def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vecto
     if not segment.end > segment.begin:  # of an answer that runs backwards, or has no length: it cannot be flown
         return np.full(piece.x.shape[1], math.nan)
 
+    left = iter(range(EVALUATIONS))
+
     def flow(t: float, x: Vector) -> Vector:
+        if next(left, None) is None:
+            raise _TooFar
         u = admissible(phase.controls, segment.control(segment.tau(np.array([t]))).T, p)[:, 0]
         return np.array(phase.rates(list(x), list(u), p), dtype=float)
 
-    flown = solve_ivp(
-        flow, (segment.begin, segment.end), piece.x[0], "DOP853",
-        np.clip(segment.time(piece.at), segment.begin, segment.end),
-        rtol=tolerance, atol=tolerance * np.maximum(np.abs(piece.x).max(axis=0), least),
-    )  # fmt: skip
+    try:
+        flown = solve_ivp(
+            flow, (segment.begin, segment.end), piece.x[0], "DOP853",
+            np.clip(segment.time(piece.at), segment.begin, segment.end),
+            rtol=tolerance, atol=tolerance * np.maximum(np.abs(piece.x).max(axis=0), least),
+        )  # fmt: skip
+    except _TooFar:
+        return np.full(piece.x.shape[1], math.nan)
     if len(flown.t) != len(piece.at):  # SciPy gives no array where not one step succeeds
         return np.full(piece.x.shape[1], math.nan)
     return np.abs(flown.y.T - piece.x).max(axis=0)
