@@ -47,6 +47,7 @@ from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.kernels import compile_map
 from perilune.problem.extremal import Nature
+from perilune.problem.preflight import Finding
 from perilune.problem.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve
@@ -304,6 +305,23 @@ def test_what_physics_refuses_is_refused_though_it_has_extremals(tmp_path: Path)
     assert atlas.query(orbit_parking_altitude=15.1e3).objective < 0
     found = atlas.query_many(np.array([[14.9e3], [15.1e3]]))
     assert found.answered.tolist() == [Answered.IMPOSSIBLE, Answered.YES] and np.isnan(found.objective[0])
+
+
+def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(tmp_path: Path) -> None:
+    """As ignition on an ellipse may be below the interface between two places above it: corners do not tell."""
+
+    def away(p: Any, m: Any) -> tuple[Finding, ...]:
+        value = m.fabs(p.orbit_parking_altitude - 100e3)
+        return (
+            Finding(name="away", value=value, limit=1e3, at_least=True, unit="m", binding=True, meaning="too near"),
+        )
+
+    atlas = open_atlas(build(cho_landing(), {"orbit.parking_altitude": (90e3, 110e3)}, tmp_path / "map", bricks=1))
+    atlas.problem = replace(atlas.problem, preflight=away)
+    assert atlas.query_many(np.array([[95e3], [100e3]])).answered.tolist() == [Answered.YES, Answered.IMPOSSIBLE]
+    assert atlas.query(orbit_parking_altitude=95e3).objective < 0
+    with pytest.raises(InfeasibleError, match="too near"):
+        atlas.query(orbit_parking_altitude=100e3)
 
 
 @pytest.mark.parametrize(

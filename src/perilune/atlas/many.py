@@ -19,7 +19,6 @@ from perilune.atlas.offers import doubted, outdoing, unanswered
 from perilune.atlas.polish import Polished
 from perilune.atlas.read import SERVING, Brick, Reader
 from perilune.atlas.walking import Lanes
-from perilune.problem.preflight import possible, preflight
 from perilune.words.asked import demand_numbers
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -153,13 +152,11 @@ class _Work:
 
     def place(self) -> None:
         """Which points lie in the region, and which of them physics allows."""
-        atlas, region = self.atlas, self.atlas.region
+        region = self.atlas.region
         inside = ((self.points >= region.low) & (self.points <= region.high)).all(axis=1)
         self.answered[~inside] = Answered.OUTSIDE
-        over = dict(zip(region.names, self.points[inside].T, strict=True))
         self.allowed = np.ones(len(self.points), dtype=bool)
-        if atlas.problem.preflight is not None and inside.any():
-            self.allowed[inside] = possible(preflight(atlas.problem, over))
+        self.allowed[inside] = self.atlas.allowed(self.points[inside])
         self.bricks = region.bricks_of(self.points)
 
     def answer(self, some: NDArray[np.int64]) -> None:

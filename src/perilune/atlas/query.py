@@ -62,7 +62,7 @@ class Atlas(Reader):
         """
         began = time.perf_counter()
         at = self._point(values)
-        if not self.allows(self.region.brick_of(at)):
+        if not self.allowed(at[None])[0]:
             self._refuse_impossible(at)
         offers = self._offers(at)
         tried, doubts, breaking, outside, gaining = (list[Offer]() for _ in range(5))

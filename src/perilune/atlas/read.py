@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from numbers import Integral
@@ -159,7 +158,7 @@ class Reader:
         self.region: Region = survey_region(self._first, self.survey)
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
-        for name in ("charted", "descents", "_surveyed", "_allowed"):
+        for name in ("charted", "descents", "_surveyed"):
             self.__dict__.pop(name, None)
 
     @cached_property
@@ -173,30 +172,15 @@ class Reader:
         """What follows extremals that are no answers over its charts."""
         return Descents(self.charted)
 
-    def allows(self, brick: tuple[int, ...]) -> bool:
-        """Whether physics allows every corner of a brick; where it does not, each point has to be looked at.
+    def allowed(self, points: Matrix) -> NDArray[np.bool_]:
+        """Whether physics allows points of the region [SI], (points,), one by one.
 
-        There may be extremals there all the same: of a parking orbit below its perilune equations know nothing. What is
-        compared is taken for linear across a brick, so that who misses a limit inside misses it at a corner.
+        There may be extremals of others all the same: of a parking orbit below its perilune equations know nothing.
         """
-        if self._allowed is None:
-            return True
-        return bool(self._allowed[tuple(n - axis.first for n, axis in zip(brick, self.region.axes, strict=True))])
-
-    @cached_property
-    def _allowed(self) -> NDArray[np.bool_] | None:
-        """The same of each brick, one dimension for each axis; None where physics has nothing against any."""
         if self.problem.preflight is None:
-            return None
-        over = dict(zip(self.region.names, self.region.corners()[1].T, strict=True))
-        found = np.atleast_1d(possible(preflight(self.problem, over)))
-        if found.all():
-            return None
-        found = np.broadcast_to(found, math.prod(sides := [len(axis.edges) for axis in self.region.axes]))
-        found = found.reshape(sides)
-        for along in range(len(sides)):
-            found = found[(slice(None),) * along + (slice(1, None),)] & found[(slice(None),) * along + (slice(-1),)]
-        return found
+            return np.ones(len(points), dtype=bool)
+        over = dict(zip(self.region.names, points.T, strict=True))
+        return np.broadcast_to(possible(preflight(self.problem, over)), len(points))
 
     @called_in_words
     def begins(self, points: Matrix) -> list[Matrix]:
