@@ -77,6 +77,10 @@ def test_a_hidden_constant_is_found() -> None:
         (lambda x, u, p, m: p.push**2, "p.push**2 in m^2/s^4", "a quantity in m/s^2"),
         (lambda x, u, p, m: 0.0 - x.v / 3.0, "0 - x.v/3 in m/s", "a quantity in m/s^2"),
         (lambda x, u, p, m: x.v - (x.v - 2.0 * x.v), "x.v - (x.v - 2*x.v) in m/s", "a quantity in m/s^2"),
+        (lambda x, u, p, m: m.fmin(x.x / p.distance, math.inf) + x.x, "m.fmin(x.x/p.distance, inf) without a unit, "
+         "beside x.x in m, in m.fmin(x.x/p.distance, inf) + x.x", "one unit of both"),
+        (lambda x, u, p, m: m.sqrt(p.distance * p.distance) + p.distance + x.x + x.x + x.x,  # no dots: it is whole
+         "m.sqrt(p.distance*p.distance) + p.distance + x.x + x.x + x.x in m", "a quantity in m/s^2"),
         (lambda x, u, p, m: p.push + m.atan2(x.x, x.v), "x.x in m, beside x.v in m/s, in m.atan2(x.x, x.v)",
          "one unit of both"),
     ],
