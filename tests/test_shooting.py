@@ -18,7 +18,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting import plan as planning
 from perilune.shooting.continuation import Member
-from perilune.shooting.extremals import HeldFamily, _dips
+from perilune.shooting.extremals import HeldFamily, _chain, _dips, distinct, same
 from perilune.shooting.flyer import Code, FewLanes, Flight, fleet
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST
@@ -191,6 +191,12 @@ def test_few_lanes_fly_as_many_do() -> None:
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
+def root_at(*y: float, inverse: np.ndarray | None = None) -> Root:
+    none = np.zeros(0)
+    return Root(y=np.array(y), residual=none, inverse=np.eye(len(y)) if inverse is None else inverse, slopes=none,
+                ranges=none, cost=0.0, choice=none, converged=True)  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("slopes", "near"),
     [
@@ -212,11 +218,31 @@ def test_two_roots_are_looked_for_where_slopes_come_near_zero(slopes: tuple[floa
         asked.append(Y)
         return [replace(first, converged=False)] * len(Y)
 
-    none, family = np.zeros(0), cast("HeldFamily", SimpleNamespace(released=released))
-    members = [
-        Member(value=value, root=Root(y=np.array([10 * value]), residual=none, inverse=np.zeros((0, 0)), slopes=none,
-                                      ranges=none, cost=0.0, choice=none, converged=True))
-        for value in (-2.0, -1.0, 0.0, 1.0)[-len(slopes) :]
-    ]  # fmt: skip
+    family = cast("HeldFamily", SimpleNamespace(released=released))
+    members = [Member(value=value, root=root_at(10 * value)) for value in (-2.0, -1.0, 0.0, 1.0)[-len(slopes) :]]
     assert _dips(family, members, list(slopes)) == []
     assert [Y.tolist() for Y in asked] == ([[[-5.0], [5.0]]] if near else [])
+
+
+def test_unknowns_are_the_same_by_their_size() -> None:
+    """Of costates of a thousand the sixth digit is a thousandth."""
+    large = np.array([1e3, 0.0])
+    assert same(large, large + 9e-4, 1e-6) and not same(large, large + 2e-3, 1e-6)
+    assert not same(0.0 * large, 0.0 * large + 2e-6, 1e-6)
+
+
+def test_an_isolated_extremal_met_twice_is_one_and_those_of_equal_j_are_two() -> None:
+    """Mirror images have the same J; only where both are of a continuum does that make them one."""
+    left, right = root_at(-1.0, 2.0), root_at(1.0, 2.0)
+    assert distinct([left, right, left]) == [left, right]
+    flat = np.diag([1e20, 1.0])
+    assert len(distinct([root_at(-1.0, 2.0, inverse=flat), root_at(1.0, 2.0, inverse=flat)])) == 1
+
+
+def test_large_unknowns_may_change_faster_along_a_family() -> None:
+    """The lanes' roots are taken, and nobody walks, though the family bends; another branch is not."""
+    walked: list[float] = []
+    family = cast("HeldFamily", SimpleNamespace(reach=lambda here, value: walked.append(value)))
+    lanes = [(1.0, root_at(100.5)), (2.0, root_at(104.0)), (3.0, root_at(200.0))]
+    members = _chain(family, Member(value=0.0, root=root_at(100.0)), lanes)
+    assert [member.value for member in members] == [1.0, 2.0] and walked == [3.0]
