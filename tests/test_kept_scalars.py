@@ -16,7 +16,8 @@ from scipy.optimize import brentq
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive, keepable_conditions
-from perilune.conditions.scalars import pivots
+from perilune.conditions.scalars import Scalar, least_between, pivots
+from perilune.problem.controls import Settled
 from problems.entry import limited_entry
 from test_control_law import given, slide, variables
 
@@ -142,6 +143,60 @@ def test_each_condition_is_held_by_a_control_of_its_own(drawn: tuple[int, list[s
     holding = pivots(symbols, [sum((symbols[i] for i in sorted(some)), ca.SX(1.0)) for some in acting])
     ways = [way for way in permutations(range(count), len(acting)) if all(map(set.__contains__, acting, way))]
     assert (holding is None) if not ways else (tuple(holding or ()) in ways)
+
+
+def _least(H: Any, held: Any, *ranges: tuple[float, float]) -> list[float]:
+    """Where H is least over two scalars of some ranges that hold a condition, by the program."""
+    (phase,), u = _plane(size=False).phases, ca.SX.sym("u", 2)
+    free = [
+        Scalar(phase, at, pl.Bounded(name="ab"[at], unit="m/s^2", lower=low, upper=high), H(*ca.vertsplit(u)), u,
+               (ca.SX(low), ca.SX(high)), acts=True)
+        for at, (low, high) in enumerate(ranges)
+    ]  # fmt: skip
+    control, w, at = least_between(phase, H(*ca.vertsplit(u)), u, free, ca.SX(held(*ca.vertsplit(u))))
+    return np.array(ca.evalf(ca.substitute(control, w, at))).ravel().tolist()
+
+
+@pytest.mark.parametrize(
+    ("square", "ranges"),
+    [
+        (0.9, ((0.0, 1.0), (-1.0, 1.0))),  # all that holds it lies beside the upper bound of the first
+        (0.01, ((0.0, 1.0), (-0.2, 0.2))),  # and beside its lower one
+        (0.9, ((-1.0, 0.0), (-1.0, 1.0))),
+    ],
+)
+def test_what_holds_an_ellipse_beside_a_bound_is_found(square: float, ranges: tuple[tuple[float, float], ...]) -> None:
+    """The farthest point of x^2 + y^2/10 = s along (a, b) is (a, 10 b) sqrt(s / (a^2 + 10 b^2)) (Lagrange)."""
+    a, b = math.copysign(1.0, sum(ranges[0])), 0.05
+    far = math.sqrt(square / (a * a + 10 * b * b))
+    found = _least(lambda x, y: -a * x - b * y, lambda x, y: x**2 + 0.1 * y**2 - square, *ranges)
+    assert found == pytest.approx([a * far, 10 * b * far], abs=1e-12)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_what_holds_a_condition_on_a_bound_may_by_rounding_lie_beyond(side: float) -> None:
+    """It vanishes 1e-12 beyond the near bound; to its other root, which Newton's method meets from 0, x cannot go."""
+    near, far = side * (0.3 + 1e-12), side * 0.9
+    x_range = (min(near, far), max(near, far))
+    found = _least(lambda x, y: (y - 0.5) ** 2, lambda x, y: (side * x - 0.3) * (side * x + 0.1), x_range, (0.0, 2.0))
+    assert found == pytest.approx([side * 0.3, 0.5], abs=1e-12)
+
+
+def test_a_scalar_that_a_condition_tells_outright() -> None:
+    """The nearest point to the origin on x + y^2 = 1: (1/2, sqrt(1/2))."""
+    found = _least(lambda x, y: x**2 + y**2, lambda x, y: x + y**2 - 1.0, (-2.0, 2.0), (0.1, 1.0))
+    assert found == pytest.approx([0.5, math.sqrt(0.5)], abs=1e-12)
+
+
+@pytest.mark.parametrize("regime", ["lower", "upper"])
+def test_what_stays_on_a_bound_may_bend_the_hamiltonian(regime: Any) -> None:
+    """Which it does not need to be linear in, as along a singular arc."""
+    (phase,), u = _plane(size=False).phases, ca.SX.sym("u", 2)
+    bounds, limits = {"name": "a", "unit": "m/s^2", "lower": -1.0, "upper": 1.0}, (ca.SX(-1.0), ca.SX(1.0))
+    on = Scalar(phase, 0, Settled(**bounds, regime=regime), ca.sumsqr(u), u, limits, acts=False)
+    assert on.regimes == (regime,)
+    with pytest.raises(pl.PeriluneError, match="no control law for a"):
+        Scalar(phase, 0, Settled(**bounds, regime="singular"), ca.sumsqr(u), u, limits, acts=False)
 
 
 def test_what_knows_a_direction_too_is_not_kept() -> None:

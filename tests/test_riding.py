@@ -32,6 +32,14 @@ def every_held(axis: np.ndarray, share: float, count: int) -> np.ndarray:
     return share * axis + np.sqrt(1 - share**2) * (np.cos(turn) * one + np.sin(turn) * other)
 
 
+def test_what_two_more_conditions_hold_has_no_closed_form() -> None:
+    """With one more there is; the second would not be held."""
+    d, size = ca.SX.sym("d", 3), ca.SX.sym("size")
+    asked = size * (d[0] - 2.0 * d[1]), d, size, size * d[2] - 1.0
+    assert riding(*asked, [d[0] - 0.1]) is not None
+    assert riding(*asked, [d[0] - 0.1, d[1] - 0.2]) is None
+
+
 @pytest.mark.parametrize("held", [False, True], ids=["free", "held"])
 def test_no_direction_is_better(held: bool) -> None:
     """Where a size of the right sign exists, none of 200 000 directions has a lower H, and the condition is held."""
