@@ -39,6 +39,15 @@ def test_an_arc_pays_until_its_multiplier_changes_sign(rough: Solution) -> None:
     assert end == pytest.approx(2.0 - FROM, abs=0.01)
 
 
+def test_where_the_multiplier_has_a_kink_it_tells_nothing(rough: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No polynomial follows it, and curves that it has not would be read off one; a parabola is what it is."""
+    condition, index = conditions_of(drawn_off(), 0, ("height",))["height"], 0
+    monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: np.abs(t - 0.3))
+    assert worth_riding(rough, index, condition) is None
+    monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: t * t)
+    assert worth_riding(rough, index, condition) == [(0.0, rough.trajectories[0].duration)]
+
+
 def test_the_structure_is_revised_to_one_that_leaves(rough: Solution) -> None:
     tried = list[str]()
     run = Polish(settings=Indirect(), problem=drawn_off(), watch=silent, tried=tried)

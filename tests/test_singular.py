@@ -15,7 +15,7 @@ from perilune.methods.search import Search
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined
 from perilune.structures.read import readings
-from perilune.structures.regimes import EXACT, read_stays, revised_stays
+from perilune.structures.regimes import EXACT, Stay, _between_breaks, read_stays, revised_stays
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Structure
 from perilune.words.watch import silent
@@ -34,6 +34,19 @@ def climbed() -> Solution:
 def rough() -> Solution:
     """A control that chatters along the singular arc."""
     return pl.Pseudospectral(nodes=5, segments=8, refine=0).run(goddard())
+
+
+@pytest.mark.parametrize("middle", ["singular", "upper"])
+def test_regimes_are_read_between_breaks_where_one_is_singular(middle: str) -> None:
+    """From the lower bound to what has no gain, with a break within, to the upper; of bounds alone nothing is said."""
+    t = np.linspace(0.0, 4.0, 401)
+    inside = (t > 1.0) & (t < 3.0)
+    share = np.where(t < 2.0, 0.0, 1.0) if middle == "upper" else np.where(inside, 0.5, t > 2.0)
+    gain = np.where(inside & (middle == "singular"), 0.0, 2.0 - t)
+    nodes = np.array([0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0])
+    found = _between_breaks("thrust", nodes, t, gain, share)
+    wanted = [("lower", 0.0, 1.0), ("singular", 1.0, 3.0), ("upper", 3.0, 4.0)] if middle == "singular" else []
+    assert found == [Stay(control="thrust", regime=r, begin=a, end=b) for r, a, b in wanted]
 
 
 def structured(*arcs: tuple[str, float]) -> Structure:
