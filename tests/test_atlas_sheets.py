@@ -11,7 +11,8 @@ import pytest
 
 from cho import cho_landing
 from perilune.atlas import building
-from perilune.atlas.cells import WHOLE, Nodes, Status
+from perilune.atlas.branches import given
+from perilune.atlas.cells import WHOLE, Cells, Nodes, Status
 from perilune.atlas.chart import Chart
 from perilune.atlas.course import Course
 from perilune.atlas.folding import around_folds
@@ -161,3 +162,18 @@ def test_a_sheet_that_enters_through_a_side_alone_begins_at_its_nodes_there(monk
     ends = np.array([cusp_ends(*values)[-1] for values in nodes["values"].tolist()])
     np.testing.assert_allclose(nodes["terms"][:, 0, 0], -ends, rtol=0, atol=1e-8)
     assert (cells["status"] == Status.ONE_STEP).any()
+
+
+@pytest.mark.parametrize("size", [0.0, 1e3])
+def test_a_cell_gives_an_extremal_by_its_size(size: float) -> None:
+    """A line from corner to corner, off which an unknown of a thousand may be by one."""
+    line, there = size + np.array([0.0, 1.0]), size + 0.25
+    terms = np.array([[[value, 0.0], [1.0, 0.0]] for value in line])  # value and slope; of the unknown, and of J
+    nodes, one = Nodes(), np.zeros(1, dtype=np.int64)
+    unread = {name: np.zeros(2) for name in ("margin", "sequence", "path", "branch", "place")}
+    nodes.add(np.arange(2), terms=terms, **unread)
+    cells = Cells(branch=one, low=one[:, None], size=one[:, None] + 4, corners=np.array([[0, 1]]),
+                  axis=one - 1, child=one, status=one)  # fmt: skip
+    place, near = np.array([[1]]), 1e-3 * (1.0 + there)
+    for off, has in ((0.9 * near, True), (-0.9 * near, True), (1.2 * near, False)):
+        assert given(cells, nodes, np.array([0.25]), place, np.array([[there + off]])).tolist() == [has]

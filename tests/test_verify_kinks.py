@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.integrate import solve_ivp
 import perilune as pl
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.proof.arc import Arc
+from perilune.proof.crossings import Guarded
 from perilune.proof.extremal import end_multipliers, parameter_gradient
 from perilune.proof.guards import watched_rates
 from perilune.words.maths import NUMERIC
@@ -455,3 +457,19 @@ def test_a_jump_that_a_control_moves_is_not_understood() -> None:
     solution = crossing_two(rates, t, np.column_stack([x, y]), slopes, control=0.1)
     assert not pl.verify(solution, level=1).passed
     assert np.isnan(arc_of(solution).crossings[0].speeds).all()
+
+
+@pytest.mark.parametrize(("before", "after", "zeros"), [(-1.0, 1.0, []), (1.0, -1.0, []), (-2.0, -1.0, [3.0])])
+def test_a_control_that_jumps_across_a_guard_has_no_zero_of_it(before: float, after: float, zeros: list[float]) -> None:
+    """A break at which the guard stays on its side hides none behind it: there u = t - 3."""
+    phase = push(SLOPES["jump"]).phases[0]
+    phase = replace(phase, dynamics=lambda x, u, p, m: (x.v, m.where(u.a > 0 * p.k, u.a, 2 * u.a), 0 * u.a**2))
+    t = np.array([0.0, 2.0, 2.0, 4.0])
+    u, rate = np.array([before, before, after, after + 2.0 * bool(zeros)]), np.array([0.0, 0.0, 1.0, 1.0]) * bool(zeros)
+    flown = Trajectory(
+        phase=phase.name, state=Curve(time=t, values=np.zeros((4, 3)), rates=np.zeros((4, 3))),
+        control=Curve(time=t, values=u[:, None], rates=rate[:, None]),
+    )  # fmt: skip
+    p = SimpleNamespace(T=4.0, L=100.0, xs=30.0, k=0.3)
+    guarded = Guarded(phase=phase, p=p, flown=flown, duration=4.0, scale=np.ones(3))
+    assert list(guarded._located(1.0, 3.5, 0)) == pytest.approx(zeros, abs=1e-9)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 import perilune as pl
 from perilune.problem.solution import Curve, Solution
 from perilune.proof.crossed import agreement
+from perilune.proof.rides import Rides
 from perilune.proof.touched import cut
 from perilune.structures.carry import split
 from problems.by_hand import by_hand, parted
@@ -295,3 +298,17 @@ def test_a_multiplier_of_an_end_that_the_arc_says_already_is_compared(condition:
     """It ends at rest on the ceiling that it rides along: its costates end at 0, and so do both multipliers."""
     solution = replace(parked_ridden(1 / 9, 1 / 3), multipliers={f"swing.{condition}": claim})
     assert failed(solution, 3) == ({"multipliers"} if claim else set())
+
+
+@pytest.mark.parametrize(("slope", "left"), [(1.0, 0.0), (-1.0, 4.0)])
+def test_an_end_condition_that_no_state_moves_explains_no_jump(slope: float, left: float) -> None:
+    """Of a jump of (-3, -4) the user's condition takes the first, and nu dS/dx with nu <= 0 the second or nothing."""
+    ridden = SimpleNamespace(
+        edge=lambda s: None, reach=lambda s: 1.0, condition=SimpleNamespace(order=1),
+        beside=lambda s: np.array([3.0, 4.0]), slope=lambda i, at: np.array([[0.0], [slope]]),
+    )  # fmt: skip
+    rides: Any = SimpleNamespace(
+        along=[(), (ridden,)], _back=lambda joint: np.eye(2), entered=lambda ridden: {},
+        _explained=lambda joint: [np.zeros(2), np.array([2.0, 0.0])],
+    )  # fmt: skip
+    assert Rides.jump(cast("Rides", rides), 1) == pytest.approx(left, abs=1e-12)
