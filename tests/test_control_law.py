@@ -148,3 +148,17 @@ def test_a_bound_of_another_dimension_is_refused() -> None:
     base = slide("strength")
     with pytest.raises(PeriluneError, match="strength of u has another dimension"):
         replace(base, given={**base.given, "strength": pl.Given(value=5.0, unit="kg")})
+
+
+def test_on_either_side_of_a_kink_a_control_passes_through_the_same_regimes() -> None:
+    """Three before a slope begins and three on it: from each to its neighbours, and to its like on the other side."""
+    (flat,) = slide(5.0).phases
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        return x.v, u.u - p.strength * m.fmax(x.x / p.way - 0.5, 0.0), 0.5 * u.u * u.u
+
+    problem = replace(slide(5.0), phases=(replace(flat, dynamics=rates),))
+    ways = [way for event in derive(problem).phases[0].events for way in event.switches.items()]
+    within = {(side + a, side + b) for side in (0, 3) for a, b in ((0, 1), (1, 0), (1, 2), (2, 1))}
+    across = {way for k in range(3) for way in ((k, k + 3), (k + 3, k))}
+    assert len(ways) == len(set(ways)) and set(ways) == within | across
