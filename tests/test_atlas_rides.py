@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from perilune import Indirect, Problem, Scales
 from perilune.atlas import building
 from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.course import PLAIN, course_of
+from perilune.atlas.march import _samples
 from perilune.atlas.query import open_atlas
 from perilune.atlas.reflight import SLACK, Reflights
 from perilune.atlas.sheets import Sheet
@@ -290,3 +292,12 @@ def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_
     found = open_atlas(store, lambda _: problem).query_many(ceilings[:, None])
     assert found.good.all()
     assert found.objective == pytest.approx([bryson_denham_truth(c) + least for c in ceilings.tolist()], abs=1e-7)
+
+
+@pytest.mark.parametrize(("flown", "tried"), [(5.0, [4.9, 5.1]), (0.04, [0.0, 0.14]), (0.0, [0.0, 0.1])])
+def test_a_control_without_an_end_is_tried_close_by_and_within_its_bound(flown: float, tried: list[float]) -> None:
+    """By a tenth, canonical, to either side."""
+    (phase,) = bryson_denham(1 / 9).phases
+    phase = replace(phase, controls=(pl.Bounded(name="u", lower=0.0),))
+    found = _samples(phase, ca.SX(flown), ca.SX([0.0, float("inf")]))
+    assert [float(one) for one in found] == pytest.approx(tried, abs=1e-15)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from perilune.atlas.query import open_atlas
 from perilune.atlas.region import region_of
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.solving import Solving
-from perilune.atlas.survey import Survey
+from perilune.atlas.survey import Found, Survey
 from perilune.atlas.tasks import Task, computed
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Nature
@@ -177,3 +179,46 @@ def test_a_cell_gives_an_extremal_by_its_size(size: float) -> None:
     place, near = np.array([[1]]), 1e-3 * (1.0 + there)
     for off, has in ((0.9 * near, True), (-0.9 * near, True), (1.2 * near, False)):
         assert given(cells, nodes, np.array([0.25]), place, np.array([[there + off]])).tolist() == [has]
+
+
+@pytest.fixture
+def beside() -> tuple[Survey, Found]:
+    """A survey in units of 2 and 3 that knows no sheets, where Newton's method stays where it is."""
+    problem = cusp(-1.0, 0.1)
+    known = Found(
+        chart=cast("Chart", SimpleNamespace(
+            scale=np.array([2.0, 3.0]), course=SimpleNamespace(text=""),
+            solve=lambda values, y, holds, limit: SimpleNamespace(converged=[True]),
+        )),
+        borders=cast("Borders", SimpleNamespace(holds=lambda *of: None)),
+        sheets=(), y=np.empty((0, 4, 1)), widths=np.ones(2),
+    )  # fmt: skip
+    region = region_of(problem, {"a": (-2.0, -0.5), "b": (1.5, 2.5)})
+    return Survey(problem=problem, region=region, method=Indirect(), watch=silent), known
+
+
+SMALL = Sheet(holds={}, orientation=1.0, nature=Nature.BEST)
+INSIDE = np.array([-1.234, 1.789])
+
+
+def test_a_sheet_that_reaches_no_corner_begins_beside_where_it_was_met(
+    beside: tuple[Survey, Found], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the lattice of its brick, wherever that lies: within half a step."""
+    survey, known = beside
+    monkeypatch.setattr("perilune.atlas.survey.carried", lambda *of: np.array([[7.0]]))
+    (one,) = survey._with_small(known, SMALL, INSIDE / known.chart.scale, np.array([7.0])).small
+    low, high = survey.region.box(one.brick)
+    assert (np.abs(one.values * known.chart.scale - INSIDE) <= 0.5001 * (high - low) / WHOLE).all()
+    np.testing.assert_allclose(low + one.place * (high - low) / WHOLE, one.values * known.chart.scale, rtol=1e-14)
+
+
+def test_what_switches_by_rounding_is_said_with_its_place(
+    beside: tuple[Survey, Found], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey, known = beside
+    monkeypatch.setattr("perilune.atlas.survey._sided_by_rounding", lambda chart, start: True)
+    corners: Any = np.zeros((4, 2))
+    assert survey._with_these(known, corners, [(INSIDE / known.chart.scale, np.array([7.0]), SMALL)]) is known
+    (note,) = survey.notes
+    assert note.startswith("at a -1.234, b 1.789: ") and note.endswith("switches by rounding, and is not mapped")
