@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 import perilune as pl
 from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
+from perilune.methods.search import Search
 from perilune.methods.smoothing import Smoothing
 from perilune.methods.trials import Trials
 from perilune.problem.extremal import Nature
@@ -175,3 +177,18 @@ def test_the_better_well_is_found_where_in_it_alone_the_flight_is_held_back() ->
     found = pl.solve(problem, level=3)
     assert found.outcome is pl.Outcome.PROVED and found.objective == pytest.approx(truth, abs=1e-7)
     assert [e.free["speed"] for e in found.extremals] == pytest.approx([1.45822, 0.70201], abs=1e-5)
+
+
+def test_members_beyond_a_bound_do_not_hide_those_behind_them() -> None:
+    """Nor does one that was walked through; one that breaks a condition comes last, and is said."""
+    out, old, breaking, kept = (
+        SimpleNamespace(root=SimpleNamespace(name=n, inverse=np.eye(1))) for n in ("out", "", "bad", "")
+    )
+    search = SimpleNamespace(
+        trials=SimpleNamespace(outside=lambda root: "T" if root.name == "out" else None),
+        judge=SimpleNamespace(breach=lambda root: root.name or None),
+        _walked_through=lambda member: member is old, tried=[], broken=[], breaking=[], base=None,
+    )  # fmt: skip
+    met = Search._keeping_bounds(cast("Search", search), cast("Any", [out, old, breaking, kept]), "family", "walked")
+    assert list(met) == [(kept, "family"), (breaking, "family")]
+    assert search.broken == ["bad"] and search.tried == ["walked, 3 extremals, 1 of them breaks a condition"]
