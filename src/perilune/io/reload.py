@@ -94,10 +94,10 @@ def claims_of(document: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
 
 
 def _claimed_proof(document: Mapping[str, Any]) -> str:
-    """What a file says of its own proof; nothing where it says that there is none."""
-    if "verification" not in document:
+    """What a file says of its own proof; nothing where it says none, as those of earlier versions."""
+    verification = document.get("verification")
+    if not isinstance(verification, dict) or "level" not in verification:
         return ""
-    verification = part(document, "verification", dict)
     level = int(number(verification, "level", "verification"))
     if not 0 <= level < len(LEVEL_NAMES):
         refuse("verification.level", str(level), f"0 to {len(LEVEL_NAMES) - 1}")
