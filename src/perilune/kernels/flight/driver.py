@@ -91,7 +91,7 @@ class _Stepping:
             scale = w.fma(w.load(f.rtol), size, w.load(f.atol))
             x = w.div(value(c), scale)
             w.store(w.fma(x, x, w.load(total)), total)
-        return w.intrinsic("sqrt", w.div(w.load(total), self.entries))
+        return w.intrinsic("sqrt", w.mul(w.load(total), w.div(w.const(1.0), self.entries)))
 
     def _first_step(self) -> None:
         """Hairer's initial step from the sizes of z, z' and an estimate of z''."""
