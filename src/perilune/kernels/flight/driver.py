@@ -237,9 +237,8 @@ class _Stepping:
         wanted = w.let(BIT, f"icmp ne ptr {nodes}, null")
         with w.when(w.and_bit(wanted, w.any(accepted))):
             row = w.let(INT, f"fptosi double {w.lane(w.load(f.steps), 0)} to i64")
-            base = Ptr(
-                w.at(nodes, w.integer("mul", row, w.integer("add", self.nz, 3))), w.vector
-            )  # one lane: a double is a vector
+            begin = w.integer("mul", row, w.integer("add", self.nz, 3))
+            base = Ptr(w.at(nodes, begin), w.vector)  # one lane: a double is a vector
             for place, value in enumerate((time, h, w.load(f.mode))):
                 w.store(value, base, place)
             with w.loop(0, self.nz) as c:

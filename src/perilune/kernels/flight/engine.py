@@ -91,6 +91,7 @@ class NativeEngine:
         self._bare = system.without_columns() if system.nc else system
         self._cache = cache
         self._flown = dict[tuple[bool, int], _Flown]()
+        self._rate: Callable[..., None] | None = None
 
     def _code(self, columns: bool, width: int) -> _Flown:
         which = (columns, width)
@@ -106,7 +107,9 @@ class NativeEngine:
             code = native.MachineCode(disk.fetch(name, build, enabled=self._cache))
             table = native.table([0] * (len(EQUATIONS) + len(system.transitions)))
             code.function("equations", ctypes.c_void_p)(table)
-            self._flown[which] = _Flown(_stepping(system, width), ctypes.addressof(table), (table, code))
+            stepping = _stepping(system, width)
+            call = stepping.function("arcs", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+            self._flown[which] = _Flown(call, stepping, ctypes.addressof(table), (table, code))
         return self._flown[which]
 
     def propagate(
@@ -181,7 +184,9 @@ class NativeEngine:
     def _rates(self, z: Matrix, p: Vector, mode: Vector) -> Matrix:
         """Return z' at many points, (count, nz)."""
         flown, out = self._code(False, 1), np.empty(z.shape)
-        rates = flown.stepping.function("rates", ctypes.c_int64, *[ctypes.c_void_p] * 5)
+        rates = self._rate
+        if rates is None:
+            rates = self._rate = flown.stepping.function("rates", ctypes.c_int64, *[ctypes.c_void_p] * 5)
         held = [np.ascontiguousarray(array) for array in (z, p, mode, out)]
         rates(len(z), *map(native.address, held), flown.equations)
         return out
@@ -190,6 +195,7 @@ class NativeEngine:
 class _Flown(NamedTuple):
     """A system in machine code: the stepping loop of its course, and where its equations are."""
 
+    call: Callable[..., None]
     stepping: native.MachineCode
     equations: int
     held: Any  # what has to live as long
@@ -212,7 +218,7 @@ def _stepping(system: ArcSystem, width: int) -> native.MachineCode:
 def _flying(flown: _Flown, width: int, flight: BoundArcs) -> Callable[[int | None], None]:
     """What flies bound arcs, whose arrays live as long as they do."""
     asked, order, duration, lanes = flight.asked, flight.order, flight.asked.duration, len(flight.order)
-    call = flown.stepping.function("arcs", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+    call = flown.call
     counts = {"lanes": lanes, "p_stride": asked.p.shape[1] if len(asked.p) > 1 else 0}
     held = {**vars(asked), **vars(flight), **counts, "equations": flown.equations}
     table = native.table(native.address(v) if isinstance(v, np.ndarray) else v or 0 for v in map(held.get, TABLE))
