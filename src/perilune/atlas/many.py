@@ -271,8 +271,8 @@ class _Work:
                 here, its = np.nonzero(known[:, None] & (lanes[:, None] == one.lanes))
             if not len(here):
                 continue
-            outdoing = None if one is None else self._extremals(offers[one.number], one.y[its], one.cost[its])
-            better = atlas.descents.all_over(points[here], [y[here] for y in begins], best.of(here), outdoing)
+            first = None if one is None else self._extremals(offers[one.number], one.y[its], one.cost[its])
+            better = atlas.descents.all_over(points[here], [y[here] for y in begins], best.of(here), first)
             doubt[here] = np.minimum(doubt[here], self._settled(lanes[here], better, cost[here]))
             known[here] = better.chart >= 0
         return doubt

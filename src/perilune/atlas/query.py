@@ -210,8 +210,8 @@ class Atlas(Reader):
             return doubts
         begins, known = self.begins(at[None]), self._known(best, -1)
         for one in [None, *({id(one): one for one in doubts}.values() if len(self.descents.names) > 1 else ())]:
-            outdoing = None if one is None else self._known(one, -1)
-            better = self.descents.all_over(at[None], begins, known, outdoing)
+            first = None if one is None else self._known(one, -1)
+            better = self.descents.all_over(at[None], begins, known, first)
             if not self._settled(at, better, best, doubts[0], tried):
                 return doubts
         return []
