@@ -391,5 +391,5 @@ def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix
     offer.breaks[lanes] = breaks | short
     for i in np.nonzero(breaks)[0].tolist():
         offer.broken[lanes[i]] = brick.given(int(cells[i]), inside[i], step)[:-1]
-    for i in np.nonzero((status == Status.ENDS) | (status == Status.BREAKS))[0].tolist():
-        offer.cost[lanes[i]] = brick.least(int(cells[i]), inside[i], step)
+    if (some := np.nonzero((status == Status.ENDS) | (status == Status.BREAKS))[0]).size:
+        offer.cost[lanes[some]] = brick.least(cells[some], inside[some], step)

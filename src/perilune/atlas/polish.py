@@ -149,17 +149,18 @@ class Polisher:
             slopes = slopes + np.einsum("ldk,lk->ld", holds.moves, rises)
         margin = self.borders.margins(self.sheets, which, y, at, rises, choice, limits)
         inside = np.minimum(margin, flown.pays) >= -SLACK
-        beyond = np.zeros((count, len(self.borders.bounds)), dtype=bool)
-        sound = reached & ~inside & (np.minimum(flown.pays, flown.minimum) >= -SLACK) & (flown.residual <= _FLOWN)
-        if (some := np.nonzero(sound)[0]).size:
+        outside, sound = reached & ~inside, flown.residual <= _FLOWN
+        beyond, allowed = np.zeros((count, len(self.borders.bounds)), dtype=bool), outside
+        if outside.any():
+            free = ~(choice[:, : plan.held] > 0)
+            allowed = ~(free & ((at < limits[0] - SLACK) | (at > limits[1] + SLACK))).any(axis=1)
+            some = np.nonzero(outside & sound & (np.minimum(flown.pays, flown.minimum) >= -SLACK))[0]
             here = limits[0][some], limits[1][some]
             within = np.clip(at[some], *here)
             others = self.borders.margins(self.sheets, which[some], y[some], within, rises[some], choice[some], here)
             beyond[some] = self.borders.beyond(at[some], choice[some], here) & (others >= -SLACK)[:, None]
-        free = ~(choice[:, : plan.held] > 0)
-        allowed = ~(free & ((at < limits[0] - SLACK) | (at > limits[1] + SLACK))).any(axis=1)
         answers = reached & inside & good & (bound <= SLACK)
-        breaking = reached & inside & (flown.path < -SLACK) & (flown.residual <= _FLOWN)
+        breaking = reached & inside & (flown.path < -SLACK) & sound
         return Polished(
             y=y,
             choice=choice,
@@ -167,11 +168,11 @@ class Polisher:
             slopes=slopes,
             reached=reached,
             answers=answers,
-            doubtful=~answers & ~(reached & ~inside) & ~breaking,
+            doubtful=~answers & ~outside & ~breaking,
             breaking=breaking,
             short=reached & self.borders.short(y, at, limits),
             beyond=beyond,
-            gains=reached & ~inside & allowed & (flown.path >= -SLACK) & (flown.residual <= _FLOWN),
+            gains=outside & allowed & (flown.path >= -SLACK) & sound,
             steps=steps,
             bound=bound,
             away=away,

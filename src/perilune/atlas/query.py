@@ -165,25 +165,24 @@ class Atlas(Reader):
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
                 continue
+            step, canonical = (high - low) / WHOLE / charted.chart.scale, (at / charted.chart.scale)[None]
             for sheet, root in brick.minima:
                 cell = brick.leaf(root, where)
-                if brick.status[cell] in SERVING:
-                    size = brick.cell(cell)[1]
-                    given = brick.given(cell, inside, (high - low) / WHOLE / charted.chart.scale)
-                    y, missed = charted.at_bounds(sheet, (at / charted.chart.scale)[None], given[None, :-1])
+                status = brick.status[cell]
+                if status in SERVING:
+                    given = brick.given(cell, inside, step)
+                    y, missed = charted.at_bounds(sheet, canonical, given[None, :-1])
                     cost = -np.inf if missed[0] else float(given[-1])  # then it is polished in any case
-                    offers.append(Offer(charted, sheet, y[0], cost, size * part))
-                elif brick.status[cell] == Status.BREAKS:
-                    step = (high - low) / WHOLE / charted.chart.scale
-                    y, least = brick.given(cell, inside, step)[:-1], brick.least(cell, inside, step)
-                    offers.append(Offer(charted, sheet, y, least, low, breaks=True))
-                elif brick.status[cell] == Status.NO_ANSWER and charted.borders.of_arcs:
-                    given = brick.given(cell, inside, (high - low) / WHOLE / charted.chart.scale)
-                    if charted.short((at / charted.chart.scale)[None], given[None, :-1])[0]:
+                    offers.append(Offer(charted, sheet, y[0], cost, brick.cell(cell)[1] * part))
+                elif status in (Status.BREAKS, Status.ENDS):
+                    breaks = status == Status.BREAKS
+                    y = brick.given(cell, inside, step)[:-1] if breaks else None
+                    least = brick.least(np.array([cell]), inside[None], step).item()
+                    offers.append(Offer(charted, sheet, y, least, low, breaks=breaks))
+                elif status == Status.NO_ANSWER and charted.borders.of_arcs:
+                    given = brick.given(cell, inside, step)
+                    if charted.short(canonical, given[None, :-1])[0]:
                         offers.append(Offer(charted, sheet, given[:-1], float(given[-1]), low, breaks=True, short=True))
-                elif brick.status[cell] == Status.ENDS:
-                    least = brick.least(cell, inside, (high - low) / WHOLE / charted.chart.scale)
-                    offers.append(Offer(charted, sheet, None, least, low))
         return sorted(offers, key=lambda offer: offer.cost)
 
     def _become(

@@ -23,12 +23,12 @@ from perilune.atlas.columns import (
 from perilune.atlas.descending import Descents
 from perilune.atlas.hermite import bits, interpolated
 from perilune.atlas.lines import told_of_damage
+from perilune.atlas.physics import Allowed, allowed
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.io.reload import read_problem
-from perilune.problem.preflight import possible, preflight
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_numbers, refused
 from perilune.words.outcome import PeriluneError
@@ -45,8 +45,8 @@ class Brick:
     """What is looked at of a brick: cells as lists, which Python reads fastest, and nodes as they lie on disk."""
 
     def __init__(self, nodes: NDArray[Any], cells: NDArray[Any], sheets: Sequence[Sheet]) -> None:
-        self.nodes: NDArray[Any] = nodes
-        self.cells: NDArray[Any] = cells
+        self.nodes: NDArray[Any] = np.asarray(nodes)  # still on disk, but without what a memory map says of each part
+        self.cells: NDArray[Any] = np.asarray(cells)
         self.axis: list[int] = cells["axis"].tolist()
         self.child: list[int] = cells["child"].tolist()
         self.status: list[int] = cells["status"].tolist()
@@ -80,21 +80,23 @@ class Brick:
             found[self.cells["child"][cut] + half] = cut
         return found
 
-    def least(self, number: int, place: Vector, step: Vector) -> float:
-        """The least J that corners of a cell promise at a place; where it has none, those of the least around it.
+    def least(self, numbers: Whole, places: Matrix, step: Vector) -> Vector:
+        """The least J that corners of cells promise at places; where one has none, those of the least around it.
 
         A sheet without a corner of a cell may go through it all the same: it must not be passed over. `step` is that
         of the lattice, canonical.
         """
-        corners = self.cells["corners"][number]
-        while not (corners >= 0).any():
-            if (number := int(self._wholes[number])) < 0:
-                return np.inf
-            corners = self.cells["corners"][number]
-        nodes = self.nodes[corners[corners >= 0]]
-        slopes = nodes["terms"][:, [1 << i for i in range(len(step))], -1]
-        promised = nodes["terms"][:, 0, -1] + (slopes * (place - nodes["place"]) * step).sum(axis=1)
-        return float(np.minimum(nodes["terms"][:, 0, -1], promised).min())
+        corners = self.cells["corners"][numbers]
+        while (bare := np.nonzero((numbers >= 0) & (corners < 0).all(axis=1))[0]).size:
+            numbers = numbers.copy()
+            numbers[bare] = self._wholes[numbers[bare]]
+            corners[bare] = np.where(numbers[bare, None] >= 0, self.cells["corners"][numbers[bare]], -1)
+        found, (lanes, own) = np.full(corners.shape, np.inf), np.nonzero(corners >= 0)
+        nodes = self.nodes[corners[lanes, own]]
+        cost, slopes = nodes["terms"][:, 0, -1], nodes["terms"][:, [1 << i for i in range(len(step))], -1]
+        promised = cost + (slopes * (places[lanes] - nodes["place"]) * step).sum(axis=1)
+        found[lanes, own] = np.minimum(cost, promised)
+        return found.min(axis=1)
 
     def given(self, number: int, place: Vector, step: Vector) -> Vector:
         """What a cell with all its corners gives at a place: unknowns, J; `step` is that of the lattice, canonical."""
@@ -108,7 +110,7 @@ class Brick:
             if len(self._seen) >= _MOST_SEEN:
                 self._seen.clear()
             said = self.cells[number]
-            terms = np.asarray(self.nodes["terms"][said["corners"]])[None]
+            terms = self.nodes["terms"][said["corners"]][None]
             found = self._seen[number] = (said["low"].astype(float), said["size"].astype(float), terms)
         return found
 
@@ -158,7 +160,7 @@ class Reader:
         self.region: Region = survey_region(self._first, self.survey)
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
-        for name in ("charted", "descents", "_surveyed"):
+        for name in ("allowed", "charted", "descents", "_surveyed"):
             self.__dict__.pop(name, None)
 
     @cached_property
@@ -172,15 +174,10 @@ class Reader:
         """What follows extremals that are no answers over its charts."""
         return Descents(self.charted)
 
-    def allowed(self, points: Matrix) -> NDArray[np.bool_]:
-        """Whether physics allows points of the region [SI], (points,), one by one.
-
-        There may be extremals of others all the same: of a parking orbit below its perilune equations know nothing.
-        """
-        if self.problem.preflight is None:
-            return np.ones(len(points), dtype=bool)
-        over = dict(zip(self.region.names, points.T, strict=True))
-        return np.broadcast_to(possible(preflight(self.problem, over)), len(points))
+    @cached_property
+    def allowed(self) -> Allowed:
+        """Whether physics allows points of the region [SI], (points, d) -> (points,), one by one."""
+        return allowed(self.problem, self.region.names)
 
     @called_in_words
     def begins(self, points: Matrix) -> list[Matrix]:

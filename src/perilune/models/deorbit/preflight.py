@@ -27,8 +27,6 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
-
 from perilune.models import ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.ballistic import borne_at_least
@@ -146,9 +144,8 @@ def _at_interface(p: Any, m: Any) -> list[Finding]:
 
 
 def _of_one(p: Any, low: Any) -> bool:
-    """Whether it is one problem, all of it known: of many at once flights are not looked at."""
-    numbers = [*vars(p).values(), low]
-    return not any(np.ndim(number) for number in numbers) and math.isfinite(sum(map(float, numbers)))
+    """Whether it is one problem, all of it known: of many at once, or of symbols, flights are not looked at."""
+    return all(isinstance(number, int | float) and math.isfinite(number) for number in (*vars(p).values(), low))
 
 
 def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:

@@ -1,0 +1,57 @@
+"""What physics allows of points of a map, traced, against the same comparisons point by point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.atlas.physics import allowed
+from perilune.problem.preflight import Finding, possible, preflight
+from perilune.scenario import load_file
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+OVER = {
+    "hybrid_lander": {"vehicle_thrust": (0.0, 650.0), "orbit_perilune_altitude": (-5e3, 25e3)},
+    "precision_landing": {"vehicle_thrust": (0.0, 2e4), "body_gravitational_parameter": (1e12, 2e13)},
+    "capsule_return": {"vehicle_dry_mass": (100.0, 3e4), "interface_altitude": (5e4, 5e5)},
+}
+
+
+def judged(problem: pl.Problem, names: list[str], points: Any) -> Any:
+    return possible(preflight(problem, dict(zip(names, points.T, strict=True))))
+
+
+@pytest.mark.parametrize("name", OVER)
+def test_traced_physics_judges_as_it_is_stated(name: str) -> None:
+    problem, axes = load_file(EXAMPLES / f"{name}.toml").problem, OVER[name]
+    low, high = np.array(list(axes.values())).T
+    points = np.random.default_rng(3).uniform(low, high, (400, len(axes)))
+    found = allowed(problem, list(axes))(points)
+    assert 20 < found.sum() < 380
+    np.testing.assert_array_equal(found, judged(problem, list(axes), points))
+
+
+def test_comparisons_that_only_numpy_reads_are_made_point_by_point() -> None:
+    """Nor is what CasADi makes of NumPy's functions taken for what they say."""
+
+    def compare(p: Any, m: Any) -> list[Finding]:
+        held = np.float64(p.vehicle_thrust) if np.ndim(p.vehicle_thrust) == 0 else np.asarray(p.vehicle_thrust)
+        limits = {"at_least": True, "unit": "N", "meaning": "too weak"}
+        return [
+            Finding(name="binding", value=np.maximum(held, 0.0), limit=400.0, binding=True, **limits),
+            Finding(name="warning", value=held, limit=1e9, binding=False, **limits),
+        ]
+
+    problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=compare)
+    points = np.array([[399.0], [401.0], [400.0]])
+    assert allowed(problem, ["vehicle_thrust"])(points).tolist() == [False, True, True]
+
+
+def test_what_states_no_physics_is_allowed_everywhere() -> None:
+    problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=None)
+    assert allowed(problem, ["vehicle_thrust"])(np.array([[-1.0], [1.0]])).all()
