@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy as copied
 from dataclasses import replace
@@ -45,6 +46,7 @@ from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
+from perilune.io.comparisons import compared_alike, comparisons_document, read_comparisons
 from perilune.kernels import compile_map
 from perilune.problem.extremal import Nature
 from perilune.problem.preflight import Finding
@@ -307,21 +309,67 @@ def test_what_physics_refuses_is_refused_though_it_has_extremals(tmp_path: Path)
     assert found.answered.tolist() == [Answered.IMPOSSIBLE, Answered.YES] and np.isnan(found.objective[0])
 
 
+def away(p: Any, m: Any) -> tuple[Finding, ...]:
+    """Comparisons of a user's own: not where a brick is in the middle."""
+    value = m.fabs(p.orbit_parking_altitude - 100e3)
+    one = Finding(name="away", value=value, limit=1e3, at_least=True, unit="m", binding=True, meaning="too near")
+    return (one, replace(one, name="root", value=m.sqrt(value - 5e3), binding=False))
+
+
 def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(tmp_path: Path) -> None:
-    """As ignition on an ellipse may be below the interface between two places above it: corners do not tell."""
+    """As ignition on an ellipse may be below the interface between two places above it: corners do not tell.
 
-    def away(p: Any, m: Any) -> tuple[Finding, ...]:
-        value = m.fabs(p.orbit_parking_altitude - 100e3)
-        return (
-            Finding(name="away", value=value, limit=1e3, at_least=True, unit="m", binding=True, meaning="too near"),
-        )
-
-    atlas = open_atlas(build(cho_landing(), {"orbit.parking_altitude": (90e3, 110e3)}, tmp_path / "map", bricks=1))
-    atlas.problem = replace(atlas.problem, preflight=away)
+    The function is the user's, and no model makes it again: an atlas that is opened once lost it, and answered.
+    """
+    problem = replace(cho_landing(), preflight=away)
+    atlas = open_atlas(build(problem, {"orbit.parking_altitude": (90e3, 110e3)}, tmp_path / "map", bricks=1))
+    at = {"orbit_parking_altitude": np.array([93e3, 99e3])}
+    assert [str(f) for f in pl.preflight(atlas.problem, at)] == [str(f) for f in pl.preflight(problem, at)]
     assert atlas.query_many(np.array([[95e3], [100e3]])).answered.tolist() == [Answered.YES, Answered.IMPOSSIBLE]
     assert atlas.query(orbit_parking_altitude=95e3).objective < 0
     with pytest.raises(InfeasibleError, match="too near"):
         atlas.query(orbit_parking_altitude=100e3)
+
+
+@pytest.mark.parametrize(
+    ("preflight", "words"),
+    [
+        (lambda p, m: away(p, m) if p.orbit_parking_altitude < 1e5 else (), "branches"),
+        (lambda p, m: [replace(f, meaning=f"{p.orbit_parking_altitude} m") for f in away(p, m)], "words or values"),
+        (lambda p, m: [replace(f, limit=np.interp(f.value, (0, 1), (0, 1))) for f in away(p, m)], r"m\.table"),
+        (lambda p, m: away(p, m)[: 1 + isinstance(p.orbit_parking_altitude, float)], "more or fewer"),
+        (lambda p, m: [f.name for f in away(p, m)], "AttributeError"),
+    ],
+    ids=["branches", "words", "NumPy", "fewer", "no findings"],
+)
+def test_comparisons_that_an_atlas_cannot_keep_are_refused(preflight: Callable[[Any, Any], Any], words: str) -> None:
+    problem = replace(cho_landing(), preflight=preflight)
+    with pytest.raises(PeriluneError, match=words):
+        comparisons_document(problem, [{"orbit_parking_altitude": 90e3}])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"stated": 3}, {"stated": [3]}, {"stated": [{"name": "a"}]}, {"stated": []}, {"values": {}},
+        {"values": {"instructions": [["p", "other"]], "outputs": [0] * 4}},
+    ],
+    ids=["no list", "no records", "no side", "too few", "no tape", "no parameter"],
+)  # fmt: skip
+def test_comparisons_of_another_hand_are_refused(change: dict[str, Any]) -> None:
+    problem = replace(cho_landing(), preflight=away)
+    document = comparisons_document(problem, [{}])
+    assert len(pl.preflight(problem.changed(preflight=read_comparisons(document, problem)))) == 2
+    with pytest.raises(PeriluneError, match="comparisons"):
+        read_comparisons({**document, **change}, problem)
+
+
+def test_a_model_of_which_physics_is_asked_nothing_stays_so_in_an_atlas() -> None:
+    """Opened again it is made of its records, and would ask what the model does."""
+    silent, places = replace(cho_landing(), preflight=None), [{}]
+    assert compared_alike(cho_landing(), cho_landing(), places) and not compared_alike(silent, cho_landing(), places)
+    assert not compared_alike(replace(cho_landing(), preflight=away), cho_landing(), places)
+    assert read_comparisons(comparisons_document(silent, places), silent)(None, None) == ()
 
 
 @pytest.mark.parametrize(

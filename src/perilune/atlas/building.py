@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.columns import (
+    COMPARISONS,
     MOST_NOTES,
     RANGES,
     brick_name,
@@ -27,6 +28,7 @@ from perilune.atlas.store import MANIFEST, Store, clear
 from perilune.atlas.survey import Found, Survey, said_of, seeds
 from perilune.atlas.tasks import Task, computed, first_tasks, tasks_going_on
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
+from perilune.io.comparisons import compared_alike, comparisons_document
 from perilune.io.export import problem_document, versions
 from perilune.io.reload import as_read_back
 from perilune.methods.indirect import Indirect
@@ -110,6 +112,8 @@ def build(
     header = {**header_axes(region), "tolerance": tolerance, "versions": versions(), **document}
     if problem.ranges is not None and as_kept.ranges is None:
         header[RANGES] = "as they are within the axes; the function that they follow from is not kept"
+    if not compared_alike(problem, as_kept, region.ends):
+        header[COMPARISONS] = comparisons_document(problem, region.ends)
     survey = _surveyed(kept, header, problem, region, method or Indirect(), say, force)
     completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
     sampled(kept, sample, executor, say)

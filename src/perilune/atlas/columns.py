@@ -1,10 +1,10 @@
-"""What stands in the shards of an atlas, column by column, and in the survey's line of its manifest."""
+"""What stands in the shards of an atlas, column by column, in its header, and in the survey's line of its manifest."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,15 @@ from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST
+from perilune.io.comparisons import read_comparisons
+from perilune.io.reload import read_problem
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.words.types import Vector
 
 MOST_NOTES = 100
 RANGES = "ranges"  # key of a header whose problem has lost what its ranges follow from
+COMPARISONS = "comparisons"  # key of what physics says of a problem of the user's own
 
 
 def node_type(d: int, n: int) -> np.dtype[Any]:
@@ -58,6 +61,14 @@ def brick_name(key: tuple[int, ...]) -> str:
 def digest_of(charts: Any) -> str:
     """By which a survey is known."""
     return hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
+
+
+def header_problem(header: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
+    """The problem of a header, which asks of physics what the one that was mapped did."""
+    problem = read_problem(header, problem_from_scenario)
+    if COMPARISONS not in header:
+        return problem
+    return problem.changed(preflight=read_comparisons(header[COMPARISONS], problem))
 
 
 def header_axes(region: Region) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from perilune.atlas.columns import (
     MOST_NOTES,
     RANGES,
     digest_of,
+    header_problem,
     header_region,
     seed_type,
     sheets_of,
@@ -39,7 +40,6 @@ from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.atlas.survey import Found, Inside, Survey, said_of, seeds
 from perilune.atlas.walking import Corners, carried_on, reached_at
 from perilune.families.elsewhere import Submits
-from perilune.io.reload import read_problem
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_callable, demand_path
@@ -87,7 +87,7 @@ def extend(
     demand_count(sample)
     kept, say = Store(demand_path(store, "the directory of an atlas")), watch or silent
     header, survey = kept.header(), kept.survey()
-    problem = read_problem(header, problem_from_scenario)
+    problem = header_problem(header, problem_from_scenario)
     if survey is None:
         raise PeriluneError(
             "this atlas has no survey yet to be extended", got=str(kept.directory),

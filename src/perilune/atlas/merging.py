@@ -24,6 +24,7 @@ from perilune.atlas.columns import (
     cell_type,
     digest_of,
     header_axes,
+    header_problem,
     header_region,
     node_type,
     seed_type,
@@ -34,7 +35,6 @@ from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.sampling import LEVEL, lines_of_samples
 from perilune.atlas.store import HEADER, Store, clear
-from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_path
 from perilune.words.outcome import PeriluneError
@@ -153,7 +153,7 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
     header, survey = kept.header(), kept.survey()
     if survey is None:
         raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
-    region = survey_region(header_region(read_problem(header, problem_from_scenario), header), survey)
+    region = survey_region(header_region(header_problem(header, problem_from_scenario), header), survey)
     bricks = kept.latest(survey, len(region.axes))
     samples = lines_of_samples(kept, survey["digest"], _nodes(bricks.values()), len(region.axes))
     return _Part(kept, header, survey, region, bricks, samples)

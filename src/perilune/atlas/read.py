@@ -15,6 +15,7 @@ from perilune.atlas.cells import WHOLE, Status, halved_at, leaves
 from perilune.atlas.charted import Charted
 from perilune.atlas.columns import (
     cell_type,
+    header_problem,
     header_region,
     node_type,
     seed_type,
@@ -28,7 +29,6 @@ from perilune.atlas.reflight import SLACK
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST, Store
-from perilune.io.reload import read_problem
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_numbers, refused
 from perilune.words.outcome import PeriluneError
@@ -137,7 +137,7 @@ class Reader:
         self.store: Store = Store(directory)
         self._problem_from_scenario = problem_from_scenario
         header = self.store.header()
-        self.problem: Problem = read_problem(header, problem_from_scenario)
+        self.problem: Problem = header_problem(header, problem_from_scenario)
         self._first = header_region(self.problem, header)
         with told_of_damage(HEADER):
             self.tolerance: float = float(header["tolerance"])

@@ -108,6 +108,11 @@ class Region:
         return np.array([axis.high for axis in self.axes])
 
     @property
+    def ends(self) -> list[dict[str, float]]:
+        """Its own corners, each as values [SI] by name."""
+        return [dict(zip(self.names, at, strict=True)) for at in product(*((a.low, a.high) for a in self.axes))]
+
+    @property
     def bricks(self) -> list[tuple[int, ...]]:
         """Numbers of all bricks, the last axis changing fastest."""
         return list(product(*(axis.numbers for axis in self.axes)))
@@ -209,8 +214,8 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
 
 def refuse_untaken(problem: Problem, region: Region) -> None:
     """Refuse a region of whose values the records of a problem do not take some."""
-    for corner in product(*((axis.low, axis.high) for axis in region.axes)):
-        problem.with_given(**dict(zip(region.names, corner, strict=True)))
+    for corner in region.ends:
+        problem.with_given(**corner)
 
 
 def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> None:
@@ -222,7 +227,7 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
     if problem.ranges is None:
         return
     within = np.random.default_rng(0).uniform(region.low, region.high, (_LOOKS, len(region.axes))).tolist()
-    for at in [*product(*((axis.low, axis.high) for axis in region.axes)), *within]:
+    for at in [*(list(corner.values()) for corner in region.ends), *within]:
         values = {n: v for n, v in zip(region.names, at, strict=True) if n in problem.given}
         for here, f in zip(kept.with_given(**values).free, problem.with_given(**values).free, strict=True):
             if (here.lower, here.upper) != (f.lower, f.upper):

@@ -1,0 +1,119 @@
+"""What physics says of a problem before it is solved (`Problem.preflight`), as a tree for JSON and back.
+
+Its comparisons are formulas of the given parameters, each with words that are the same everywhere: the formulas are
+kept as expressions, so that no code is needed to ask them again. A model's own come with its records, and need none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from types import SimpleNamespace
+from typing import Any
+
+from perilune.io.reading import MOST_ENTRIES, refuse, text
+from perilune.io.tapes import tape_of
+from perilune.problem.preflight import Finding, preflight
+from perilune.problem.problem import Problem
+from perilune.problem.tape import Expression, NotAFormula, Recorder
+from perilune.words.outcome import PeriluneError
+
+_NUMBERS, _FLAGS = ("value", "limit"), ("at_least", "binding")
+_TEXTS = tuple(f.name for f in fields(Finding) if f.name not in (*_NUMBERS, *_FLAGS))
+
+
+@dataclass(frozen=True)
+class Comparisons:
+    """Comparisons that were written down: called as ``preflight(p, m)``."""
+
+    found: tuple[Finding, ...]
+    expression: Expression
+
+    def __call__(self, p: Any, m: Any) -> tuple[Finding, ...]:
+        """All of them at values of the parameters."""
+        values = iter(self.expression(p, m))
+        return tuple(replace(f, value=next(values), limit=next(values)) for f in self.found)
+
+
+Places = Sequence[Mapping[str, float]]  # values [SI] of given parameters
+
+
+def compared_alike(problem: Problem, other: Problem, places: Places) -> bool:
+    """Whether physics says the same of two problems of one form at all of some places."""
+    if problem.preflight is None or other.preflight is None:
+        return problem.preflight is other.preflight
+    return all(
+        [_plain(f) for f in preflight(problem, place)] == [_plain(f) for f in preflight(other, place)]
+        for place in places
+    )
+
+
+def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
+    """The comparisons of a problem as a tree.
+
+    Parameters
+    ----------
+    problem
+        Whose they are.
+    places
+        At each of them what is kept has to say what the function says.
+
+    Raises
+    ------
+    PeriluneError
+        If they are no formulas, or their words tell values.
+    """
+    ask, recorder = problem.preflight or (lambda p, m: ()), Recorder()
+    try:
+        found = tuple(ask(SimpleNamespace(**{n: recorder.input("p", n) for n in problem.given}), recorder.namespace))
+        tape = recorder.tape([getattr(f, name) for f in found for name in _NUMBERS])
+    except NotAFormula as error:
+        raise _not_kept(error.got, error.advice) from None
+    except Exception as error:  # of a function that nobody has looked at
+        raise _not_kept(f"{type(error).__name__}: {error}"[:120]) from error
+    kept = Comparisons(found, Expression(tape, ("p",)))
+    for place in places:
+        said, again = preflight(problem, place), preflight(problem.changed(preflight=kept), place)
+        if [_plain(f) for f in said] != [_plain(f) for f in again]:
+            other = next((f for f, g in zip(said, again, strict=False) if _plain(f) != _plain(g)), None)
+            got = "more or fewer of them" if other is None else f"'{other.name}', whose words or values are others"
+            raise _not_kept(f"{got} where " + ", ".join(f"{n} = {v:.6g}" for n, v in place.items()))
+    stated = [{name: getattr(f, name) for name in (*_TEXTS, *_FLAGS)} for f in found]
+    return {"stated": stated, "values": tape.document()}
+
+
+def read_comparisons(document: Any, problem: Problem) -> Comparisons:
+    """Comparisons out of a file, checked.
+
+    Raises
+    ------
+    PeriluneError
+        If they are not what `comparisons_document` writes.
+    """
+    stated = document.get("stated") if isinstance(document, dict) else None
+    if not isinstance(stated, list) or len(stated) > MOST_ENTRIES or not all(isinstance(f, dict) for f in stated):
+        refuse("comparisons", str(stated)[:40], "a list of records")
+    if not all(isinstance(f.get(name), bool) for f in stated for name in _FLAGS):
+        refuse("comparisons", "a side that is not stated", "true or false")
+    tape = tape_of(document.get("values"), {"p": tuple(problem.given)}, "comparisons")
+    if len(tape.outputs) != len(_NUMBERS) * len(stated):
+        refuse("comparisons", f"{len(tape.outputs)} values", f"two of each of {len(stated)}")
+    found = tuple(
+        Finding(value=0.0, limit=0.0, **{n: text(f, n) for n in _TEXTS}, **{n: f[n] for n in _FLAGS}) for f in stated
+    )
+    return Comparisons(found, Expression(tape, ("p",), origin="a file"))
+
+
+def _plain(found: Finding) -> list[Any]:
+    """What a finding says, of what two can be compared by: NaN equals nothing."""
+    return [*(repr(float(getattr(found, n))) for n in _NUMBERS), *(getattr(found, n) for n in (*_TEXTS, *_FLAGS))]
+
+
+def _not_kept(got: str, advice: str = "") -> PeriluneError:
+    return PeriluneError(
+        "what physics says of this problem (its preflight) is nothing that an atlas can keep",
+        got=got,
+        expected="comparisons by formulas of the parameters, with words that tell no values",
+        advice=f"{advice or 'state it so'}; or build an atlas of dataclasses.replace(problem, preflight=None), which "
+        "asks nothing of physics",
+    )
