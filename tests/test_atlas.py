@@ -8,6 +8,7 @@ import json
 import math
 import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -488,8 +489,15 @@ def test_a_damaged_shard_is_named_and_the_rest_serves(copy: Path) -> None:
 def test_what_is_not_built_is_said(copy: Path) -> None:
     lines = (copy / MANIFEST).read_text().splitlines(keepends=True)
     (copy / MANIFEST).write_text("".join(lines[:-1]))
-    with pytest.raises(PeriluneError, match="not built"):
+    with pytest.raises(PeriluneError, match="not built") as said:
         open_atlas(copy).query(vehicle_thrust=450.0, retro_specific_impulse=310.0)
+    assert run([*ordered(said.value.advice, copy), "--sample", "0"]) == 0
+    assert open_atlas(copy).query(vehicle_thrust=450.0, retro_specific_impulse=310.0).objective < 0
+
+
+def ordered(advice: str, directory: Path) -> list[str]:
+    """The command that an advice names, of a directory."""
+    return [*re.findall(r"perilune ((?:[a-z]+ )+)DIR", advice)[-1].split(), str(directory)]
 
 
 def test_no_shard_is_read_from_elsewhere(copy: Path) -> None:
@@ -547,6 +555,9 @@ def test_the_command_line_builds_asks_and_goes_on(tmp_path: Path, capsys: pytest
     assert {"cell", "steps", "error_bound", "latency", "sheet"} <= set(answer["query"])
     assert run(["atlas", "query", out, *at, "--prove", "3"]) == 0
     assert "level 3" in capsys.readouterr().out
+    answered = open_atlas(out).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
+    pl.save(answered, tmp_path / "answer")
+    assert run(ordered(answered.outcome.value, tmp_path / "answer")) == 0 and "PROVED" in capsys.readouterr().out
     assert run(["atlas", "query", out, "--at", "vehicle.thrust=440 N", "--at", "retro.specific_impulse=1 km"]) == 2
     assert "retro.specific_impulse - the unit has the wrong dimension" in capsys.readouterr().err
     assert run(["atlas", "query", out, "--at", "vehicle.thrust"]) == 2

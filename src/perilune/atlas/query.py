@@ -281,8 +281,11 @@ class Atlas(Reader):
         if broken := self.damage(place):
             return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")
         if self.missing(place):
+            order = "extend DIR" if self.survey["charts"] else "build ... --resume"
             return PeriluneError(
-                "this part of the atlas is not built yet", got=got, advice="build it again with --resume"
+                "this part of the atlas is not built yet",
+                got=got,
+                advice=f"perilune atlas {order} builds what is missing",
             )
         near = self._nearest(at)
         why = "no sheet has an answer in this cell" if doubt is None else doubt.why

@@ -17,7 +17,9 @@ class Outcome(Enum):
     """How a solve ended; the value is the advice to the reader."""
 
     PROVED = "every check of the requested verification level passed"
-    SOLVED = "the method converged; nothing is verified yet: run verify"
+    SOLVED = (
+        "the method converged; nothing is verified yet: perilune verify DIR proves what --out DIR saved, pl.prove any"
+    )
     NOT_PROVED = "solved, but at least one check failed: read the failed checks before using it"
     NOT_CONVERGED = "no solution found: the residual report names the condition and what to try"
     INFEASIBLE = "it cannot be flown, or every extremal found misses a bound: the message says which and by how much"
