@@ -340,5 +340,5 @@ def _unreadable(name: str, error: OSError) -> PeriluneError:
 def _damaged(name: str, got: str) -> PeriluneError:
     return PeriluneError(
         f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written",
-        advice="the rest still serves; remove its line from manifest.jsonl, and perilune atlas extend DIR builds it again",
+        advice="the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again",
     )  # fmt: skip
