@@ -162,6 +162,16 @@ def test_derivation_is_shared(landing: Problem) -> None:
     assert derive(landing) is not derive(landing.with_given(retro_delta_v=0.0))
 
 
+def test_it_is_said_that_conditions_are_derived_when_they_are() -> None:
+    """Of a capsule that takes many seconds, in which nothing else is told."""
+    said: list[Iteration | str] = []
+    known = tangent_steering()
+    new = replace(known, given={**known.given, "of_no_use": Given(value=1.0, unit="m")})
+    for problem in (new, new.with_given(a=99.0)):
+        Indirect(starts=4).run(problem, watch=said.append)
+    assert said[0] == "deriving the optimality conditions" and said.count(said[0]) == 1
+
+
 def test_curves_interpolate_what_they_promise() -> None:
     """Cubic Hermite is exact on cubics, and nodes are placed where a curve needs them."""
     t = np.linspace(0, 2, 5)

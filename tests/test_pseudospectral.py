@@ -71,6 +71,8 @@ def test_meditch_switches_where_it_must(scheme):
     assert s.objective == pytest.approx(1.42031259905, abs=1e-8)
     assert 2.349 * (1 - s.trajectories[0].state.values[-1, 2]) == pytest.approx(s.objective, abs=1e-6)
     assert [line.split(":")[0] for line in lines if "nodes" in line][:2] == ["mesh 0", "mesh 1"]
+    told = [line.split(": ", 1) for line in lines if "mesh" not in line.split(":")[0]]
+    assert told[0] == ["direct method", told[1][0]] and told[1][1].startswith("solved in")  # before and behind it
     assert s.statistics.residual <= 1e-6 < s.statistics.history[0].residual
     flown = s.trajectories[0]
     jump = flown.time[1:][np.diff(flown.time) == 0]

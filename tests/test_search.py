@@ -41,7 +41,9 @@ def test_finer_meshes_are_asked_where_none_has_followed_a_smooth_flight(monkeypa
     bound = brachistochrone()
     far_below = bound.with_given(offset=5.0)
     monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-3)
-    assert len(list(Coarse(Indirect(), far_below, []).resolved())) == 1
+    said: list[object] = []
+    assert len(list(Coarse(Indirect(), far_below, [], said.append).resolved())) == 1
+    assert str(said[0]).startswith("direct method: ")
     monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-15)
     meshes = [len(found.trajectories[0].time) for found in Coarse(Indirect(), far_below, []).resolved()]
     assert len(meshes) == 4 and meshes == sorted(set(meshes))

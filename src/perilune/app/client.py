@@ -125,7 +125,7 @@ class Client:
 
     def _flown(self, request: dict[str, Any]) -> Flown | PeriluneError | None:
         """In a thread: the flight at the newest values, why there is none, or None where newer values have come."""
-        began, self._doing = time.monotonic(), "stating and deriving"
+        began, self._doing = time.monotonic(), "stating the problem"
 
         def watch(event: Iteration | str) -> None:
             if isinstance(event, str):

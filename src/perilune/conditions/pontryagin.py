@@ -42,6 +42,7 @@ from perilune.problem.symbolic import (
     trace_parameters,
 )
 from perilune.words.units import quotient
+from perilune.words.watch import Watch, silent
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +93,7 @@ class Conditions:
     needed: tuple[tuple[int, ...], ...]
 
 
-def derive(problem: Problem, keep: Held = ()) -> Conditions:
+def derive(problem: Problem, keep: Held = (), watch: Watch = silent) -> Conditions:
     """Derive the boundary value problem of a `Problem`.
 
     Values and bounds do not enter the expressions, so problems that differ only in them share one derivation.
@@ -103,13 +104,25 @@ def derive(problem: Problem, keep: Held = ()) -> Conditions:
         What is to be solved.
     keep
         Names of conditions of the path that the control has to keep, where it can (`keepable`).
+    watch
+        Receives a line where they are not known yet: what is derived and traced may take many seconds.
 
     Raises
     ------
     PeriluneError
         If a control's minimum of H is not known in closed form.
     """
-    return _derive(Unnumbered(unmoved(problem)), keep)
+    unnumbered = Unnumbered(unmoved(problem))
+    if told := _untold(unnumbered, keep):
+        watch(told[0])
+        told.clear()
+    return _derive(unnumbered, keep)
+
+
+@lru_cache(maxsize=64)
+def _untold(unnumbered: Unnumbered, keep: Held) -> list[str]:
+    """What is said before conditions are derived, until it was: kept as long as these."""
+    return ["deriving the optimality conditions"]
 
 
 def keepable_conditions(problem: Problem) -> Held:

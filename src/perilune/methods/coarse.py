@@ -18,6 +18,7 @@ from perilune.problem.variables import Variable
 from perilune.structures.read import contacts, of_states
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
+from perilune.words.watch import Watch, silent
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
@@ -53,6 +54,8 @@ class Coarse:
         What it runs with, and on what.
     tried
         Receives a line of all attempts of a run.
+    watch
+        Receives one of each attempt.
 
     Attributes
     ----------
@@ -67,6 +70,7 @@ class Coarse:
     settings: Ladder
     problem: Problem
     tried: list[str]
+    watch: Watch = silent
     solution: Solution | None = field(default=None, init=False)
     refusal: PeriluneError | None = field(default=None, init=False)
     finer: list[int] = field(init=False)
@@ -140,7 +144,7 @@ class Coarse:
             nodes=5, segments=segments, refine=0, iterations=iterations
         )
         try:
-            solution = method.run(self.problem, guess)
+            solution = method.run(self.problem, guess, self.watch)
         except PeriluneError as error:
             self._say(getattr(error, "partial", {}).get("tried", (error.what,)))
             raise

@@ -89,12 +89,14 @@ class Pseudospectral(Transcription):
         check_consistent(problem)
         yield from _Refined(settings=self, problem=problem, watch=watch or silent).answers(guess)
 
-    def near(self, guess: Solution, *, close: bool = False) -> Solution:
+    def near(self, guess: Solution, watch: Watch | None = None, *, close: bool = False) -> Solution:
         """What lies near a guess for its problem, as `run`; no other start and no search for the least miss.
 
         With `close` the search does not leave where the guess lies next to bounds, as one does from anywhere.
         """
-        *_, finest = _Refined(settings=self, problem=guess.problem).answers(guess, near=True, close=close)
+        *_, finest = _Refined(settings=self, problem=guess.problem, watch=watch or silent).answers(
+            guess, near=True, close=close
+        )
         return finest
 
 

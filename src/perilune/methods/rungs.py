@@ -129,6 +129,7 @@ class Rungs:
                 if not may_be_cut(trials.conditions, segments):
                     continue
                 rung = TRANSCRIBED if segments == 1 else "multiple shooting"
+                trials.watch(f"start: {rung}")
                 root = trials.by_pieces(rough, y, choice, segments, trials.others)
                 if root.converged:
                     yield Member(value=value, root=root), rung

@@ -71,7 +71,7 @@ class Search:
         self.breaking: list[Root] = []
         self.answering: Search = self
         self.outdone: list[Root] = []
-        self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried)
+        self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried, self.watch)
 
     # -- the two ways in ------------------------------------------------------------------------------------------
 
@@ -182,7 +182,7 @@ class Search:
         yield from filter(None, [self.coarse.solve()])
         for root in self.answering.outdone if self.trials.bounded else ():
             guess = self.answering._compose([Found(root=root, minimum=True)], "")
-            yield from filter(None, [Coarse(self.settings, self.problem, self.tried).solve(guess)])
+            yield from filter(None, [Coarse(self.settings, self.problem, self.tried, self.watch).solve(guess)])
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""

@@ -138,12 +138,19 @@ class Polish:
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
         if finer:
-            yield from _finer(rough, 32 if wavers else 24, close=not wavers)
+            yield from self._finer(rough, 32 if wavers else 24, close=not wavers)
         if finer and rough.statistics.residual > _ROUGH:
             yield rough
         near = self.guessed or self.brief or is_neighbour(self.problem)
         if not (finer or near) and rough.statistics.residual > _FINE:
-            yield from _finer(rough, 24, close=True)
+            yield from self._finer(rough, 24, close=True)
+
+    def _finer(self, rough: Solution, segments: int, *, close: bool) -> Iterator[Solution]:
+        """The same flight of a mesh of so many segments, where that finds one."""
+        from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
+
+        with suppress(PeriluneError):
+            yield Pseudospectral(nodes=6, segments=segments, refine=0).near(rough, self.watch, close=close)
 
     def _rides(self, rough: Solution) -> bool:
         phases = range(len(self.problem.phases))
@@ -249,7 +256,9 @@ class Polish:
         for mesh in (None,) if self.brief else (None, *meshes):
             try:
                 search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
-                solved = search.solve(guess if mesh is None else mesh(guess))
+                start = guess if mesh is None else mesh(guess, self.watch)
+                self.watch("structure: Newton's method")
+                solved = search.solve(start)
             except PeriluneError as error:
                 failure = error
                 continue
@@ -311,14 +320,6 @@ class Polish:
                     found.remove(contact)
                 found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
         return found
-
-
-def _finer(rough: Solution, segments: int, *, close: bool) -> Iterator[Solution]:
-    """The same flight of a mesh of so many segments, where that finds one."""
-    from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
-
-    with suppress(PeriluneError):
-        yield Pseudospectral(nodes=6, segments=segments, refine=0).near(rough, close=close)
 
 
 @dataclass

@@ -98,6 +98,7 @@ class Run:
     ) -> Answer:
         """Solve one NLP, from `close` by or anywhere; with `nearest`, path and ends are missed by the least."""
         s = self.settings
+        self.watch(f"direct method: {name}")
         iterations = s.iterations if most is None else min(most, s.iterations)
         answer = program.solve(
             free, values, iterations=iterations, tolerance=s.nlp_tolerance, nearest=nearest, close=close

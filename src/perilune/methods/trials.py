@@ -45,7 +45,7 @@ class Trials:
     def __init__(self, problem: Problem, watch: Watch, keep: Held = ()) -> None:
         self.problem: Problem = problem
         self.watch: Watch = watch
-        self.conditions: Conditions = derive(problem, keep)
+        self.conditions: Conditions = derive(problem, keep, watch)
         self.p: Vector = extremal_parameters(problem)
         self.shooting: Shooting = Shooting(self.conditions)
         self.limits: Limits = limits_of(problem, self.conditions)
