@@ -42,6 +42,12 @@ def test_a_flight_that_is_not_proved_is_drawn_with_a_line_that_says_so(hybrid: S
     said = [solution_figures(*flights)["altitude"].get_supxlabel() for flights in ((hybrid,), (proved, ordinary))]
     assert said == ["level 0: unverified", f"{label(ordinary)}: level 0: unverified"]
     assert not solution_figures(proved)["altitude"].get_supxlabel()
+    both = solution_figures(ordinary, replace(ordinary, outcome=Outcome.PROVED))["altitude"]  # of one label
+    assert both.get_supxlabel() == f"{label(ordinary)}: level 0: unverified"
+    assert [text.get_text() for text in both.legends[0].get_texts()] == [
+        label(ordinary),
+        f"{label(ordinary)}, the other",
+    ]
 
 
 def test_a_site_below_the_datum_is_in_the_picture(below: Solution, ordinary: Solution, tmp_path: Path) -> None:

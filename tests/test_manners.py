@@ -21,7 +21,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.report.shown import plot
 from perilune.scenario import load_file
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import Outcome, PeriluneError
 
 
 def test_a_line_says_what_it_is(landing: Problem, hybrid: Solution) -> None:
@@ -104,6 +104,11 @@ def test_a_flight_moves(hybrid: Solution, tmp_path: Path) -> None:
         assert shown.n_frames == 6  # pyright: ignore[reportAttributeAccessIssue]
     with pytest.raises(PeriluneError, match="there already"):
         hybrid.animate(file)
+    said: list[Any] = [
+        replace(hybrid, outcome=outcome).animate(file, seconds=0.2, force=True)
+        for outcome in (Outcome.SOLVED, Outcome.PROVED)
+    ]
+    assert [drawn._fig.get_supxlabel() for drawn in said] == ["level 0: unverified", ""]
 
 
 def test_flights_that_are_nowhere_in_space_move_too(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from perilune.io.columns import flight_columns
 from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
+from perilune.report.figures import label, tell_doubts
 from perilune.report.limb import plane_of_flight
 from perilune.report.style import BLUE, GREY, STYLE, VERMILION, new_figure
 from perilune.report.track import path
@@ -72,7 +73,7 @@ def animate(
     if target is not None and target.suffix.lower() != ".gif":
         raise refused(target.name, "a name that ends in .gif", "the file of an animation")
     with matplotlib.rc_context(STYLE):
-        made = _animation(_way(solution, round(_FRAMES * seconds)))
+        made = _animation(_way(solution, round(_FRAMES * seconds)), solution)
         if target is not None:
             with fresh_file(target, "the animation") as beside:
                 made.save(beside, writer=PillowWriter(fps=_FRAMES), dpi=100)
@@ -117,7 +118,7 @@ def _in_space(solution: Solution, time: Vector) -> _Way:
     return _Way(time=time, places=places, exhaust=-push / most, labels=("along the ground (km)", "height (km)"))
 
 
-def _animation(way: _Way) -> FuncAnimation:
+def _animation(way: _Way, solution: Solution) -> FuncAnimation:
     figure, axes = new_figure(height=2.6, width=5.0)
     FigureCanvasAgg(figure)
     along, height = way.places
@@ -128,6 +129,7 @@ def _animation(way: _Way) -> FuncAnimation:
     axes.set(xlabel=way.labels[0], ylabel=way.labels[1])
     axes.margins(0.08, 0.12)
     title = axes.set_title(" ", fontsize=8)
+    tell_doubts(figure, {label(solution): solution})
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # else every frame is laid out again
     box = axes.get_window_extent()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from textwrap import fill
 
@@ -23,7 +23,7 @@ from perilune.report.track import track
 from perilune.words.bounded import one_line
 from perilune.words.outcome import Outcome
 
-__all__ = ["drawings", "label", "save", "solution_figures"]
+__all__ = ["drawings", "label", "save", "solution_figures", "tell_doubts"]
 
 
 def solution_figures(solution: Solution, beside: Solution | None = None) -> dict[str, Figure]:
@@ -41,7 +41,10 @@ def solution_figures(solution: Solution, beside: Solution | None = None) -> dict
 
 def drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Callable[[], Figure]]:
     """What draws each of `solution_figures`, by name."""
-    flights = {label(s): s for s in (solution, beside) if s is not None}
+    flights = {label(solution): solution}
+    if beside is not None:  # of one label, as at values of which it says nothing, both are drawn
+        called = label(beside)
+        flights[f"{called}, the other" if called in flights else called] = beside
     first = solution.problem.phases[0]
     known = {name for k in range(len(solution.problem.phases)) for name in columns(solution, k, np.zeros(1))}
     made: dict[str, Callable[[], Figure]] = {
@@ -61,22 +64,23 @@ def drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Ca
     if solution.trajectories[0].costate is not None:
         made["costates"] = partial(costates, solution)
         made["hamiltonian"] = partial(optimality, solution)
-    doubt = "; ".join(_doubts(flights))
-    return {name: partial(_doubted, draw, doubt) for name, draw in made.items()} if doubt else made
+    return {name: partial(_with_doubts, draw, flights) for name, draw in made.items()}
 
 
-def _doubts(flights: Mapping[str, Solution]) -> Iterator[str]:
-    """What is known of each flight that is not proved; a figure may go where nothing else tells."""
-    for called, flight in flights.items():
-        if flight.outcome is not Outcome.PROVED:
-            yield f"{called}: {flight.verification.told}" if len(flights) > 1 else flight.verification.told
-
-
-def _doubted(draw: Callable[[], Figure], doubt: str) -> Figure:
-    """A figure with a line below it."""
+def _with_doubts(draw: Callable[[], Figure], flights: Mapping[str, Solution]) -> Figure:
     figure = draw()
-    figure.supxlabel(fill(doubt, WIDEST), fontsize=6, color=VERMILION)
+    tell_doubts(figure, flights)
     return figure
+
+
+def tell_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
+    """Below a figure what is known of each flight that is not proved: it may go where nothing else tells."""
+    doubts = {
+        called: flight.verification.told for called, flight in flights.items() if flight.outcome != Outcome.PROVED
+    }
+    said = [f"{called}: {told}" if len(flights) > 1 else told for called, told in doubts.items()]
+    if said:
+        figure.supxlabel(fill("; ".join(said), WIDEST), fontsize=6, color=VERMILION)
 
 
 def label(solution: Solution) -> str:
