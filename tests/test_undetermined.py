@@ -24,11 +24,11 @@ def direct(problem: Problem) -> pl.Solution:
 
 
 def test_a_lift_that_only_has_to_arrive_is_named() -> None:
-    """Least propellant within reach; 12 degrees east of it each degree of lift counts."""
+    """Least propellant within reach; 6 degrees east of it each degree of lift counts."""
     problem = returning("propellant", 0.3)
     coarse = Coarse(Ladder(), problem, [])
     coarse.solution = direct(problem)
     assert undetermined(coarse.solution) == ("entry.lift_up, lift_right",)
     error = not_converged(derive(problem), coarse, 0, None)
     assert "nothing determines entry.lift_up, lift_right" in error.got and "time of flight" in error.advice
-    assert undetermined(direct(returning("propellant", 12.0))) == ()
+    assert undetermined(direct(returning("propellant", 6.0))) == ()
