@@ -25,6 +25,7 @@ from perilune.atlas.sheets import Sheet
 from perilune.atlas.solving import Solving
 from perilune.atlas.tasks import Task, computed
 from perilune.methods.search import Search
+from perilune.methods.structured import Polish
 from perilune.problem.extremal import Nature
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix
@@ -38,6 +39,8 @@ from problems.constrained import (
     parked,
     speed_limit,
     speed_limit_truth,
+    timed_bryson_denham,
+    timed_bryson_denham_truth,
     weak_bryson_denham,
     weak_bryson_denham_truth,
 )
@@ -80,6 +83,18 @@ def test_answers_that_ride_along_a_condition_are_those_of_closed_forms(
     alone = atlas.query(**{axis: float(points[0, 0])})
     assert alone.objective == pytest.approx(truth(float(points[0, 0])), rel=1e-10)
     assert alone.verification is not None
+
+
+def test_a_survey_that_holds_a_duration_finds_the_rides_there(tmp_path: Path) -> None:
+    """Rides at its other durations cast doubt on the touch that answers; such solves were taken for neighbours'."""
+    problem = timed_bryson_denham(0.13, 0.5, 1.0, -1.0)
+    atlas = open_atlas(build(problem, {"ceiling": (0.12, 0.15)}, tmp_path / "map", bricks=1), lambda _: problem)
+    assert any("along room" in label for charted in atlas.charted for label in charted.labels)
+    ceilings, T = np.random.default_rng(0).uniform(0.12, 0.15, 50), np.linspace(0.5, 1.0, 20_001)
+    found = atlas.query_many(ceilings[:, None])
+    truth = [min(timed_bryson_denham_truth(l, t, -1.0) for t in T.tolist()) for l in ceilings.tolist()]
+    assert found.good.all()
+    np.testing.assert_allclose(found.objective, truth, rtol=1e-7)  # to the square of a step of T
 
 
 def test_a_condition_that_is_broken_between_two_steps_is_seen(tmp_path: Path) -> None:
@@ -241,9 +256,12 @@ def test_bounds_that_singular_controls_break_cast_no_doubt_on_flights_at_bounds(
         atlas.query(T=1.9)
 
 
-def test_of_a_ride_and_touches_of_the_same_cost_the_ride_answers(tmp_path: Path) -> None:
+def test_of_a_ride_and_touches_of_the_same_cost_the_ride_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Below 1/6 parabolas from touch to touch have the J of Bryson and Denham's ride; no proof of level 3 is theirs."""
     problem = bryson_denham(0.2)
+    monkeypatch.setattr(Polish, "_ridden", lambda *known: known[-1])  # which takes them for the ride that they are
     atlas = open_atlas(build(problem, {"ceiling": (0.09, 0.15)}, tmp_path / "map", bricks=2), lambda _: problem)
     points = np.random.default_rng(0).uniform(0.09, 0.15, (100, 1))
     found, labels = atlas.query_many(points), [label for charted in atlas.charted for label in charted.labels]

@@ -24,6 +24,8 @@ from problems.constrained import (
     bryson_denham_truth,
     mars_glide_slope,
     parked,
+    timed_bryson_denham,
+    timed_bryson_denham_truth,
 )
 
 
@@ -50,10 +52,7 @@ def test_a_touch_is_found_and_proved(touching: Solution) -> None:
 
 def test_a_touch_of_a_flight_that_would_be_longer_is_proved() -> None:
     """J falls with the time there is, which both parts of the flight share: its multiplier is that of their sum."""
-    whole = bryson_denham(1 / 5)
-    given = {name: value for name, value in whole.given.items() if name != "T"}
-    longest = pl.Free(name="T", unit="s", lower=0.5, upper=1.0, typical=0.9)
-    solution = pl.solve(replace(whole, given=given, free=(longest,)))
+    solution = pl.solve(timed_bryson_denham(1 / 5, 0.5, 1.0))
     assert solution.objective == pytest.approx(2.24, abs=1e-12) and solution.free["T"] == 1.0
     assert solution.verification.level == 3, str(solution.verification)
     guesses = list[Solution]()
@@ -64,6 +63,25 @@ def test_a_touch_of_a_flight_that_would_be_longer_is_proved() -> None:
 
     pl.verify(solution, resolve=noted)
     assert guesses[0].multipliers["swing-2.T"] == pytest.approx(0.32, rel=1e-6)  # -d/dT (2 + 6 (1 - 4 l/T)^2)/T
+
+
+@pytest.mark.parametrize(
+    ("ceiling", "low", "high", "price", "at", "words"),
+    [
+        (0.12, 1.0, 1.0, 0.0, 1.0, "along room"),  # a range of one value is the user's: no neighbour of an answer
+        (0.2, 1.0, 1.0, 0.0, 1.0, "room touched"),
+        (0.12, 1.0, 2.0, 1.0, 2.0, "along room"),  # read as two touches, between which it never leaves
+        (0.12, 0.9, 2.0, -1.0, 0.9, "along room"),
+    ],
+)
+def test_a_duration_on_a_bound_is_that_of_all_its_arcs(
+    ceiling: float, low: float, high: float, price: float, at: float, words: str
+) -> None:
+    solution = pl.solve(timed_bryson_denham(ceiling, low, high, price))
+    assert solution.objective == pytest.approx(timed_bryson_denham_truth(ceiling, at, price), rel=1e-11)
+    assert solution.free["T"] == pytest.approx(at, rel=1e-14)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+    assert [arc.words for arc in solution.structure] == [words]
 
 
 def test_a_boundary_arc_is_found_and_proved() -> None:

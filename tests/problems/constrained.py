@@ -55,6 +55,27 @@ def bryson_denham_truth(ceiling: float) -> float:
     return 4 / (9 * ceiling) if ceiling <= 1 / 6 else 2 + 6 * max(1 - 4 * ceiling, 0.0) ** 2
 
 
+def timed_bryson_denham(ceiling: float, low: float, high: float, price: float = 0.0) -> pl.Problem:
+    """The same with a duration T between bounds, of which each second saves w: J = J(l/T)/T - w T.
+
+    Along the ceiling J = 4/(9 l) - w T, and elsewhere it falls with T too: T is at its longest for w > 0, and for
+    w < 0 at its shortest where that rides, T >= 6 l.
+    """
+    whole = bryson_denham(ceiling)
+    swing = replace(whole.phases[0], dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u - p.w))
+    return replace(
+        whole,
+        phases=(swing,),
+        given={name: g for name, g in whole.given.items() if name != "T"} | _given(w=(price, "m^2/s^4")),
+        free=(pl.Free(name="T", unit="s", lower=low, upper=high, typical=0.9),),
+    )
+
+
+def timed_bryson_denham_truth(ceiling: float, duration: float, price: float = 0.0) -> float:
+    """J of `timed_bryson_denham` at a duration [s]."""
+    return bryson_denham_truth(ceiling / duration) / duration - price * duration
+
+
 def weak_bryson_denham(ceiling: float, most: float) -> pl.Problem:
     """The same with u^2 <= a^2 as another condition of the path, which the control keeps."""
     whole = bryson_denham(ceiling)

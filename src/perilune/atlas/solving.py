@@ -21,7 +21,7 @@ from perilune.atlas.scanning import Scan
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.problem.extremal import Extremal
-from perilune.problem.neighbours import held
+from perilune.problem.neighbours import narrowed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.words.outcome import PeriluneError
@@ -131,7 +131,7 @@ class Solving:
             refuse_impossible(preflight(problem))
             if name is not None:
                 free = problem.free[problem.free_names.index(name)]
-                problem = held(problem, **{name: free.lower + share * (free.upper - free.lower)})
+                problem = narrowed(problem, **{name: free.lower + share * (free.upper - free.lower)})
             search = Search(self.method, problem, self.watch)
             return Solved(values, *course_of(self.method.answer(search), search.answering.keep), name is not None)
         except PeriluneError as error:

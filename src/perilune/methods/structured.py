@@ -10,6 +10,7 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
 - an arc is left where the multiplier of its condition becomes negative (`perilune.structures.leaving`); where it is so
   all along, the condition is touched where the arc begins and ends;
 - an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
+- touches between which the condition is not left are an arc along it;
 - a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
 
 Bounds and conditions of the control the law of each arc keeps by itself, as far as it can hold them; an extremal that
@@ -18,21 +19,18 @@ breaks one is no answer.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
-from itertools import pairwise
+from functools import partial
 
 import numpy as np
 
-from perilune.methods.answer import Curves
 from perilune.methods.breaches import broken_by_control
-from perilune.methods.flown import Aloft
 from perilune.methods.ladder import STRUCTURE, Ladder
 from perilune.methods.search import Search
 from perilune.methods.trials import bounded_parameters
+from perilune.methods.way import Way
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -40,7 +38,6 @@ from perilune.structures.carry import Joined, joined, split, timed
 from perilune.structures.leaving import worth_riding
 from perilune.structures.read import (
     NEAR,
-    POINTS,
     Contact,
     arcs_of,
     broken,
@@ -48,14 +45,12 @@ from perilune.structures.read import (
     of_states,
     own_readings,
     readings,
-    room_at,
-    still,
+    rounding,
 )
 from perilune.structures.regimes import revised_stays, stays_of, wavering
 from perilune.structures.restate import part_name, refuse_unsaid, renumbered, restate
 from perilune.structures.structure import Condition, Structure, conditions_of, margins
 from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
 ATTEMPTS, MOST_ARCS = 6, 12
@@ -271,11 +266,11 @@ class Polish:
 
     def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
         """The structure where the extremal keeps to it; another that it asks for; None where that is no structure."""
-        phases, same, way = [], True, _Way(self.problem, structure, solved, whole)
+        phases, same, way = [], True, Way(self.problem, structure, solved, whole)
         for k, arcs in enumerate(structure.phases):
             known = list(_contacts(structure, k))
             found = list(self._borne_out(structure, solved, k, known))
-            found = self._beside(way, k, found)
+            found = self._ridden(way, k, known, self._beside(way, k, found))
             stays = stays_of(structure, k)
             asked = revised_stays(whole, k, stays, _NO_TIME)
             if asked is None:
@@ -304,7 +299,7 @@ class Polish:
             if solved.multipliers[at] <= 0:  # J falls where the condition gives way
                 yield contact
 
-    def _beside(self, way: _Way, k: int, found: list[Contact]) -> list[Contact]:
+    def _beside(self, way: Way, k: int, found: list[Contact]) -> list[Contact]:
         """The contacts and those that are missing: where a condition is broken."""
         found = list(found)
         for name in of_states(self.problem, k):
@@ -321,44 +316,22 @@ class Polish:
                 found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
         return found
 
-
-@dataclass
-class _Way:
-    """What an extremal of a structure goes through, whose curves need not be made for that."""
-
-    problem: Problem
-    structure: Structure
-    solved: Solution
-    whole: Solution
-
-    def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
-        """Times of phase k [s] and how far a condition is from its limit there [SI]."""
-        t, x = self._still(k) if still(self.problem, k, name) else self._phases(k)
-        return t, room_at(self.problem, self.whole.parameters, k, name, t, x)
-
-    @cached_property
-    def _aloft(self) -> Aloft:
-        curves = self.solved.trajectories
-        assert isinstance(curves, Curves), "of a search, which ends at a root"
-        return curves.aloft()
-
-    @cached_property
-    def _phases(self) -> Callable[[int], tuple[Vector, Matrix]]:
-        return cache(self._phase)
-
-    def _phase(self, k: int) -> tuple[Vector, Matrix]:
-        begins, times, states = [0.0, *(arc.until for arc in self.structure.phases[k])], list[Vector](), list[Matrix]()
-        for j, (begin, end) in enumerate(pairwise(begins)):
-            shares = np.linspace(0.0, 1.0, 2 + math.ceil(POINTS * (end - begin) / begins[-1]))
-            times.append(begin + shares * (end - begin))
-            states.append(self._aloft.at(self._first(k) + j, shares))
-        return np.concatenate(times), np.concatenate(states, axis=1)
-
-    def _still(self, k: int) -> tuple[Vector, Matrix]:
-        return np.zeros(1), self._aloft.at(self._first(k), np.zeros(1))
-
-    def _first(self, k: int) -> int:
-        return sum(map(len, self.structure.phases[:k]))
+    def _ridden(self, way: Way, k: int, known: Sequence[Contact], found: list[Contact]) -> list[Contact]:
+        """The contacts, touches of a condition between which the extremal does not leave it being one arc."""
+        for name in {c.name for c in known}:
+            condition, (t, room) = conditions_of(self.problem, k, (name,))[name], way.room_along(k, name)
+            near = np.abs(room) <= rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))
+            runs = list[list[Contact]]()
+            for contact in (c for c in known if c.name == name):
+                before = runs[-1][-1] if runs else contact
+                between = (t > before.end) & (t < contact.begin)
+                stays = before is not contact and not (before.ridden or contact.ridden) and near[between].all()
+                runs = [*runs[:-1], [*runs[-1], contact]] if stays else [*runs, [contact]]
+            for run in runs if condition.steered else ():
+                if len(run) > 1 and all(c in found for c in run):
+                    found = [c for c in found if c not in run]
+                    found.append(Contact(name=name, begin=run[0].end, end=run[-1].begin, ridden=True))
+        return found
 
 
 def _as_it_pays(

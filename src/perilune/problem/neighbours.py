@@ -70,10 +70,25 @@ def offsets(problem: Problem) -> Vector:
     return np.array([problem.given[name].value for name in problem.start.names])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Held(Free):
+    """A free parameter that a neighbour holds where an answer has it; a user's own range may be one value as well."""
+
+
 def held(problem: Problem, **values: float) -> Problem:
-    """The problem with free parameters that may take no other than these values [SI]."""
+    """A neighbour whose free parameters may take no other than these values [SI]."""
+    return _at(problem, values, Held)
+
+
+def narrowed(problem: Problem, **values: float) -> Problem:
+    """The problem, to be solved as any other, with free parameters that may take no other than these values [SI]."""
+    return _at(problem, values, Free)
+
+
+def _at(problem: Problem, values: Mapping[str, float], kind: type[Free]) -> Problem:
     free = tuple(
-        replace(f, lower=v, upper=v, typical=v) if (v := values.get(f.name)) is not None else f for f in problem.free
+        kind(name=f.name, unit=f.unit, lower=v, upper=v, typical=v) if (v := values.get(f.name)) is not None else f
+        for f in problem.free
     )
     return _with_free(problem, free)
 
@@ -110,4 +125,4 @@ def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 def is_neighbour(problem: Problem) -> bool:
     """Whether the start is moved, or a free parameter held."""
-    return isinstance(problem.start, MovedStart) or any(f.lower == f.upper for f in problem.free)
+    return isinstance(problem.start, MovedStart) or any(isinstance(f, Held) for f in problem.free)

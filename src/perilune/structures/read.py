@@ -203,10 +203,15 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
 def broken(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float, float]]:
     """Where a condition is broken by more than rounding, from S at times: from when to when, and when the most [s].
 
-    Of a phase that goes through little of S, as one of no length, rounding is that of the `size` of S.
+    `size` is that of S.
     """
-    for first, last in _groups(room < -max(ROUNDING * float(np.ptp(room)), EXACTLY * size)):
+    for first, last in _groups(room < -rounding(room, size)):
         yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
+
+
+def rounding(room: Vector, size: float) -> float:
+    """What is rounding of S along a phase; that of its `size` where it goes through little, as one of no length."""
+    return max(ROUNDING * float(np.ptp(room)), EXACTLY * size)
 
 
 def room_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:

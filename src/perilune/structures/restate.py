@@ -306,6 +306,10 @@ class _Restated:
         total = _sum(recorder, durations)
         if self.sums.get(name) == tuple(durations):
             of = next(f for f in self.user.free if f.name == name)
+            if of.lower == of.upper:
+                total = recorder.do("sub", total, of.lower)
+                yield Variable(name=name, unit="s"), Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
+                return
             lower = of.lower if of.lower > 0 else -math.inf
             if math.isfinite(lower) or math.isfinite(of.upper):
                 whole = Variable(name=name, unit="s", lower=lower, upper=of.upper)
