@@ -17,7 +17,7 @@ from perilune.structures import read as reading
 from perilune.structures.carry import Joined
 from perilune.structures.read import own_readings, readings
 from perilune.words.deferred import Deferred
-from problems.constrained import bryson_denham, bryson_denham_truth
+from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +82,13 @@ def test_what_is_made_later_is_what_it_holds() -> None:
     assert later == (1, 2) and (1, 2) == later and later != (1, 3) and len(later) == 2 and bool(later)
     assert repr(later) == "(1, 2)" and hash(later) == hash((1, 2)) and made == [1]
     assert not Deferred(None, tuple)
+
+
+def test_arcs_that_are_known_last_as_long_as_is_stated_now() -> None:
+    """The range of a duration that they share is stated of their sum: it was that of the guess, and T stayed at 1 s."""
+    shorter, longer = (timed_bryson_denham(0.12, 0.5, longest, 1.0) for longest in (1.0, 1.2))
+    solution = pl.solve(longer, guess=pl.solve(shorter, level=0))
+    assert solution.free["T"] == pytest.approx(1.2, rel=1e-14) and solution.verification.level == 3
 
 
 def test_a_guess_is_read_once_for_all_its_neighbours(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:

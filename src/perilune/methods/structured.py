@@ -48,7 +48,7 @@ from perilune.structures.read import (
     rounding,
 )
 from perilune.structures.regimes import revised_stays, stays_of, wavering
-from perilune.structures.restate import part_name, refuse_unsaid, renumbered, restate
+from perilune.structures.restate import part_name, refuse_unsaid, renumbered, restate, summed
 from perilune.structures.structure import Condition, Structure, conditions_of, margins
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
@@ -111,7 +111,10 @@ class Polish:
         known = guess.trajectories
         if self.brief or not isinstance(known, Joined) or not self.problem.differs_in_values(guess.problem):
             return None
-        structure = known.structure
+        structure, ranges = known.structure, {f.name: (f.lower, f.upper) for f in guess.problem.free}
+        sums = summed(self.problem, structure)  # whose ranges are conditions of the problem restated
+        if any(ranges[f.name] != (f.lower, f.upper) for f in self.problem.free if f.name in sums):
+            return None
         self.watch(f"structure: {structure.text}")
         try:
             refuse_unsaid(known.restated.problem, self.problem, structure)
