@@ -39,6 +39,7 @@ from perilune.app.client import MESSAGE, Client, asked
 from perilune.app.files import page_files
 from perilune.app.frames import flight, hello
 from perilune.app.frozen import frozen_page
+from perilune.app.slices import Slices
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
 from perilune.io.export import save
@@ -286,6 +287,35 @@ def test_nothing_outlives_it(subject: Subject) -> None:
     run = "asyncio.run(asyncio.wait_for(in_thread(time.sleep, 60), 0.1))"
     with pytest.raises(subprocess.CalledProcessError):  # by the timeout inside, not the one outside
         subprocess.run([sys.executable, "-c", f"{work}; {run}"], check=True, timeout=20, capture_output=True)
+
+
+def test_of_the_map_is_drawn_what_does_not_take_long_and_nothing_twice(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That of a return takes ten milliseconds a point: 61 by 61 of them kept the proof waiting for 46 s of CPU."""
+    slices, both = Slices(subject), [ISP, "vehicle_thrust"]
+    shown = slices.at({}, both)
+    assert shown is not None and [len(values) for values in shown["along"]] == [61, 61]
+    assert slices.at({ISP: 280.0}, both) is shown  # a move along its axes changes nothing
+    assert slices.at({"vehicle_thrust": 430.0}, [ISP], lambda: False) is None  # nobody waits for it
+    assert slices.at({"vehicle_mass": 301.0}, both) is None  # the map is of another
+    monkeypatch.setattr("perilune.app.slices._LONGEST", 0.0)
+    rough = Slices(subject).at({}, both)
+    assert rough is not None and [len(values) for values in rough["along"]] == [16, 16]
+
+
+def test_newer_values_do_not_wait_until_the_map_is_drawn(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = Event()
+
+    async def story(page: _Page) -> None:
+        page.put(number=0, values={})
+        assert (await page.until("progress"))["words"] == "drawing the map"
+        page.put(number=1, values={ISP: 280.0})
+        assert (await page.until("flight"))["number"] == 1
+        ended.set()
+
+    monkeypatch.setattr(Slices, "at", lambda *_: ended.wait(30.0) and None)
+    _told_to(subject, story)
 
 
 def test_what_is_computed_for_a_page_that_has_gone_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from perilune.app.answering import Answering, Flown, NoneNear, family
 from perilune.app.beside import Beside, Dropped, Killed, in_thread
 from perilune.app.frames import extremals, flight, hello, refusal
 from perilune.app.resting import compared, from_nothing, proved
-from perilune.app.slices import slice_of
+from perilune.app.slices import Slices
 from perilune.app.subject import Subject
 from perilune.problem.solution import Solution
 from perilune.words.outcome import PeriluneError
@@ -58,6 +58,7 @@ class Client:
         self.subject, self.socket, self.beside = subject, socket, beside
         self.name = secrets.token_urlsafe(9)
         self.answering = Answering(subject.problem, subject.atlas, subject.known)
+        self.slices = Slices(subject)
         self.shown = Shown(-1, {}, None)
         self._newest: dict[str, Any] | None = None
         self._new = asyncio.Event()
@@ -163,12 +164,14 @@ class Client:
     async def _rested(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
         """What takes longer than a frame, as long as nothing newer comes."""
         number, killed, told = request["number"], self.beside.killed, ""
-        if isinstance(found, Flown) and self.subject.atlas is not None:
-            await self._beside_it("slice", number, partial(slice_of, self.subject, request["values"], request["slice"]))
         try:
+            if isinstance(found, Flown) and self.subject.atlas is not None:
+                drawn = partial(self.slices.at, request["values"], request["slice"], lambda: not self._stale)
+                await self._beside_it("slice", request, "drawing the map", drawn)
             better = None if self._new.is_set() else await self._compared(request, found)
             if better is not None:
-                await self._beside_it("family", number, partial(family, better))
+                words = "following the family of extremals"
+                await self._beside_it("family", request, words, partial(family, better))
                 proof = await self._done(request, "proving", None, proved, better)
                 if proof is not None:
                     if self.shown.number == number:  # what is taken away says it too
@@ -184,10 +187,16 @@ class Client:
         if told:  # one line: what failed, before what went on all the same
             await self._send({"type": "notice", "words": told})
 
-    async def _beside_it(self, kind: str, number: int, work: Callable[[], dict[str, Any] | None]) -> None:
-        """What is shown beside a flight, unless newer values have come."""
-        if not self._new.is_set() and (known := await in_thread(_quietly, work)) is not None:
-            await self._send({"type": kind, "number": number, **known})
+    async def _beside_it(
+        self, kind: str, request: dict[str, Any], words: str, work: Callable[[], dict[str, Any] | None]
+    ) -> None:
+        """What is shown beside a flight, unless newer values come."""
+        if self._stale:
+            return
+        self._doing = words
+        known = await self._telling(self._unless_newer(in_thread(_quietly, work)), request)
+        if known is not None:
+            await self._send({"type": kind, "number": request["number"], **known})
 
     async def _compared(self, request: dict[str, Any], found: Flown | PeriluneError) -> Solution | None:
         """The flight that is to be proved: what was shown, or what is found from nothing, which is shown then."""
@@ -248,9 +257,16 @@ class Client:
             self._unless_newer(self.beside.done(work, *arguments, begun=begins), begun, limit), request
         )
 
-    async def _unless_newer(self, work: Awaitable[_T], begun: asyncio.Event, limit: float | None) -> _T | None:
+    @property
+    def _stale(self) -> bool:
+        """Whether nobody waits for what is computed now."""
+        return self._gone or self._new.is_set()
+
+    async def _unless_newer(
+        self, work: Awaitable[_T], begun: asyncio.Event | None = None, limit: float | None = None
+    ) -> _T | None:
         doing, newer = asyncio.ensure_future(work), asyncio.ensure_future(self._new.wait())
-        begins = asyncio.ensure_future(begun.wait())
+        begins = asyncio.ensure_future(begun.wait() if begun is not None else asyncio.sleep(0))
         try:
             await asyncio.wait([doing, newer, begins], return_when=asyncio.FIRST_COMPLETED)
             await asyncio.wait([doing, newer], timeout=limit, return_when=asyncio.FIRST_COMPLETED)

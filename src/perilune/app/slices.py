@@ -1,31 +1,64 @@
-"""A slice of the atlas around the present point, for the page."""
+"""Slices of the atlas around the present point, for the page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from threading import Lock
 from typing import Any
 
 from perilune.app.frames import rounded
 from perilune.app.subject import Subject
-from perilune.atlas.slices import sliced
+from perilune.atlas.slices import Slice, sliced
 
-POINTS = 61  # along each axis
+POINTS = 61  # along an axis, at most
+_GRIDS = (16, 31, POINTS)  # along each of two: the finest that takes no longer than a designer waits
+_LONGEST = 2.0  # s
+_GROWS = 4.0  # times as long as the grid before
 
 
-def slice_of(subject: Subject, values: Mapping[str, float], axes: Sequence[str]) -> dict[str, Any] | None:
-    """J all over one or two axes of the atlas, the others as they are now; None where the atlas is of other values."""
-    atlas = subject.atlas
-    if atlas is None or any(
-        not knob.mapped and values.get(knob.name, knob.value) != knob.value for knob in subject.knobs
-    ):
-        return None
-    known = {knob.name: knob for knob in subject.knobs if knob.mapped}
-    along = list(axes) or [name for name in known][: min(2, len(known))]
-    held = {name: knob for name, knob in known.items() if name not in along and name in values}
-    others = {name: min(max(values[name], knob.low), knob.high) for name, knob in held.items()}
-    shown = sliced(atlas, along, others, points=POINTS)
+class Slices:
+    """What is drawn of the map: one after the other, the last kept, as moving along its axes changes nothing of it."""
+
+    def __init__(self, subject: Subject) -> None:
+        self.subject = subject
+        self._one = Lock()
+        self._last: tuple[tuple[object, ...], dict[str, Any]] | None = None
+
+    def at(
+        self, values: Mapping[str, float], axes: Sequence[str], wanted: Callable[[], bool] = lambda: True
+    ) -> dict[str, Any] | None:
+        """J all over one or two axes of the atlas, the others as they are now.
+
+        None where the atlas is of other values, or it is wanted no longer.
+        """
+        atlas, knobs = self.subject.atlas, self.subject.knobs
+        if atlas is None or any(not knob.mapped and values.get(knob.name, knob.value) != knob.value for knob in knobs):
+            return None
+        known = {knob.name: knob for knob in knobs if knob.mapped}
+        along = list(axes) or list(known)[:2]
+        held = {name: knob for name, knob in known.items() if name not in along and name in values}
+        others = {name: min(max(values[name], knob.low), knob.high) for name, knob in held.items()}
+        asked = (*along, *others.items())
+        with self._one:
+            if self._last is not None and self._last[0] == asked:
+                return self._last[1]
+            shown = None
+            for points in _GRIDS if len(along) == 2 else (POINTS,):
+                began = time.perf_counter()
+                if not wanted():
+                    return None
+                shown = sliced(atlas, along, others, points=points)
+                if _GROWS * (time.perf_counter() - began) > _LONGEST:
+                    break
+            assert shown is not None, "of some grid"
+            self._last = asked, _document(shown, along)
+            return self._last[1]
+
+
+def _document(shown: Slice, along: Sequence[str]) -> dict[str, Any]:
     return {
-        "axes": along,
+        "axes": list(along),
         "along": [rounded(array) for array in shown.values],
         "objective": rounded(shown.answers.objective),
         "sheet": [int(sheet) for sheet in shown.answers.sheet],
