@@ -94,6 +94,10 @@ def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(
         until(page, "perilune.values.retro_specific_impulse < " + str(before["retro_specific_impulse"]))
         page.click("#undo")
         assert page.evaluate("perilune.values") == before
+        page.keyboard.press("Control+Shift+Z")
+        assert page.evaluate("perilune.values") != before
+        page.keyboard.press("Control+z")
+        assert page.evaluate("perilune.values") == before
         page.goto(address + "#retro.specific_impulse=273")  # a link into the page that is open
         until(page, "perilune.values.retro_specific_impulse === 273")
         page.locator(".skip").focus()
@@ -125,6 +129,8 @@ def test_without_an_atlas_the_flight_follows_as_fast_and_jumps_at_rest(page: Any
         until(page, "perilune.flight.source === 'jumped' && perilune.flight.free.retro_delta_v > 500")
         until(page, "!!perilune.flight.proved")
         assert "PROVED, level 3" in page.inner_text("#source") and "has jumped" in page.inner_text("#source")
+        until(page, "document.getElementById('said').innerText.includes('has jumped')")  # for who hears it
+        assert "landed mass 160." in page.inner_text("#said")
 
 
 def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page: Any) -> None:
@@ -158,7 +164,12 @@ def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page:
 
 
 def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
-    """From above: what leads to a site that is moved begins where it began, and ends there."""
+    """From above: what leads to a site that is moved begins where it began, and ends there.
+
+    When nobody answers any longer the page goes on saying so, whatever is moved.
+    """
+    lines: list[Any] = []
+    page.route_web_socket(re.compile("/live$"), lambda line: lines.append(line) or line.connect_to_server())
     with served(str(ROOT / "examples" / "precision_landing.toml")) as address:
         page.goto(address)
         until(page, "perilune.frames > 0", 60.0)
@@ -181,6 +192,13 @@ def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
         assert abs(north[-1]) < 1e-3
         assert page.evaluate("getComputedStyle(document.getElementById('ground')).touchAction") == "none"  # by a finger
         until(page, f"({_INK})(['article:has(#ground)', '--pin1']) > 20")  # to its own site
+        lines[0].close(code=1008, reason="too much at once")
+        ended = "document.getElementById('source').innerText.startsWith('The program has closed this page: too much')"
+        until(page, ended)
+        page.fill("input[aria-label='vehicle.mass in kg']", "2001")
+        page.keyboard.press("Enter")
+        page.click("#pin")
+        assert page.evaluate(ended) and page.evaluate("document.getElementById('view').matches('.stale')")
 
 
 def test_a_finger_that_scrolls_the_page_from_a_slider_moves_nothing(browser: Any, alone: Path) -> None:

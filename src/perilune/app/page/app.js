@@ -48,7 +48,7 @@
     if (frozen) { receive({ type: "hello", ...frozen.hello }); return; }
     socket = new WebSocket(location.href.replace(/^http/, "ws").replace(/[?#].*$/, "").replace(/\/(index\.html)?$/, "") + "/live");
     socket.onmessage = (event) => receive(JSON.parse(event.data));
-    socket.onclose = () => { text($("source"), "The program has ended, or too many pages are open: start perilune explore again, and reload."); $("view").classList.add("stale"); };
+    socket.onclose = ({ reason }) => { state.ended = `${reason ? `The program has closed this page: ${reason}` : "The program has ended, or too many pages are open"}: start perilune explore again, and reload.`; show(); };
   }
 
   // -- parameters -----------------------------------------------------------------------------------------------
@@ -132,7 +132,7 @@
   function show() {
     const refused = state.refused, flight = state.flight;
     const late = !!state.doing && state.doing.number > state.shown; // what is shown is of other values, and for longer than a frame
-    $("refusal").hidden = !refused; $("view").classList.toggle("stale", !!refused || late);
+    $("refusal").hidden = !refused; $("view").classList.toggle("stale", !!refused || late || !!state.ended);
     if (refused) {
       const lines = [refused.what, refused.reason, refused.got && `got: ${refused.got}`, refused.expected && `expected: ${refused.expected}`, refused.try && `try: ${refused.try}`];
       text($("refusal"), lines.filter(Boolean).join("\n"));
@@ -161,9 +161,20 @@
     waits(parts);
   }
   function waits(parts) { // what is done now, and what went wrong beside it
-    if (state.doing) { const node = document.createElement("span"); text(node, `${state.doing.words.length > 90 ? state.doing.words.slice(0, 90) + "…" : state.doing.words}, ${state.doing.took.toFixed(0)} s`); parts.push(node); }
+    const doing = state.doing && document.createElement("span");
+    if (doing) { text(doing, `${state.doing.words.length > 90 ? state.doing.words.slice(0, 90) + "…" : state.doing.words}, ${state.doing.took.toFixed(0)} s`); parts.push(doing); }
     for (const words of [state.notice, state.unlinked].filter(Boolean)) { const node = document.createElement("i"); text(node, words); parts.push(node); }
+    if (state.ended) { parts = [state.ended]; } // whatever it was: nothing that is moved now is answered
     $("source").replaceChildren(...parts.flatMap((node, i) => i ? ["; ", node] : [node]));
+    hear(parts.filter((node) => node !== doing).map((node) => node.textContent ?? node));
+  }
+  let soon = 0;
+  function hear(parts) { // for who hears the page: when nothing has moved for a moment, and not every second of what takes long
+    clearTimeout(soon);
+    soon = setTimeout(() => {
+      const [first] = state.flight && !state.refused ? Object.entries(state.flight.results) : [], more = state.doing ? "at work" : first ? `${called(state.flight, first[0])} ${result(first[1])}` : "";
+      const said = [...parts, more].filter(Boolean).join("; "); if ($("said").textContent !== said) { text($("said"), said); }
+    }, 700);
   }
   function numbers(flight) {
     $("numbers").replaceChildren(...Object.entries(flight.results).map(([name, one]) => {
@@ -300,13 +311,17 @@
   };
   $("picture").onclick = () => { const svg = $("path-svg"); if (svg) { give("path.svg", "image/svg+xml", svg.outerHTML); } };
   async function fetched(name, kind) {
-    const answer = await fetch(`${name}?${new URLSearchParams({ client: state.client, number: state.shown })}`); // what is shown
-    if (answer.ok) { give(name, kind, await answer.blob()); } else { text($("refusal"), await answer.text()); $("refusal").hidden = false; }
+    const refuse = (words) => { text($("refusal"), words); $("refusal").hidden = false; };
+    try {
+      const answer = await fetch(`${name}?${new URLSearchParams({ client: state.client, number: state.shown })}`); // what is shown
+      if (answer.ok) { give(name, kind, await answer.blob()); } else { refuse(await answer.text()); }
+    } catch { refuse(`${name} did not come: ${state.ended || "the program does not answer"}`); }
   }
   $("figures").onclick = () => fetched("figures.zip", "application/zip");
   document.addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.target.type === "number") { return; }
-    if (event.key === "z") { event.preventDefault(); event.shiftKey ? redo() : undo(); } else if (event.key === "y") { event.preventDefault(); redo(); }
+    const key = event.key.toLowerCase(); // with Shift it is a capital
+    if (key === "z") { event.preventDefault(); event.shiftKey ? redo() : undo(); } else if (key === "y") { event.preventDefault(); redo(); }
   });
   addEventListener("hashchange", () => { if (location.hash.slice(1) !== hash()) { remember(); restore(linked()); } }); // a link into an open page
   document.querySelector(".skip").onclick = (event) => { event.preventDefault(); $("knobs").focus(); $("knobs").scrollIntoView(); }; // the address holds values
