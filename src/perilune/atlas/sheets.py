@@ -213,6 +213,15 @@ class Borders:
         """Whether any of what can be held is how long an arc is."""
         return bool((np.isfinite(self._lower) & ~self.users).any())
 
+    def backwards(self, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
+        """Which extremals, canonical, fly an arc that is shorter than nothing, whatever else speaks against them."""
+        if not self.of_arcs:
+            return np.zeros(len(y), dtype=bool)
+        free = self.chart.shooting.plan.free
+        at, lower = self.chart.whole(values, y)[:, self.chart.conditions.free_at], self.at(values)[0][:, :free]
+        with np.errstate(invalid="ignore"):
+            return ((at < lower - SLACK) & ~self.users[:free]).any(axis=1)
+
     def short(self, y: Matrix, at: Matrix, limits: Limits) -> NDArray[np.bool_]:
         """Which lanes are answers but for an arc that is shorter than nothing, as far as values tell; as of `margins`.
 

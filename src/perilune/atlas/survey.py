@@ -193,9 +193,10 @@ class Survey:
 
     def _with_these(self, known: Found, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]) -> Found:
         """The same with the sheets on which extremals lie, canonical, and those behind the folds of these."""
-        chart, borders = known.chart, known.borders
-        while left and len(known.sheets) < _MOST_SHEETS:
-            values, y, sheet = left.pop(0)
+        chart, borders, around = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
+        while (left or around) and len(known.sheets) < _MOST_SHEETS:
+            behind_a_fold = not left
+            values, y, sheet = (left or around).pop(0)
             holds = borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None])
             start = chart.solve(values[None], y[None], holds, limit=MOST)
             if not start.converged[0]:
@@ -218,11 +219,13 @@ class Survey:
                     sheet = replace(sheet, nature=nature)
                 left += _at_ends(borders, sheet, values, start.y[0], curved)
                 y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
+                if behind_a_fold and _backwards(borders, corners / chart.scale, y, values, start.y[0]):
+                    continue
                 count = np.isfinite(y[:, 0]).sum()
                 self.watch(f"{sheet.label}: at {count} corners of bricks")
                 known = _together(known, sheet, y) if count else self._with_small(known, sheet, values, start.y[0])
                 # Two that reach no corner, on both sides of a fold, would lead to one another for ever.
-                left += behind if count or told_by_solve else []
+                around += behind if count or told_by_solve else []
         return known
 
     def _with_small(self, known: Found, sheet: Sheet, values: Vector, y: Vector) -> Found:
@@ -291,6 +294,16 @@ def _courses(solved: Sequence[Solved]) -> Iterator[tuple[Course, list[Solved]]]:
         alike = [one for one in solved if one.course.text == text]
         keep = tuple(dict.fromkeys(name for one in alike for name in one.course.keep))
         yield replace(alike[0].course, keep=keep), alike
+
+
+def _backwards(borders: Borders, corners: Matrix, there: Matrix, values: Vector, y: Vector) -> bool:
+    """Whether a sheet flies an arc that is shorter than nothing from the fold behind which it begins to all corners.
+
+    What flies on as other arcs where one vanished goes around folds of its own. This one does so beyond: no flight
+    becomes what is behind it, and none that is seen there is one.
+    """
+    reached = np.isfinite(there[:, 0])
+    return bool(borders.backwards(np.vstack([values, corners[reached]]), np.vstack([y, there[reached]])).all())
 
 
 def _at_ends(
