@@ -220,7 +220,7 @@ class Borders:
         free = self.chart.shooting.plan.free
         at, lower = self.chart.whole(values, y)[:, self.chart.conditions.free_at], self.at(values)[0][:, :free]
         with np.errstate(invalid="ignore"):
-            return ((at < lower - SLACK) & ~self.users[:free]).any(axis=1)
+            return np.any((at < lower - SLACK) & ~self.users[:free], axis=1)
 
     def short(self, y: Matrix, at: Matrix, limits: Limits) -> NDArray[np.bool_]:
         """Which lanes are answers but for an arc that is shorter than nothing, as far as values tell; as of `margins`.
