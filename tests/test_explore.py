@@ -450,6 +450,7 @@ def test_what_cannot_be_explored_is_refused(tmp_path: Path, capsys: pytest.Captu
     assert obey(["explore", str(tmp_path / "nothing.toml")]) == 2
     assert "nothing to explore" in capsys.readouterr().err
     assert obey(["explore", str(tmp_path)]) == 2
+    assert "perilune atlas build --out" in capsys.readouterr().err  # not of a saved solution alone
     assert obey(["explore", str(tmp_path), "--set", "vehicle.thrust=1 N"]) == 2
     with socket.create_server(("127.0.0.1", 0)) as taken:
         assert obey(["explore", "--no-open", "--port", str(taken.getsockname()[1])]) == 2

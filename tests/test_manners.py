@@ -42,6 +42,9 @@ def test_a_line_says_what_it_is(landing: Problem, hybrid: Solution) -> None:
 
 
 def test_records_of_arrays_are_a_line_too(hybrid: Solution, tmp_path: Path) -> None:
+    assert repr(load_file(ROOT / "examples" / "hybrid_lander.toml")).startswith(
+        "Scenario(problem=<Problem hybrid_landing"
+    )
     flown = hybrid.trajectories[0]
     nodes = len(flown.time)
     assert repr(flown.state) == f"<Curve of 5 values at {nodes} nodes, 0 s to 286.864 s>"
@@ -85,6 +88,7 @@ def test_figures_are_asked_for_by_name(hybrid: Solution) -> None:
     assert isinstance(hybrid.plot(), Figure) and isinstance(hybrid.plot("altitude"), Figure)
     asks: list[tuple[Callable[[], Any], str]] = [
         (lambda: hybrid.plot("altitud"), "did you mean 'altitude'"),
+        (lambda: hybrid.plot("alt"), "did you mean 'altitude'"),
         (lambda: hybrid.plot(3), "not a figure to show"),  # pyright: ignore[reportArgumentType]
         (lambda: plot(hybrid.problem), "not a solution to show"),  # pyright: ignore[reportArgumentType]
         (lambda: hybrid.animate(seconds=0), "seconds, 0.2 to 120"),

@@ -10,6 +10,7 @@ from pathlib import Path
 from perilune.app.knobs import Knob, knobs
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.store import HEADER
+from perilune.io.format import SOLUTION_FILE
 from perilune.io.reload import claims_of, opened
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -98,7 +99,7 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
     PeriluneError
         If it is none of these.
     """
-    if target is not None and not target.exists():
+    if target is not None and not any(map(Path.is_file, (target, target / HEADER, target / SOLUTION_FILE))):
         expected = "a scenario, or a directory of `perilune solve --out` or `perilune atlas build --out`"
         raise PeriluneError("there is nothing to explore here", got=str(target), expected=expected)
     if target is None or target.is_file():

@@ -12,7 +12,7 @@ page docs/reference.md lists them all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ class Scenario:
     The text is None where it is not all that they were made of, as it names another file.
     """
 
-    text: str | None
+    text: str | None = field(repr=False)
     problem: Problem
     tolerance: Tolerance
 

@@ -144,7 +144,10 @@ def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str
 
     called = str(got)  # names of a mapping may be anything
     meant = {**{name: name for name in known}, **(also or {})}
-    near = [meant[name] for name in difflib.get_close_matches(called, meant, n=1, cutoff=0.5)]
+    begun = [name for name in meant if called and name.startswith(called)]
+    near = [meant[name] for name in begun if len(begun) == 1] or [
+        meant[name] for name in difflib.get_close_matches(called, meant, n=1, cutoff=0.5)
+    ]
     if len(known) > _SHORT_LIST:
         likeness = difflib.SequenceMatcher(b=called)
 
