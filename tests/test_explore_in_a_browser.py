@@ -290,6 +290,10 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     )
     assert said == [["0.1", "0.2"], ["3.45123", "3.45124", "3.45125"], ["0.0345", "+1e-9", "+2e-9"]]
     assert page.locator("#path svg polyline").count() >= 2
+    with page.expect_download() as taken:
+        page.click("#picture")
+    drawn = taken.value.path().read_text(encoding="utf-8")
+    assert "300 kg lander from 15 km" in drawn and "stored without a proof to level 3" in drawn
     page.evaluate("perilune.flight.results.turn = { value: Math.PI, unit: 'rad' }")
     page.evaluate("perilune.flight.extremals = [{ objective: -957.0, nature: 'best' }]")  # where nothing is maximised
     page.click("#pin")

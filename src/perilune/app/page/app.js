@@ -1,7 +1,7 @@
 // The page: what is moved is asked for, and what comes is shown. Only the newest answer counts.
 "use strict";
 (() => {
-  const $ = (id) => document.getElementById(id), HOT = 60;
+  const $ = (id) => document.getElementById(id), HOT = 60, UNPROVED = "stored without a proof to level 3";
   const state = { knobs: [], values: {}, first: {}, number: 0, shown: -1, flight: null, pins: [], past: [], ahead: [], slice: null, family: null, frames: 0, asked: 0, maximised: "", unlinked: "" };
   window.perilune = state; // for who looks, and for tests
   const frozen = window.PERILUNE_FROZEN || null;
@@ -306,10 +306,18 @@
     const f = state.flight; if (!f) { return; }
     const names = [...new Set(f.phases.flatMap((p) => Object.keys(p.columns)))], unit = (n) => (f.phases.find((p) => p.columns[n]) || { columns: {} }).columns[n].unit;
     const lines = [["phase", "time [s]", ...names.map((n) => `${n} [${unit(n)}]`), "proof"].join(",")];
-    for (const p of f.phases) { p.time.forEach((t, i) => lines.push([p.name, t, ...names.map((n) => p.columns[n] ? p.columns[n].values[i] : ""), "stored without a proof to level 3"].join(","))); }
+    for (const p of f.phases) { p.time.forEach((t, i) => lines.push([p.name, t, ...names.map((n) => p.columns[n] ? p.columns[n].values[i] : ""), UNPROVED].join(","))); }
     give("flight.csv", "text/csv", lines.join("\n") + "\n");
   };
-  $("picture").onclick = () => { const svg = $("path-svg"); if (svg) { give("path.svg", "image/svg+xml", svg.outerHTML); } };
+  const verdict = (f) => f.proved ? `${f.proved.outcome}, level ${f.proved.level}` : f.source === "stored" ? UNPROVED : "not proved yet";
+  $("picture").onclick = () => { // with what it shows and what is known of that, as it may go where nothing else tells
+    if (!$("path-svg")) { return; }
+    const made = $("path-svg").cloneNode(true), [, , wide, high] = made.getAttribute("viewBox").split(" ").map(Number), more = 34;
+    const put = (name, attributes, said = "") => { const node = document.createElementNS(made.namespaceURI, name); for (const [k, v] of Object.entries(attributes)) { node.setAttribute(k, v); } text(node, said); return node; };
+    made.setAttribute("viewBox", `0 0 ${wide} ${high + more}`); made.prepend(put("rect", { width: wide, height: high + more, fill: Draw.css("--paper") }));
+    [state.flight.title, verdict(state.flight)].forEach((said, i) => made.append(put("text", { x: 10, y: high + 12 + 14 * i, fill: Draw.css("--ink"), "font-size": 11, "font-family": "sans-serif" }, said)));
+    give("path.svg", "image/svg+xml", made.outerHTML);
+  };
   async function fetched(name, kind) {
     const refuse = (words) => { text($("refusal"), words); $("refusal").hidden = false; };
     try {
