@@ -11,7 +11,7 @@ import pytest
 import perilune as pl
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.flown import exported, in_one_piece
+from perilune.methods.flown import exported, in_one_piece, mended
 from perilune.problem.variables import Given, Variable
 from perilune.shooting.function import Shooting
 from test_control_law import given, variables
@@ -68,6 +68,46 @@ def test_one_piece_misses_where_pieces_do_not() -> None:
         for flown in (in_one_piece(problem, conditions, root.y)[0], exported(problem, conditions, root)[0])
     ]
     assert abs(ends[0]) > 1e-10 > 1e-12 > abs(ends[1])
+
+
+def test_a_flight_that_cannot_be_cut_ends_where_it_should(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's flights are rougher than those exported: of as many phases as along a limit by 1e-12 times 1e5."""
+    problem = saddle(8.0)
+    near = pl.solve(problem, level=0)
+    monkeypatch.setattr("perilune.methods.flown._JOINED", -1)
+    monkeypatch.setattr("perilune.shooting.newton.FINEST", 1e-9)  # and of one phase by 1e-9 times a few
+    found = pl.Indirect().run(problem.with_given(side=1.1), near)
+    assert found.trajectories[0].state(1.0)[0] == pytest.approx(1.1, rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("left", "flights", "kept"),
+    [
+        ([4e-8, 3e-9, 5e-9, 2e-9, 9e-10, 1e-9, 2e-9, 7e-9, 1e-9, 3e-9, 2e-9, 4e-9], 12, 4),
+        ([4e-8, 3e-9, 6e-7], 3, 1),
+        ([4e-8, 1e-11, 3e-12, 2e-11], 4, 2),
+        ([math.nan], 1, 0),
+    ],
+)
+def test_of_what_rounding_leaves_the_least_is_kept(
+    monkeypatch: pytest.MonkeyPatch, left: list[float], flights: int, kept: int
+) -> None:
+    """A step at rounding is a draw: one that is worse ends nothing, but for one far off, or where the best will do."""
+    problem = saddle(2.0)
+    conditions, still = derive(problem), iter(left)
+    shooting, tried = Shooting(conditions), list[Any]()
+    ones = np.ones((1, len(conditions.unknowns)))
+    start = shooting.at(ones, extremal_parameters(problem), shooting.holding({}))[0]
+    plan = shooting.plan
+
+    def flown(problem: pl.Problem, conditions: Any, y: Any) -> list[Any]:
+        tried.append(y)
+        return []
+
+    monkeypatch.setattr("perilune.methods.flown.in_one_piece", flown)
+    monkeypatch.setattr("perilune.methods.flown._left", lambda *_, **__: np.full(len(plan.rows), next(still)))
+    best = mended(problem, conditions, start, plan.rows, plan.active)
+    assert len(tried) == flights and best.y is tried[kept]
 
 
 def test_pieces_are_one_curve() -> None:

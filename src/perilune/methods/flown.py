@@ -3,7 +3,8 @@
 A root of single shooting meets the end conditions to rounding of its own flight. Flown once more, with another
 tolerance, it ends beside them by that rounding times the growth of errors in states and costates together: 1e-15 times
 1e7 on an entry with much lift. Where that shows, the root is found again by multiple shooting, and each piece is flown
-from its own start; what is left is a gap of rounding between two pieces.
+from its own start; what is left is a gap of rounding between two pieces. Where the phases are too many to be cut, as
+those of a flight along a limit are, the root is moved by its last digits instead (`mended`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _FINEST = {"rtol": 1e-14, "atol": 1e-14}  # the same where a phase settles, as `
 _MISSED = 2e-11  # canonical, of what a flight leaves at its end: five times below the limit of the proof
 _MENDED = 0.1  # of that, which the flight in pieces may leave
 _SEGMENTS = 6
-_STEPS = 4  # of Newton's method on the flight as it is exported
+_STEPS = 12  # of Newton's method on the flight as it is exported: at rounding each is a draw, and a few are bad ones
+_ASTRAY = 100.0  # times the least: more than rounding, which spans a factor of ten to twenty
 _JOINED = 350  # unknowns at joints, which cost their number cubed
 
 
@@ -185,7 +187,7 @@ def exported(
     """The flight of a root, in pieces where one alone leaves more at its ends than is allowed, canonical."""
     whole = in_one_piece(problem, conditions, root.y, **settings)
     missed = _missed(problem, conditions, root, whole)
-    if missed <= allowed or not may_be_cut(conditions, _SEGMENTS):
+    if missed <= allowed or not may_be_cut(conditions):
         return whole
     pieces = _in_pieces(problem, conditions, root, whole)
     # What large numbers round, as those of places far from their origin, no pieces mend.
@@ -193,7 +195,7 @@ def exported(
     return pieces if pieces is not None and mended else whole
 
 
-def may_be_cut(conditions: Conditions, segments: int) -> bool:
+def may_be_cut(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
     """Whether multiple shooting with so many segments for each phase is worth its unknowns."""
     return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
@@ -211,9 +213,11 @@ def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, ac
     best, least = root, np.inf
     for _ in range(_STEPS):
         left = _left(problem, conditions, root, in_one_piece(problem, conditions, root.y), stationary=True)
-        if not np.abs(left).max(initial=0.0) < least:
+        size = float(np.abs(left).max(initial=0.0))
+        if size < least:
+            best, least = root, size
+        elif least <= _MISSED or not size <= _ASTRAY * least:
             break
-        best, least = root, float(np.abs(left).max(initial=0.0))
         y = root.y.copy()
         y[active] -= root.inverse @ left[rows]
         root = replace(root, y=y)

@@ -299,6 +299,8 @@ class Search:
         root = trials.settled(y[None], choice, limits=trials.limits)[0]
         if not root.converged and guess is not None and (not is_neighbour(self.problem) or self._lost(root)):
             root = self._in_pieces(root, guess, y, choice)
+        elif root.converged and not is_neighbour(self.problem) and not may_be_cut(trials.conditions):
+            root = self._mended(root)  # which exported in one piece misses its end by what its flights are rougher
         name = trials.outside(root)
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
@@ -325,12 +327,14 @@ class Search:
         """By multiple shooting, where a flight in one piece misses its end by more than what is rounding."""
         trials, segments = self.trials, self.settings.segments
         if np.abs(root.residual).max() <= _ROUNDED and trials.shooting.rounding(root):
-            plan = trials.shooting.plan
-            root = mended(self.problem, trials.conditions, root, plan.rows, plan.active)
-            return replace(root, converged=True)
+            return replace(self._mended(root), converged=True)
         if segments == 1 or not may_be_cut(trials.conditions, segments):
             return root
         return trials.by_pieces(guess, y, choice, segments, trials.limits)
+
+    def _mended(self, root: Root) -> Root:
+        plan = self.trials.shooting.plan
+        return mended(self.problem, self.trials.conditions, root, plan.rows, plan.active)
 
     def _judged(self, ways: Iterable[Met]) -> Iterator[tuple[Member, str]]:
         """Members within the bounds, way by way.
