@@ -293,6 +293,7 @@ def test_of_the_map_is_drawn_what_does_not_take_long_and_nothing_twice(
     subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That of a return takes ten milliseconds a point: 61 by 61 of them kept the proof waiting for 46 s of CPU."""
+    monkeypatch.setattr("perilune.app.slices._LONGEST", math.inf)
     slices, both = Slices(subject), [ISP, "vehicle_thrust"]
     shown = slices.at({}, both)
     assert shown is not None and [len(values) for values in shown["along"]] == [61, 61]
@@ -611,8 +612,9 @@ def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_valu
     assert "none was found from nothing" in found.words
 
 
-def test_a_neighbour_that_breaks_a_condition_is_not_shown() -> None:
+def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a guess `solve` follows the extremal alone, here out of the bounds of steering, and further on underground."""
+    monkeypatch.setattr("perilune.app.answering._LOOK", 60.0)  # s: what is found from nothing tells why
     answering = Answering(load_file(ROOT / "examples" / "polar_descent.toml").problem)
     assert keeps(answering.at({"site_longitude": math.radians(7.0)}).solution)
     with pytest.raises(PeriluneError, match="breaks a condition"):
