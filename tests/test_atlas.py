@@ -31,7 +31,7 @@ from hypothesis import given, settings, strategies as st
 import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
-from perilune.atlas import building, query, read
+from perilune.atlas import building
 from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.columns import cell_type, node_type
@@ -44,7 +44,7 @@ from perilune.atlas.read import Brick
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import region_of
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import HEADER, MANIFEST
+from perilune.atlas.store import HEADER, MANIFEST, sealed
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.io.comparisons import compared_alike, comparisons_document, read_comparisons
@@ -317,9 +317,7 @@ def away(p: Any, m: Any) -> tuple[Finding, ...]:
     return (one, replace(one, name="root", value=m.sqrt(value - 5e3), binding=False))
 
 
-def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(tmp_path: Path) -> None:
     """As ignition on an ellipse may be below the interface between two places above it: corners do not tell.
 
     The function is the user's, and no model makes it again: an atlas that is opened once lost it, and answered.
@@ -330,12 +328,8 @@ def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(
     assert [str(f) for f in pl.preflight(atlas.problem, at)] == [str(f) for f in pl.preflight(problem, at)]
     assert atlas.query_many(np.array([[95e3], [100e3]])).answered.tolist() == [Answered.YES, Answered.IMPOSSIBLE]
     assert atlas.query(orbit_parking_altitude=95e3).objective < 0
-    asked = list[Any]()
-    monkeypatch.setattr(query, "preflight", lambda *at: asked.append(at) or pl.preflight(*at))
-    monkeypatch.setattr(read, "preflight", query.preflight)
     with pytest.raises(InfeasibleError, match="too near"):
         atlas.query(orbit_parking_altitude=100e3)
-    assert len(asked) == 1  # what is refused or has no answer is not asked of twice
 
 
 @pytest.mark.parametrize(
@@ -666,7 +660,7 @@ def test_an_axis_may_be_a_parameter_that_the_problem_chooses(tmp_path: Path) -> 
 )
 def test_a_header_of_another_hand_is_refused_in_words(copy: Path, key: str, value: object) -> None:
     header = json.loads((copy / HEADER).read_text())
-    (copy / HEADER).write_text(json.dumps({**header, key: value}))
+    (copy / HEADER).write_text(json.dumps(sealed({**header, key: value})))
     with pytest.raises(PeriluneError):
         open_atlas(copy)
     lines = (copy / MANIFEST).read_text().splitlines()

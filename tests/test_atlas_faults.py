@@ -25,7 +25,7 @@ from perilune.atlas.extending import extend
 from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
-from perilune.atlas.store import MANIFEST, Store
+from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.models.kinds import key_of
@@ -246,6 +246,25 @@ def test_an_atlas_without_its_survey_is_not_built_and_nothing_of_it_is_verified(
     assert atlas.query_many(np.array([[440.0, 300.0]])).answered == Answered.NOT_BUILT
     with pytest.raises(PeriluneError, match="no survey"):
         verify_atlas(atlas, 0)
+
+
+def test_a_header_that_was_altered_is_refused(copy: Path) -> None:
+    """Else extremals of the one problem are polished to those of another, each with its proof."""
+    header = copy / HEADER
+    said = json.loads(header.read_text())
+    said["given"]["body_rotation_rate"]["value"] *= 10.0
+    header.write_text(json.dumps(said))
+    with pytest.raises(PeriluneError, match=f"{HEADER} is not as it was written"):
+        open_atlas(copy)
+
+
+def test_lines_that_cannot_be_read_any_more_are_named(copy: Path) -> None:
+    """One that was not written whole, of a builder that was killed, is none of them."""
+    lines = (copy / MANIFEST).read_bytes().splitlines(keepends=True)
+    broken = lines[1].replace(b'"rows": ', b'"rows": x', 1)
+    (copy / MANIFEST).write_bytes(b"".join([lines[0], lines[1][:90] + b"\n", broken, *lines[2:]]))
+    found = verify_atlas(open_atlas(copy), 0)
+    assert not found.passed and len(found.damaged) == 1 and found.damaged[0].startswith("1 line of manifest.jsonl")
 
 
 def test_a_damaged_shard_of_the_survey_is_found(copy: Path) -> None:

@@ -21,7 +21,7 @@ from perilune.atlas import building, extending
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.region import region_of, wider
-from perilune.atlas.store import HEADER, MANIFEST, Store
+from perilune.atlas.store import HEADER, MANIFEST, Store, sealed
 from perilune.atlas.survey import Found
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
@@ -224,7 +224,7 @@ def test_a_merged_atlas_names_the_versions_that_computed_it(parts: tuple[Path, P
     other = Path(shutil.copytree(parts[1], tmp_path / "other"))
     header = json.loads((other / HEADER).read_text())
     ours, header["versions"]["perilune"] = header["versions"]["perilune"], "0.0.1"
-    (other / HEADER).write_text(json.dumps(header))
+    (other / HEADER).write_text(json.dumps(sealed(header)))
     versions = json.loads((merge(parts[0], other, tmp_path / "both") / HEADER).read_text())["versions"]
     assert versions == {**header["versions"], "perilune": f"{ours} and 0.0.1"}
 
@@ -263,7 +263,7 @@ def test_atlases_that_do_not_go_together_are_refused(low: Path, parts: tuple[Pat
     header = json.loads((changed / HEADER).read_text())
 
     def change(**more: object) -> Path:
-        (changed / HEADER).write_text(json.dumps({**header, **more}))
+        (changed / HEADER).write_text(json.dumps(sealed({**header, **more})))
         return changed
 
     refused("different tolerance", low, change(tolerance=1e-8))

@@ -9,6 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from perilune.io.made import made_document, read_made
+from perilune.models.kinds import KINDS
+from perilune.scenario import load_file
+from perilune.words.outcome import PeriluneError
+
 ROOT = Path(__file__).parent.parent
 PLACE = ROOT / "examples" / "own_kind"
 
@@ -64,3 +69,22 @@ def test_what_is_no_kind_is_refused_in_words(value: str, words: str, tmp_path: P
 def test_without_the_package_the_known_kinds_are_named() -> None:
     code, text = said(dict(os.environ), "check", str(PLACE / "hop.toml"))
     assert code == 2 and "hybrid_landing" in text
+
+
+def test_its_problems_are_read_back_where_nothing_of_it_was_loaded_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by whoever opens an atlas of one: the file names the kind, and the package is asked for it."""
+    installed(tmp_path, "lunar_hopper:LUNAR_HOP")
+    for place in (tmp_path, PLACE):
+        monkeypatch.syspath_prepend(place)
+    try:
+        problem = load_file(PLACE / "hop.toml").problem
+        document = made_document(problem)
+        assert document is not None
+        del KINDS["lunar_hop"]
+        assert read_made(document, problem.given) == problem
+        with pytest.raises(PeriluneError, match="lunar_hip"):
+            read_made({**document, "kind": "lunar_hip"}, problem.given)
+    finally:
+        KINDS.pop("lunar_hop", None)

@@ -62,7 +62,8 @@ class Atlas(Reader):
         """
         began = time.perf_counter()
         at = self._point(values)
-        refuse_impossible(preflight(self.problem, dict(zip(self.region.names, at.tolist(), strict=True))))
+        if not self.allowed(at[None])[0]:
+            self._refuse_impossible(at)
         offers = self._offers(at)
         tried, doubts, breaking, outside, gaining = (list[Offer]() for _ in range(5))
         best = None
@@ -268,8 +269,13 @@ class Atlas(Reader):
         )
         return Mapped.deferred(best.cost * problem.objective_size, query, solution)
 
+    def _refuse_impossible(self, at: Vector) -> None:
+        """Refuse a point that physics refuses, as `solve` does: beside what is traced it may look at whole flights."""
+        refuse_impossible(preflight(self.problem, dict(zip(self.region.names, at.tolist(), strict=True))))
+
     def _nothing(self, at: Vector, doubt: Offer | None) -> PeriluneError:
-        """Why there is no answer at a point of the region that physics allows."""
+        """Why there is no answer at a point of the region."""
+        self._refuse_impossible(at)
         place, got = self.region.brick_of(at), self.region.told(at.tolist())
         if broken := self.damage(place):
             return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")

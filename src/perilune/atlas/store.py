@@ -38,7 +38,8 @@ except ImportError:  # Windows: two builders may compute the same brick there
     fcntl = None
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
-FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 3}
+FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 4}
+CHECKSUM = "sha256"  # of all else in the header
 _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
 _ANEW = "build the atlas anew: perilune atlas build ... --force"
 
@@ -56,6 +57,7 @@ class Store:
         self.directory = directory
         self._file, self._read, self._made = -1, 0, False
         self._lines, self._names = list[dict[str, Any]](), set[str]()
+        self.unreadable: int = 0  # lines that were written whole, and say nothing now
 
     def prepare(self, header: Mapping[str, Any] | None) -> None:
         """Make the directory, or see that nothing is in it but the very same atlas, or any where `header` is None.
@@ -87,7 +89,7 @@ class Store:
     def begin(self, header: Mapping[str, Any]) -> None:
         """Write the header, unless another builder did; arguments and errors of `prepare`."""
         if not (self.directory / HEADER).exists():
-            self._put(HEADER, json_text({"format": FORMAT, **finite(dict(header))}).encode())
+            self._put(HEADER, json_text(sealed({"format": FORMAT, **finite(dict(header))})).encode())
         self.prepare(header)
 
     def leave(self) -> None:
@@ -104,7 +106,8 @@ class Store:
         Raises
         ------
         PeriluneError
-            If there is none, or it is of another format.
+            If there is none, or it is of another format, or altered: extremals of another problem would be polished to
+            answers of this one, each with its proof.
         """
         content = bounded_text(
             self.directory / HEADER, "atlas", LARGEST_FILE, expected=f"a directory with {HEADER}",
@@ -119,6 +122,14 @@ class Store:
                 expected=str(FORMAT),
                 advice=_ANEW,
             )
+        if found != sealed(found):
+            raise PeriluneError(
+                f"the atlas is damaged: {HEADER} is not as it was written",
+                got="another content than its checksum says",
+                expected="the file as it was written",
+                advice=_ANEW,
+            )
+        del found[CHECKSUM]
         return found
 
     def lines(self) -> list[dict[str, Any]]:
@@ -132,6 +143,7 @@ class Store:
                     self._file, self._read = os.fstat(opened.fileno()).st_ino, 0
                     self._lines.clear()
                     self._names.clear()
+                    self.unreadable = 0
                 opened.seek(self._read)
                 content = opened.read()
         except FileNotFoundError:
@@ -145,6 +157,8 @@ class Store:
                 self._lines.append(found)
                 if found.get("kind") == "brick":
                     self._names.add(str(found.get("name")))
+            elif line.count(b"{") == line.count(b"}") and line.strip():  # else a writer was killed in the middle of it
+                self.unreadable += 1
         return self._lines
 
     def survey(self) -> dict[str, Any] | None:
@@ -303,6 +317,12 @@ class Store:
             with contextlib.suppress(OSError):
                 temporary.unlink()
             raise _unwritable(name, error) from error
+
+
+def sealed(header: Mapping[str, Any]) -> dict[str, Any]:
+    """A header with the checksum of all else in it."""
+    said = json.loads(json.dumps({name: value for name, value in header.items() if name != CHECKSUM}))
+    return {**said, CHECKSUM: hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()}
 
 
 def clear(directory: Path) -> None:

@@ -19,6 +19,7 @@ from perilune.atlas.sampling import (
     proved_text,
     unproved_text,
 )
+from perilune.atlas.store import MANIFEST
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
 
@@ -104,6 +105,11 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
         if number >= 0:
             nodes += len(rows)
             good += int(may_be_answers(rows, atlas.charted[number].sheets).sum())
+    if broken := atlas.store.unreadable:
+        damaged.append(
+            f"{broken} line{'s' * (broken > 1)} of {MANIFEST} cannot be read, and what they told of is missing: remove"
+            " them; perilune atlas build ... --resume computes it again"
+        )
     found = certified(drawn_at_random(atlas, sample, np.random.default_rng(seed)), None, watch)
     unproved = tuple(unproved_text(atlas, one) for one in found if not one.proved)
     return Verified(

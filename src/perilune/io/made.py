@@ -12,7 +12,7 @@ from typing import Any
 
 from perilune.io.reading import number, part, refuse, text
 from perilune.models.bodies import Body, recognised
-from perilune.models.kinds import KINDS, Section
+from perilune.models.kinds import KINDS, Section, kind_named
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given
 from perilune.words.declared import Quantity, keys_of, made_of, section_of, values_of
@@ -43,10 +43,7 @@ def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Proble
     PeriluneError
         If there is no such kind, section, key or parameter, or a value is outside what is declared of it.
     """
-    name, sections = text(document, "kind"), part(document, "sections", dict)
-    if name not in KINDS:
-        refuse("made.kind", name[:40], "one of " + ", ".join(KINDS))
-    kind = KINDS[name]
+    kind, sections = kind_named(text(document, "kind")), part(document, "sections", dict)
     for section in sections:
         if section not in kind.sections:
             refuse(f"made.sections.{section}"[:80], "a section that is not known", ", ".join(kind.sections))
