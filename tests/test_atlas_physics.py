@@ -36,6 +36,14 @@ def test_traced_physics_judges_as_it_is_stated(name: str) -> None:
     np.testing.assert_array_equal(found, judged(problem, list(axes), points))
 
 
+def test_what_is_no_number_passes_nothing() -> None:
+    """A descent from rest: with a speed of 0 times a time without an end physics says nothing, and allows nothing."""
+    problem, points = load_file(EXAMPLES / "polar_descent.toml").problem, np.array([[0.0], [np.nan], [1e4]])
+    found = allowed(problem, ["vehicle_thrust"])(points)
+    np.testing.assert_array_equal(found, judged(problem, ["vehicle_thrust"], points))
+    assert not found[:2].any()
+
+
 def test_comparisons_that_only_numpy_reads_are_made_point_by_point() -> None:
     """Nor is what CasADi makes of NumPy's functions taken for what they say."""
 

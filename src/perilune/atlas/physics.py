@@ -33,8 +33,8 @@ def allowed(problem: Problem, names: Sequence[str]) -> Allowed:
             passed = _traced(problem, names)
     except Exception:  # whatever a user's own comparisons, which may use NumPy alone, make of symbols
         return lambda points: _compared(problem, dict(zip(names, points.T, strict=True)), len(points))
-    mapped = compile_map(passed)
-    return lambda points: mapped(points)[0][:, 0] > 0.0
+    mapped, given = compile_map(passed), np.array([[own.value for own in problem.given.values()]])
+    return lambda points: mapped(points, given)[0][:, 0] > 0.0
 
 
 def _compared(problem: Problem, over: dict[str, NDArray[np.float64]], count: int) -> NDArray[np.bool_]:
@@ -42,11 +42,14 @@ def _compared(problem: Problem, over: dict[str, NDArray[np.float64]], count: int
 
 
 def _traced(problem: Problem, names: Sequence[str]) -> ca.Function:
-    """Values of the parameters -> 1 where physics allows them and else 0."""
+    """(values of the parameters, all that is given) -> 1 where physics allows it and else 0.
+
+    What does not vary is a symbol too: CasADi takes 0 times anything for 0, and NaN would pass.
+    """
     assert problem.preflight is not None
-    point = ca.SX.sym("point", len(names))
-    values = {name: given.value for name, given in problem.given.items()}
+    point, given = ca.SX.sym("point", len(names)), ca.SX.sym("given", len(problem.given))
+    values = {name: given[i] for i, name in enumerate(problem.given)}
     values |= {name: point[i] for i, name in enumerate(names)}
     found = problem.preflight(SimpleNamespace(**values), SYMBOLIC)
     passed = reduce(ca.logic_and, (f.passed for f in found if f.binding), ca.SX(1))
-    return ca.Function("allowed", [point], [passed])
+    return ca.Function("allowed", [point, given], [passed])
