@@ -50,11 +50,20 @@ def geodetic_altitude(position: Any) -> Any:
     return aside * np.cos(latitude) + z * np.sin(latitude) - EARTH.radius**2 / across
 
 
-def test_an_entry_that_leaves_the_air_is_no_answer() -> None:
-    """At -0.8 deg the best flight without the condition comes above the interface for a while: level 0."""
-    problem = returning(-0.8)
+def without_condition(problem: pl.Problem) -> pl.Problem:
+    """The same where an entry may leave the air."""
     bare = replace(problem.phases[-1], path=None, path_conditions=())
-    skips = pl.solve(problem.changed(phases=(*problem.phases[:-1], bare), form=None), level=0)
+    return problem.changed(phases=(*problem.phases[:-1], bare), form=None)
+
+
+def test_an_entry_that_leaves_the_air_is_no_answer() -> None:
+    """At -0.8 deg the best flight without the condition comes above the interface for a while: level 0.
+
+    It is found beside that of a steeper entry: none of 768 random starts, and no coarse mesh, leads to it from nothing.
+    """
+    problem = returning(-0.8)
+    steeper = pl.solve(without_condition(returning(-0.9)), level=0)
+    skips = pl.solve(without_condition(problem), guess=steeper, level=0)
     entry = len(problem.phases) - 1
     x, _ = skips.flown(entry, np.linspace(0.0, skips.trajectories[entry].duration, 2000))
     highest = float(geodetic_altitude(np.array(x[:3])).max()) - 120e3
