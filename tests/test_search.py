@@ -40,14 +40,27 @@ def test_finer_meshes_are_asked_where_none_has_followed_a_smooth_flight(monkeypa
     """Not where a condition on states holds the flight, beside which the control wavers on any mesh."""
     bound = brachistochrone()
     far_below = bound.with_given(offset=5.0)
-    monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-3)
+    monkeypatch.setattr("perilune.methods.coarse._CLOSE", 1e-3)
     said: list[object] = []
     assert len(list(Coarse(Indirect(), far_below, [], said.append).resolved())) == 1
     assert str(said[0]).startswith("direct method: ")
-    monkeypatch.setattr("perilune.methods.coarse._FOLLOWED", 1e-15)
+    monkeypatch.setattr("perilune.methods.coarse._CLOSE", 1e-15)
     meshes = [len(found.trajectories[0].time) for found in Coarse(Indirect(), far_below, []).resolved()]
     assert len(meshes) == 4 and meshes == sorted(set(meshes))
     assert len(list(Coarse(Indirect(), bound, []).resolved())) == 1
+
+
+def test_a_mesh_that_has_followed_a_flight_is_made_finer_where_newton_fails_from_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """At 5e-4 its costates were too rough for a return, at 2e-5 not; a control that wavers does so on each."""
+    coarse = Coarse(Indirect(), brachistochrone().with_given(offset=5.0), [])
+    known = coarse.solve()
+    assert known is not None
+    for error, wavers, blurred in ((5e-4, False, True), (5e-4, True, False), (2e-3, True, True), (2e-5, False, False)):
+        coarse.solution = replace(known, statistics=replace(known.statistics, residual=error))
+        monkeypatch.setattr("perilune.methods.coarse.wavering", lambda _, wavers=wavers: wavers)
+        assert coarse.blurred is blurred
 
 
 def mass(time: float, **orbits: float) -> float:

@@ -16,12 +16,14 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Variable
 from perilune.structures.read import contacts, of_states
+from perilune.structures.regimes import wavering
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 from perilune.words.watch import Watch, silent
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
+_CLOSE = 1e-4  # the same up to which Newton's method starts as well from there as from what a finer mesh shows
 _BROKEN = 1e-3  # of its range: what a path condition may be broken by between the points of a mesh that is not refined
 _NOT_KEPT = 0.02  # the same beyond which a flight is not said to keep it
 _TOUCHING = 1e-3  # of its range
@@ -105,9 +107,12 @@ class Coarse:
 
     @property
     def blurred(self) -> bool:
-        """Whether its answer is one that no condition on states holds, and that the mesh has not followed."""
+        """Whether its answer is one that no condition on states holds, and to which a finer mesh comes closer.
+
+        Where a control wavers, which may be singular, it does so on any mesh that has followed the flight.
+        """
         known = self.solution
-        if known is None or known.statistics.residual <= _FOLLOWED:
+        if known is None or known.statistics.residual <= (_FOLLOWED if wavering(known) else _CLOSE):
             return False
         least = _NO_LENGTH * sum(flown.duration for flown in known.trajectories)
         lengths = [k for k, flown in enumerate(known.trajectories) if flown.duration >= least]
