@@ -12,7 +12,7 @@ from typing import Any
 
 from perilune.io.reading import number, part, refuse, text
 from perilune.models.bodies import Body, recognised
-from perilune.models.kinds import KINDS, Section, kind_named
+from perilune.models.kinds import KINDS, Section, kind_named, kind_names
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given
 from perilune.words.declared import Quantity, keys_of, made_of, section_of, values_of
@@ -43,7 +43,10 @@ def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Proble
     PeriluneError
         If there is no such kind, section, key or parameter, or a value is outside what is declared of it.
     """
-    kind, sections = kind_named(text(document, "kind")), part(document, "sections", dict)
+    name, sections = text(document, "kind"), part(document, "sections", dict)
+    if name not in KINDS and name not in kind_names():
+        refuse("made.kind", name[:40], "one of " + ", ".join(kind_names()))
+    kind = kind_named(name)
     for section in sections:
         if section not in kind.sections:
             refuse(f"made.sections.{section}"[:80], "a section that is not known", ", ".join(kind.sections))
