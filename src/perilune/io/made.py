@@ -45,7 +45,11 @@ def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Proble
     """
     name, sections = text(document, "kind"), part(document, "sections", dict)
     if name not in KINDS and name not in kind_names():
-        refuse("made.kind", name[:40], "one of " + ", ".join(kind_names()))
+        raise PeriluneError(
+            "made.kind: the problem is of a kind that is not known here", got=name[:40],
+            expected="one of " + ", ".join(kind_names()),
+            advice="install the package that brings it (an entry point of the group perilune.models)",
+        )  # fmt: skip
     kind = kind_named(name)
     for section in sections:
         if section not in kind.sections:
