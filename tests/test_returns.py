@@ -30,6 +30,7 @@ from perilune.models.deorbit.records import (
 from perilune.models.deorbit.times import impulsive
 from perilune.problem.extremal import Nature
 from perilune.scenario import load_file
+from perilune.shooting.settling import growth
 from perilune.solve import verify
 from perilune.words.watch import silent
 
@@ -195,6 +196,14 @@ def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
             ends = shooting.at(np.array([y + step, y - step]), trials.p, choice)
             change = (ends[0].residual - ends[1].residual)[shooting.plan.rows] / 2e-6
             np.testing.assert_allclose(jacobian[:, column], change, rtol=1e-5, atol=2e-5 * np.abs(jacobian).max())
+
+
+def test_costates_of_a_state_that_is_lost_on_the_way_grow_beyond_all() -> None:
+    """One of random_returns.py ended in an error of the linear algebra."""
+    assert growth(np.diag([1.0, 0.0])) == math.inf and growth(np.diag([1.0, math.nan])) == 0.0
+    assert growth(np.array([[2.0, 1.0], [0.0, 0.1]])) == pytest.approx(
+        np.linalg.norm(np.linalg.inv([[2.0, 1.0], [0.0, 0.1]]), 2), rel=1e-14
+    )
 
 
 def of_a_fixed_sweep(folder: Path) -> pl.Problem:

@@ -93,6 +93,17 @@ def settling(extremal: PhaseExtremal) -> Settling:
     return Settling(flown=flown, rows=rows)
 
 
+def growth(phi: Matrix) -> float:
+    """How much errors of costates grow along a piece: the norm of Phi^-1, inf where a state is lost in thick air.
+
+    0 where Phi is no number, as shorter pieces mend nothing.
+    """
+    if not np.isfinite(phi).all():
+        return 0.0
+    least = float(np.linalg.norm(phi, -2))
+    return 1.0 / least if least > 0.0 else np.inf
+
+
 def fallen(
     extremal: PhaseExtremal, x: Vector, p: Vector, duration: float, end: Callable[[Vector], Vector], **settings: Any
 ) -> tuple[list[DenseArc], Vector]:
@@ -117,8 +128,7 @@ def fallen(
         ).z[0]  # fmt: skip
         phi = np.eye(n)
         phi[list(made.rows)] = z[n:].reshape(len(made.rows), n)
-        grown = np.linalg.norm(np.linalg.inv(phi), 2) if np.isfinite(phi).all() else 0.0
-        if grown > _MOST_GROWTH and length > _SHORTEST * duration:
+        if growth(phi) > _MOST_GROWTH and length > _SHORTEST * duration:
             length *= 0.5
             continue
         through.append(phi)
