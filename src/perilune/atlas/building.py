@@ -16,7 +16,6 @@ from perilune.atlas.columns import (
     MOST_NOTES,
     RANGES,
     brick_name,
-    digest_of,
     header_axes,
     survey_region,
 )
@@ -24,7 +23,7 @@ from perilune.atlas.flooding import Key
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, refuse_moving_ranges, region_of
 from perilune.atlas.sampling import demand_count, sampled, thin_ones
-from perilune.atlas.store import MANIFEST, Store, clear
+from perilune.atlas.store import MANIFEST, Store, clear, digest_of
 from perilune.atlas.survey import Found, Survey, said_of, seeds
 from perilune.atlas.tasks import Task, computed, first_tasks, tasks_going_on
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss

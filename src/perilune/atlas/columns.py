@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -56,11 +54,6 @@ def seed_type(d: int, n: int) -> np.dtype[Any]:
 def brick_name(key: tuple[int, ...]) -> str:
     """Name of a brick of a chart: its numbers, ``m`` before those below zero."""
     return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)
-
-
-def digest_of(charts: Any) -> str:
-    """By which a survey is known."""
-    return hashlib.sha256(json.dumps(charts, sort_keys=True).encode()).hexdigest()
 
 
 def header_problem(header: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:

@@ -23,7 +23,6 @@ from perilune.atlas.chart import Chart
 from perilune.atlas.columns import (
     MOST_NOTES,
     RANGES,
-    digest_of,
     header_problem,
     header_region,
     seed_type,
@@ -36,7 +35,7 @@ from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.store import HEADER, MANIFEST, Store
+from perilune.atlas.store import HEADER, MANIFEST, Store, digest_of
 from perilune.atlas.survey import Found, Inside, Survey, said_of, seeds
 from perilune.atlas.walking import Corners, carried_on, reached_at
 from perilune.families.elsewhere import Submits

@@ -22,7 +22,6 @@ from perilune.atlas.columns import (
     MOST_NOTES,
     brick_name,
     cell_type,
-    digest_of,
     header_axes,
     header_problem,
     header_region,
@@ -34,7 +33,7 @@ from perilune.atlas.columns import (
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.sampling import LEVEL, lines_of_samples
-from perilune.atlas.store import HEADER, Store, clear
+from perilune.atlas.store import HEADER, Store, clear, digest_of
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_path
 from perilune.words.outcome import PeriluneError

@@ -227,13 +227,13 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
     if problem.ranges is None:
         return
     within = np.random.default_rng(0).uniform(region.low, region.high, (_LOOKS, len(region.axes))).tolist()
-    for at in [*(list(corner.values()) for corner in region.ends), *within]:
-        values = {n: v for n, v in zip(region.names, at, strict=True) if n in problem.given}
+    for at in [*region.ends, *(dict(zip(region.names, row, strict=True)) for row in within)]:
+        values = {n: v for n, v in at.items() if n in problem.given}
         for here, f in zip(kept.with_given(**values).free, problem.with_given(**values).free, strict=True):
             if (here.lower, here.upper) != (f.lower, f.upper):
                 raise PeriluneError(
                     f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
-                    got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where {region.told(at)}",
+                    got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where {region.told(list(at.values()))}",
                     expected=f"{told(here.lower, here.unit)} to {told(here.upper, here.unit)} there, as it is kept",
                     advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "
                     "parameter",

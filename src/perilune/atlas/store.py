@@ -319,10 +319,15 @@ class Store:
             raise _unwritable(name, error) from error
 
 
+def digest_of(said: Any) -> str:
+    """What tells one tree from another, as JSON has them."""
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+
 def sealed(header: Mapping[str, Any]) -> dict[str, Any]:
     """A header with the checksum of all else in it."""
-    said = json.loads(json.dumps({name: value for name, value in header.items() if name != CHECKSUM}))
-    return {**said, CHECKSUM: hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()}
+    said = {name: value for name, value in header.items() if name != CHECKSUM}
+    return {**said, CHECKSUM: digest_of(said)}
 
 
 def clear(directory: Path) -> None:

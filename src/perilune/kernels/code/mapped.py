@@ -91,7 +91,7 @@ class Map:
                 raise self._of_other_widths(arguments)
             own[:] = given
         bound()
-        found = tuple([out.copy() for out in bound.outputs])  # faster than what is generated
+        found = tuple([out.copy() for out in bound.outputs])  # a list is filled faster than a generator is run
         self._idle.append(bound)
         return found
 
