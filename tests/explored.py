@@ -49,7 +49,7 @@ def served(*arguments: str) -> Iterator[str]:
         finally:
             process.send_signal(2)
             code = process.wait(20)
-    assert code == 0
+    assert code == 0, f"it ended with {code}"
 
 
 def until(page: Any, expression: str, seconds: float = 30.0) -> None:

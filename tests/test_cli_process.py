@@ -151,6 +151,35 @@ def test_workers_of_a_killed_program_end() -> None:
     assert one.returncode == -signal.SIGKILL
 
 
+def test_a_program_ends_in_order_while_a_thread_still_makes_machine_code() -> None:
+    """As the explorer does at Ctrl-C: at exit the compiler's globals go away below the thread, which crashes."""
+    busy = """
+import threading, time
+from llvmlite import binding
+import perilune.cli as cli
+binding.initialize_native_target()
+binding.initialize_native_asmprinter()
+begun = threading.Event()
+lines = "".join(f"  %x{k + 1} = fmul double %x{k}, {1.5 + k:.17e}\\n" for k in range(20_000))
+text = f"define double @f(double %x0) {{{lines}  ret double %x20000}}"
+def compile_on():
+    while True:
+        target = binding.Target.from_default_triple().create_target_machine()
+        module = binding.parse_assembly(text)
+        begun.set()
+        binding.create_mcjit_compiler(module, target).finalize_object()
+def run(_):
+    threading.Thread(target=compile_on, daemon=True).start()
+    begun.wait(20)
+    time.sleep(0.2)
+    return 0
+cli.run = run
+cli.main()
+"""
+    done = subprocess.run([sys.executable, "-c", busy], capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_help_loads_nothing_heavy() -> None:
     heavy = "numpy scipy casadi matplotlib pydantic llvmlite rich"
     program = (
