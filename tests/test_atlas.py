@@ -169,12 +169,12 @@ def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart:
     here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
     again = Reflights(chart)
     good = again(here.roots.y, chart.p[None], here.roots.choice)
-    assert good.good[0] and good.residual[0] < 1e-11 and good.drift[0] < 1e-12
-    assert good.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
+    assert good.seen.good[0] and good.seen.residual[0] < 1e-11 and good.seen.drift[0] < 1e-12
+    assert good.seen.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
     for place in chart.active:  # every unknown matters
         wrong = here.roots.y.copy()
         wrong[0, place] += 1e-6 * (1 + abs(wrong[0, place]))
-        assert not again(wrong, chart.p[None], here.roots.choice).good[0]
+        assert not again(wrong, chart.p[None], here.roots.choice).seen.good[0]
 
 
 def precision(**more: float) -> Problem:
@@ -194,9 +194,9 @@ def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
         values[0, 1] = slope
         here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
         flown = again(here.roots.y, chart.p[None], here.roots.choice)
-        assert flown.residual[0] < 1e-10 and flown.minimum[0] > -1e-9
+        assert flown.seen.residual[0] < 1e-10 and flown.seen.minimum[0] > -1e-9
         assert [modes for _, _, modes in flown.arcs] == [(1, 0, 1)]  # full, least, full thrust
-        assert bool(flown.path[0] >= -1e-9) is kept
+        assert bool(flown.seen.path[0] >= -1e-9) is kept
 
 
 # -- answers ----------------------------------------------------------------------------------------------------------

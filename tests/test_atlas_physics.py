@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.atlas.chart import Chart
 from perilune.atlas.physics import allowed
+from perilune.atlas.sheets import Borders
 from perilune.problem.preflight import Finding, possible, preflight
 from perilune.scenario import load_file
 
@@ -63,3 +65,31 @@ def test_comparisons_that_only_numpy_reads_are_made_point_by_point() -> None:
 def test_what_states_no_physics_is_allowed_everywhere() -> None:
     problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=None)
     assert allowed(problem, ["vehicle_thrust"])(np.array([[-1.0], [1.0]])).all()
+
+
+@pytest.mark.parametrize("name", ["hybrid_lander", "polar_descent", "precision_landing"])
+def test_traced_bounds_are_those_that_are_stated(name: str) -> None:
+    problem = load_file(EXAMPLES / f"{name}.toml").problem
+    chart = Chart(problem, ("vehicle_thrust", "vehicle_mass"), np.array([100.0, 50.0]))
+    stated = problem.given["vehicle_thrust"].value, problem.given["vehicle_mass"].value
+    points = np.random.default_rng(3).uniform(0.8, 1.2, (20, 2)) * stated / chart.scale
+    traced, plain = Borders(chart), Borders(chart)
+    vars(plain)["_traced"] = None  # as where what is stated cannot be traced
+    for found, told in zip(traced.at(points), plain.at(points), strict=True):
+        np.testing.assert_allclose(found, told, rtol=1e-14)
+        np.testing.assert_array_equal(traced.at(points[:0])[0], found[:0])
+
+
+def test_bounds_that_only_numpy_states_are_made_point_by_point() -> None:
+    """As those that refuse what makes no sense; of that nothing is told."""
+
+    def ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+        if p.vehicle_thrust < 300.0:
+            raise pl.PeriluneError("too weak")
+        return {"flight_time": (0.0, float(np.interp(p.vehicle_thrust, [300.0, 500.0], [1e3, 3e3])), 1e3)}
+
+    problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, ranges=ranges)
+    chart = Chart(problem, ("vehicle_thrust",), np.array([100.0]))
+    _, upper = Borders(chart).at(np.array([[200.0], [400.0]]) / chart.scale)
+    at, size = chart.free.free_names.index("flight_time"), problem.scales.of("s")
+    assert upper[:, at] * size == pytest.approx([problem.free[at].upper, 2e3])

@@ -126,14 +126,14 @@ def test_who_meets_or_leaves_what_is_ridden_at_another_time_is_no_answer(
     y, values = chart.told(np.array(extremals[0].unknowns))[None], np.array([[value]]) / chart.scale
     here = chart.solve(values, y, Holds(_nothing(chart)))
     flown = again(here.roots.y, chart.p[None], here.roots.choice)
-    assert flown.good[0] and flown.pays[0] >= 0
+    assert flown.seen.good[0] and flown.seen.pays[0] >= 0
     holds = _nothing(chart)
     at = chart.free.free_names.index(f"T-{arc + 1}")
     holds[0, at], holds[0, held + at] = 1.0, here.roots.y[0, chart.conditions.free_at][at] + later
     moved = chart.solve(values, here.y, Holds(holds), limit=40)
     assert moved.converged[0]
     flown = again(moved.roots.y, chart.p[None], moved.roots.choice)
-    assert not flown.good[0] or flown.pays[0] < -SLACK
+    assert not flown.seen.good[0] or flown.seen.pays[0] < -SLACK
 
 
 def test_behind_a_fold_nothing_is_mapped_that_flies_an_arc_backwards_everywhere() -> None:
@@ -305,7 +305,7 @@ def test_a_singular_control_that_is_the_worst_is_told() -> None:
         chart = Chart(problem, ["start"], np.array([0.1]), course)
         y = chart.told(np.array(extremals[0].unknowns))[None]
         flown = Reflights(chart)(chart.whole(np.array([[1.0]]) / chart.scale, y), chart.p[None], _nothing(chart))
-        assert bool(flown.pays[0] > 0) is (way > 0)
+        assert bool(flown.seen.pays[0] > 0) is (way > 0)
 
 
 def _nothing(chart: Chart) -> Matrix:

@@ -115,7 +115,7 @@ class Charted:
         """A polished extremal as a root of the problem itself, where the axes are given."""
         return Root(
             y=self.own_unknowns(polished.y)[0],
-            residual=polished.flown.residual[:1],
+            residual=polished.flown.seen.residual[:1],
             inverse=np.full((0, 0), np.nan),
             slopes=np.zeros(len(self._free)),
             ranges=np.zeros(0),

@@ -99,8 +99,8 @@ class HeldFamilies:
         margin = one.borders.margins(
             [BARE], np.zeros(len(lanes), dtype=np.int64), found.roots.y, held, rises, choices, one.borders.at(values)
         )
-        flown = one.polish.reflights(chart.whole(values, y[lanes]), chart.p[None], choices)
+        seen = one.polish.reflights(chart.whole(values, y[lanes]), chart.p[None], choices).seen
         with np.errstate(invalid="ignore"):
-            good[lanes] = np.minimum(np.minimum(margin, flown.pays), np.minimum(flown.path, flown.minimum)) >= -SLACK
-            good[lanes] &= flown.residual <= _FLOWN
+            good[lanes] = np.minimum(np.minimum(margin, seen.pays), np.minimum(seen.path, seen.minimum)) >= -SLACK
+            good[lanes] &= seen.residual <= _FLOWN
         return good

@@ -21,7 +21,7 @@ from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.walking import walked
 from perilune.words.types import Matrix, Vector
 
-FLOWN = ("sequence", "residual", "path", "minimum", "drift")  # columns of a node that its second flight fills
+_SEEN = ("residual", "path", "minimum", "drift")  # of second flights: columns of nodes
 _BITS = 13  # of a place along one axis, so that 4 of them and a branch make one number
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
 _STRIDE = 2.0**-3  # of an edge of a cell: the shortest step of a walk along it
@@ -202,6 +202,7 @@ class Lattice:
             return
         here, branch, places = found.of(np.nonzero(good)[0]), branch[good], places[good]
         flown = self._reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
+        seen = flown.seen
         self.nodes.add(
             self.keys(branch, places),
             branch=branch,
@@ -209,9 +210,10 @@ class Lattice:
             terms=self.chart.terms(
                 here, lambda values: self.borders.holds(self.sheets, branch.repeat(len(values) // len(branch)), values)
             ),
-            margin=np.minimum(self.borders.margins_of(self.sheets, branch, here), flown.pays),
+            margin=np.minimum(self.borders.margins_of(self.sheets, branch, here), seen.pays),
             length=here.length,
-            **{name: getattr(flown, name) for name in FLOWN},
+            sequence=flown.sequence,
+            **{name: getattr(seen, name) for name in _SEEN},
         )
 
     def corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:

@@ -12,13 +12,14 @@ import math
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from perilune.atlas import singular
 from perilune.atlas.riding import NOTHING, Rides
+from perilune.atlas.standing import SLACK, all_of
 from perilune.conditions.canonical import hamiltonian_at, limit_symbols
 from perilune.conditions.pontryagin import Conditions
 from perilune.problem.controls import Bounded, placed, scalars
@@ -29,9 +30,43 @@ from perilune.shooting.settling import settling
 FAR = 1e30  # stands for infinity: nothing was looked at yet
 # The least condition, the least gain of another control, the least and most H, the least multiplier of what is ridden.
 NOTHING_SEEN = (FAR, FAR, FAR, -FAR, FAR)
+_NEARLY = 1e-3  # canonical: what a flight by finer steps may mend
 _SUBSTEPS = (2, 4, 6, 8)
 _KEPT = 1e-9  # canonical: by so little a control may miss what is held
 _NEAR = 0.1  # how far from the control that is flown an unbounded one is tried, canonical
+
+
+class Seen(NamedTuple):
+    """What a second flight shows, canonical: symbols, or columns of numbers.
+
+    Attributes
+    ----------
+    path
+        The least of all conditions of the path and distances of states from their bounds; `FAR` where there is none.
+    minimum
+        The least of H of another control minus H of the one that is flown.
+    drift
+        By how much H changes along a phase.
+    cost
+        J.
+    pays
+        The least multiplier of what is ridden, which is below zero where J falls if the flight leaves it.
+    residual
+        The most by which a condition at the ends is missed.
+    good
+        Whether nothing speaks against the extremal.
+    nearly
+        Whether something speaks against it by as little as rounding or coarse steps may.
+    """
+
+    path: Any
+    minimum: Any
+    drift: Any
+    cost: Any
+    pays: Any
+    residual: Any
+    good: Any
+    nearly: Any
 
 
 def begun(conditions: Conditions, k: int) -> ca.Function:
@@ -62,8 +97,7 @@ def _end(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
 def ended(conditions: Conditions, rides: Rides) -> ca.Function:
     """What the ends say: (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
 
-    Choice and results are those of `perilune.atlas.reflight`; seen is the least condition, the least gain of another
-    control, by how much H changes, J, and the least multiplier of what is ridden.
+    Choice and results are those of `perilune.atlas.reflight`.
     """
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     free = conditions.free_at.stop - conditions.free_at.start
@@ -103,7 +137,11 @@ def ended(conditions: Conditions, rides: Rides) -> ca.Function:
     jumps, aside = rides.jumps(y, begins, ends, p)
     path = ca.mmin(ca.vertcat(path, rides.turns(y, begins, ends, p)))
     pays, minimum = ca.fmin(pays, jumps) + NOTHING, ca.fmin(minimum, -aside)
-    found = [residual, ca.vertcat(path, minimum, drift, cost, pays), rates, ranges]
+    missed = ca.vertcat(ca.fabs(residual), -path, -minimum)
+    good = all_of(*ca.vertsplit(ca.vertcat(missed, drift) <= SLACK))
+    nearly = all_of(*ca.vertsplit(missed <= _NEARLY), ca.logic_not(good))
+    seen = Seen(path, minimum, drift, cost, pays, ca.mmax(ca.fabs(residual)), good, nearly)
+    found = [residual, ca.vertcat(*seen), rates, ranges]
     return ca.Function("ended", [y, p, ca.vertcat(held, told), *states], [ca.cse(ca.densify(each)) for each in found])
 
 

@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart, orientation
-from perilune.atlas.reflight import SLACK, Reflights, Reflown
+from perilune.atlas.march import Seen
+from perilune.atlas.reflight import Reflights, Reflown
 from perilune.atlas.sheets import Borders, Sheet
+from perilune.atlas.standing import SLACK, all_of
 from perilune.kernels import Map, compile_map
-from perilune.shooting.function import Roots
 from perilune.words.types import Matrix, Vector
 
 _DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the second flight tells
@@ -32,6 +33,8 @@ _MOST = 6  # steps
 _SHRINKS = 0.25  # by so much at least from step to step
 _CLOSE = 1e-10  # relative: farther from the extremal y makes another step
 _FLOWN = 1e-6  # canonical, by which the second flight of what breaks the path may miss its ends
+# Columns of what is told: answers, doubtful, breaking, short and gains; whether to fly once more; `bound` and `away`.
+_FLAGS, _POOR, _BOUND, _AWAY = slice(5), 5, 6, 7
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
 
 
@@ -100,6 +103,7 @@ class Polisher:
         self.reflights: Reflights = reflights
         self.sheets: Sequence[Sheet] = sheets
         self.orientations: Vector = np.array([sheet.orientation for sheet in sheets])
+        self._sides: Matrix = borders.sides(sheets)
         self._p, self._multipliers = chart.p[None], [nu for _, nu in chart.conditions.ranges]
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
@@ -116,7 +120,8 @@ class Polisher:
         """
         chart, plan, count = self.chart, self.chart.shooting.plan, len(values)
         limits = self.borders.at(values)
-        holds = self.borders.holds(self.sheets, which, values, limits)
+        sides = self._sides[which]
+        holds = self.borders.held(sides, values, limits)
         choice = chart.choice(values, holds)
         y, length, steps = chart.whole(values, guess), np.full(count, _LOST), np.zeros(count, dtype=np.int64)
         going = shrinking = np.ones(count, dtype=bool)
@@ -129,53 +134,39 @@ class Polisher:
             if not going.any():
                 break
             y[going[:, None] & plan.moved] += roots.rows[going, plan.columns.step].ravel()
-        inverse = roots.rows[:, plan.columns.inverse].reshape(-1, plan.columns.n, plan.columns.n)
-        reached = shrinking & (length <= _DONE) & (orientation(inverse) == self.orientations[which])
+        inverse = roots.rows[:, plan.columns.inverse]
+        turned = orientation(inverse.reshape(-1, plan.columns.n, plan.columns.n))
+        reached = shrinking & (length <= _DONE) & (turned == self.orientations[which])
         y[reached[:, None] & plan.moved] += roots.rows[reached, plan.columns.step].ravel()
         self._exactly(y, choice)
         flown = self.reflights(y, self._p, choice)
-        left, (bound, away) = self._left(roots, y, guess, flown)
-        good = flown.good
-        if (poor := np.nonzero(reached & (flown.nearly | (bound > _CLOSE)))[0]).size:  # what it misses says where to
+        known = inverse, guess, reached[:, None].astype(float), sides, *limits
+        left, told, beyond = self._told(y, choice, *flown.rows, *known)
+        if (poor := np.nonzero(told[:, _POOR])[0]).size:  # what it misses says where to
             y[poor[:, None], plan.active] -= left[poor]
             self._exactly(y, choice)
             flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
-            left, (bound, away) = self._left(roots, y, guess, flown)
-            good = flown.good
-        at, rises, slopes = y[:, chart.conditions.free_at], flown.rates, flown.rates[:, chart.varied_at]
-        if self._multipliers:
-            at, rises = np.hstack([at, flown.ranges]), np.hstack([rises, -y[:, self._multipliers]])
+            left, told, beyond = self._told(y, choice, *flown.rows, *known)
+        slopes = flown.rates[:, chart.varied_at]
         if holds.moves is not None:
+            rises = np.hstack([flown.rates, -y[:, self._multipliers]])
             slopes = slopes + np.einsum("ldk,lk->ld", holds.moves, rises)
-        margin = self.borders.margins(self.sheets, which, y, at, rises, choice, limits)
-        inside = np.minimum(margin, flown.pays) >= -SLACK
-        outside, sound = reached & ~inside, flown.residual <= _FLOWN
-        beyond, allowed = np.zeros((count, len(self.borders.bounds)), dtype=bool), outside
-        if outside.any():
-            free = ~(choice[:, : plan.held] > 0)
-            allowed = ~(free & ((at < limits[0] - SLACK) | (at > limits[1] + SLACK))).any(axis=1)
-            some = np.nonzero(outside & sound & (np.minimum(flown.pays, flown.minimum) >= -SLACK))[0]
-            here = limits[0][some], limits[1][some]
-            within = np.clip(at[some], *here)
-            others = self.borders.margins(self.sheets, which[some], y[some], within, rises[some], choice[some], here)
-            beyond[some] = self.borders.beyond(at[some], choice[some], here) & (others >= -SLACK)[:, None]
-        answers = reached & inside & good & (bound <= SLACK)
-        breaking = reached & inside & (flown.path < -SLACK) & sound
+        answers, doubtful, breaking, short, gains = (told[:, _FLAGS] > 0.0).T
         return Polished(
             y=y,
             choice=choice,
-            cost=flown.cost,
+            cost=flown.seen.cost,
             slopes=slopes,
             reached=reached,
             answers=answers,
-            doubtful=~answers & ~outside & ~breaking,
+            doubtful=doubtful,
             breaking=breaking,
-            short=reached & self.borders.short(y, at, limits),
-            beyond=beyond,
-            gains=outside & allowed & (flown.path >= -SLACK) & sound,
+            short=short,
+            beyond=beyond > 0.0,
+            gains=gains,
             steps=steps,
-            bound=bound,
-            away=away,
+            bound=told[:, _BOUND],
+            away=told[:, _AWAY],
             flown=flown,
         )
 
@@ -185,21 +176,41 @@ class Polisher:
         held = choice[:, : plan.free] > 0
         np.copyto(y[:, self.chart.conditions.free_at], choice[:, plan.held : plan.held + plan.free], where=held)
 
-    def _left(self, roots: Roots, y: Matrix, guess: Matrix, flown: Reflown) -> tuple[Matrix, Matrix]:
-        """J^-1 h of what second flights leave; how far y can be from the extremal, and how far it was guessed."""
-        inverse = roots.rows[:, roots.plan.columns.inverse]
-        left, lengths = self._measured(inverse, flown.residuals, y, guess)
-        return left, lengths.T
-
     @cached_property
-    def _measured(self) -> Map:
-        """(J^-1, residuals, unknowns, guess) -> J^-1 h, and relative to y: twice its length, and that of the change."""
-        chart, plan = self.chart, self.chart.shooting.plan
+    def _told(self) -> Map:
+        """What second flights and inverse Jacobians say of lanes.
+
+        (y, choice, rows of `Reflown`, J^-1, guess, reached, sides, lower and upper bounds) -> J^-1 h of what is left,
+        numbers at `_BOUND` and so on, and which `Borders.bounds` it lies beyond.
+        """
+        chart, plan, borders, s = self.chart, self.chart.shooting.plan, self.borders, self.borders.symbols
         n = len(plan.active)
-        inverse, residuals = ca.SX.sym("inverse", n * n), ca.SX.sym("h", len(chart.conditions.residuals))
-        y, guess = ca.SX.sym("y", plan.size), ca.SX.sym("guess", len(chart.active))
+        y, choice = ca.SX.sym("y", plan.size), ca.SX.sym("choice", 2 * plan.held)
+        sizes = {"residuals": len(chart.conditions.residuals), "shown": len(Seen._fields)}
+        sizes |= {"rates": plan.free, "ranges": len(self._multipliers)}
+        rows = [ca.SX.sym(name, size) for name, size in sizes.items()]
+        residuals, seen, rates, ranges = rows[0], Seen(*ca.vertsplit(rows[1])), *rows[2:]
+        inverse, guess = ca.SX.sym("inverse", n * n), ca.SX.sym("guess", len(chart.active))
+        reached = ca.SX.sym("reached")
         left = ca.mtimes(ca.reshape(inverse, n, n).T, residuals[plan.rows.tolist()])
         found = y[chart.active.tolist()]
         scale = 1.0 + ca.norm_2(found)
-        lengths = ca.vertcat(2.0 * ca.norm_2(left), ca.norm_2(found - guess)) / scale
-        return compile_map(ca.Function("measured", [inverse, residuals, y, guess], [left, lengths]))
+        bound, away = 2.0 * ca.norm_2(left) / scale, ca.norm_2(found - guess) / scale
+        free = chart.conditions.free_at
+        at, rises = ca.vertcat(y[free.start : free.stop], ranges), ca.vertcat(rates, -y[self._multipliers])
+        s = s._replace(at=at, rises=rises, held=choice[: plan.held], touched=y[borders.touched])
+        sound = seen.residual <= _FLOWN
+        paying, kept = seen.pays >= -SLACK, seen.path >= -SLACK
+        inside = ca.logic_and(s.margin >= -SLACK, paying)
+        own, outside = ca.logic_and(reached, inside), ca.logic_and(reached, ca.logic_not(inside))
+        answers = all_of(own, seen.good, bound <= SLACK)
+        breaking = all_of(own, seen.path < -SLACK, sound)
+        none = ca.logic_not(ca.logic_or(answers, ca.logic_or(outside, breaking)))
+        gains = all_of(outside, ca.logic_not(s.free_outside), kept, sound)
+        short = ca.logic_and(reached, s.short(borders.users)) if borders.of_arcs else ca.SX(0)
+        poor = ca.logic_and(reached, ca.logic_or(seen.nearly, bound > _CLOSE))
+        flies = all_of(outside, sound, paying, seen.minimum >= -SLACK, s.within().margin >= -SLACK)
+        beyond = ca.logic_and(flies, s.beyond(borders.users))
+        told = ca.vertcat(answers, none, breaking, short, gains, poor, bound, away)
+        given = [y, choice, *rows, inverse, guess, reached, s.side, s.lower, s.upper]
+        return compile_map(ca.Function("told", given, [ca.cse(ca.densify(x)) for x in (left, told, beyond)]))

@@ -252,7 +252,7 @@ class Atlas(Reader):
             return charted.solution(placed(problem, values), roots, statistics)
 
         slopes = polished.slopes[0] * problem.objective_size / charted.chart.scale
-        flown = polished.flown
+        shown = polished.flown.seen
         query = Query(
             sheet=best.label,
             met=tuple(offer.label for offer in offers),
@@ -260,10 +260,10 @@ class Atlas(Reader):
             guess_error=float(polished.away[0]),
             steps=steps,
             error_bound=float(polished.bound[0]),
-            residual=float(flown.residual[0]),
-            path=float(flown.path[0]),
-            minimum=float(flown.minimum[0]),
-            drift=float(flown.drift[0]),
+            residual=float(shown.residual[0]),
+            path=float(shown.path[0]),
+            minimum=float(shown.minimum[0]),
+            drift=float(shown.drift[0]),
             slopes=dict(zip(values, slopes.tolist(), strict=True)),
             latency=time.perf_counter() - began,
         )

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
-from perilune.atlas.march import NOTHING_SEEN, begun, ended, step_along, step_settling
+from perilune.atlas.march import NOTHING_SEEN, Seen, begun, ended, step_along, step_settling
 from perilune.atlas.riding import Rides
+from perilune.atlas.standing import SLACK
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import Map, compile_map
 from perilune.shooting.newton import Lanes
@@ -33,8 +34,7 @@ from perilune.words.types import Matrix, Vector
 
 STEPS = 48  # of a piece, or a multiple of it
 _MOST, _EXACT = 32, 1e-11  # times as many, and what the end of a phase may be wrong by, where they are chosen
-_FINER, _NEARLY = 4, 1e-3  # times as many for a lane that misses something by so little, canonical
-SLACK = 1e-9  # canonical: what an end, a condition, H or its minimum may be missed by
+_FINER = 4  # times as many for a lane that misses something by as little as coarse steps may
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,18 +45,8 @@ class Reflown:
     ----------
     residuals
         Of all conditions, (lanes, conditions); 0 for those of what is held.
-    residual
-        The largest of them.
-    path
-        The least of all conditions of the path and distances of states from their bounds; `FAR` where there is none.
-    minimum
-        The least of H of another control minus H of the one that is flown.
-    drift
-        By how much H changes along a phase.
-    cost
-        J.
-    pays
-        The least multiplier of what is ridden, which is below zero where J falls if the flight leaves it.
+    shown
+        Columns of `seen`.
     rates
         dJ/dq of each free parameter along the family of extremals, held or not, (lanes, k).
     ranges
@@ -66,20 +56,25 @@ class Reflown:
     """
 
     residuals: Matrix
-    residual: Vector
-    path: Vector
-    minimum: Vector
-    drift: Vector
-    cost: Vector
-    pays: Vector
+    shown: Matrix
     rates: Matrix
     ranges: Matrix
     arcs: tuple[tuple[int, Lanes, tuple[int, ...]], ...]
 
     @property
+    def rows(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """All but its arcs."""
+        return self.residuals, self.shown, self.rates, self.ranges
+
+    @property
+    def seen(self) -> Seen:
+        """What was seen, (lanes,) each."""
+        return Seen(*self.shown.T)
+
+    @property
     def sequence(self) -> NDArray[np.int64]:
         """A number for the modes that each lane goes through, the same in every process."""
-        told = [""] * len(self.cost)
+        told = [""] * len(self.shown)
         for phase, lanes, modes in self.arcs:
             for lane in lanes.tolist():
                 told[lane] += f"{phase}:{modes};"
@@ -87,37 +82,22 @@ class Reflown:
         return np.array([known[text] for text in told], dtype=np.int64)
 
     @property
-    def good(self) -> NDArray[np.bool_]:
-        """Whether nothing speaks against the extremal."""
-        return np.maximum(self._missed, self.drift) <= SLACK
-
-    @property
-    def nearly(self) -> NDArray[np.bool_]:
-        """Whether something speaks against it by as little as rounding or coarse steps may."""
-        missed = self._missed
-        return (missed <= _NEARLY) & ~(np.maximum(missed, self.drift) <= SLACK)
-
-    @property
     def told(self) -> str:
         """What speaks the most against the first extremal, in words."""
+        first = Seen(*self.shown[0].tolist())
         against = {
-            "its ends are missed by": float(self.residual[0]),
-            "a condition of the path, or a bound, is broken by": -float(self.path[0]),
-            "another control makes H less by": -float(self.minimum[0]),
-            "H drifts by": float(self.drift[0]),
+            "its ends are missed by": first.residual,
+            "a condition of the path, or a bound, is broken by": -first.path,
+            "another control makes H less by": -first.minimum,
+            "H drifts by": first.drift,
         }
         words = max(against, key=lambda name: against[name])
         return f"{words} {against[words]:.1e} (canonical; limit {SLACK:g})"
 
-    @property
-    def _missed(self) -> Vector:
-        """The largest of what is missed but H; NaN where anything is."""
-        return np.maximum(self.residual, -np.minimum(self.path, self.minimum))
-
     def replace(self, lanes: Lanes, by: Reflown) -> None:
         """Put other flights of the same arcs in the place of some."""
-        for name in ("residuals", "residual", "path", "minimum", "drift", "cost", "pays", "rates", "ranges"):
-            getattr(self, name)[lanes] = getattr(by, name)
+        for own, other in zip(self.rows, by.rows, strict=True):
+            own[lanes] = other
 
 
 @dataclass(frozen=True)
@@ -180,7 +160,7 @@ class Reflights:
     def finer(self, y: Matrix, p: Matrix, choice: Matrix) -> Reflown:
         """The same, and by finer steps where these miss by as little as coarse ones may."""
         found = self._flown(y, p, choice, self.times)
-        if (poor := np.nonzero(found.nearly)[0]).size:
+        if (poor := np.nonzero(found.seen.nearly)[0]).size:
             numbers = p if len(p) == 1 else p[poor]
             found.replace(poor, self._flown(y[poor], numbers, choice[poor], [_FINER * times for times in self.times]))
         return found
@@ -192,12 +172,8 @@ class Reflights:
             before, arcs = self._along(k, y, before, p, free, times[k])
             states.append(before)
             gone += [(k, *arc) for arc in arcs]
-        residuals, seen, rates, ranges = self._ended(y, p, choice, *states)
-        path, minimum, drift, cost, pays = seen.T
-        return Reflown(
-            residuals=residuals, residual=np.abs(residuals).max(axis=1), path=path, minimum=minimum, drift=drift,
-            cost=cost, pays=pays, rates=rates, ranges=ranges, arcs=tuple(gone),
-        )  # fmt: skip
+        residuals, shown, rates, ranges = self._ended(y, p, choice, *states)
+        return Reflown(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=tuple(gone))
 
     def fine_enough(self, y: Matrix, p: Matrix) -> tuple[int, ...]:
         """How many times `STEPS` each phase needs, so that twice as many end at the same; for extremals, (lanes, n)."""

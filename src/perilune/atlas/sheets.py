@@ -8,6 +8,7 @@ sheet, and whether a root may be an answer is asked at the point itself.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,13 +16,16 @@ from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart, Extremals, Holds
+from perilune.atlas.standing import SLACK, Standing
+from perilune.kernels import Map, compile_map
 from perilune.methods.starts import SIGNED
 from perilune.problem.extremal import Nature
-from perilune.problem.symbolic import free_scales
+from perilune.problem.symbolic import SYMBOLIC, free_scales
 from perilune.shooting.active import limits_of
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -30,7 +34,6 @@ from perilune.words.types import Matrix, Vector
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
 _DIFFERENCE = 1e-4  # of the range of a parameter: where differences of bounds are taken
 _MISSED = 1e-4  # of 1 + its size: a cell that gives a bound by so much wrong gives J so that it tells nothing
-SLACK = 1e-9  # canonical, by which a bound may be missed or a multiplier be on the wrong side
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +95,7 @@ class Borders:
         self._ranged = [ends[row] for row, _ in chart.conditions.ranges]
         self._free_sizes = free_scales(problem.free, problem)
         self._given = {name: given.value for name, given in problem.given.items()}
+        self._numbers = np.array([list(self._given.values())]).reshape(1, -1)
         self._chosen = [  # what `Problem.ranges` may say of it
             (i, f.name, self._free_sizes[i], bool(np.isfinite(lower[i])))
             for i, f in enumerate(problem.free) if problem.ranges is not None and f.name not in chart.names
@@ -100,7 +104,7 @@ class Borders:
             isinstance(x, str) for c in self._ranged for x in (c.lower, c.upper)
         )
         unknowns = [name for name, _ in chart.conditions.unknowns]
-        self._touched = [unknowns.index(name) for name in chart.course.touched(chart.user)]
+        self.touched: list[int] = [unknowns.index(name) for name in chart.course.touched(chart.user)]
 
     def at(self, values: Matrix) -> Limits:
         """Lower and upper bounds, canonical, (lanes, what can be held) each."""
@@ -108,6 +112,8 @@ class Borders:
         lower, upper = self._lower[None].repeat(len(values), axis=0), self._upper[None].repeat(len(values), axis=0)
         if not self._told:
             return lower, upper
+        if (traced := self._traced) is not None:
+            return traced(values, self._numbers)  # pyright: ignore[reportReturnType] - two of them
         values = values * chart.scale
         if len(values) > 1:
             try:  # all lanes at once, where what is stated of the ranges can
@@ -122,9 +128,25 @@ class Borders:
                 self._state(p, lower[lane : lane + 1], upper[lane : lane + 1])
         return lower, upper
 
-    def _state(self, p: Any, lower: Matrix, upper: Matrix) -> None:
+    @cached_property
+    def _traced(self) -> Map | None:
+        """(values, canonical, and all that is given) -> lower and upper bounds, where what is stated can be traced."""
+        chart = self.chart
+        point, given = ca.SX.sym("point", len(chart.names)), ca.SX.sym("given", len(self._given))
+        told = {name: given[i] for i, name in enumerate(self._given)}
+        told |= {name: point[i] * float(chart.scale[i]) for i, name in enumerate(chart.names)}
+        lower, upper = ca.SX(self._lower[None]), ca.SX(self._upper[None])
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # of NumPy's functions CasADi warns, and has its own idea of them
+                self._state(SimpleNamespace(**told), lower, upper, SYMBOLIC)
+        except Exception:  # whatever a user's own function, which may use NumPy alone, makes of symbols
+            return None
+        return compile_map(ca.Function("bounds", [point, given], [lower.T, upper.T]))
+
+    def _state(self, p: Any, lower: Any, upper: Any, m: Any = NUMERIC) -> None:
         """Fill in what parameters say of lanes, one or all."""
-        for i, low, high in self._ranges(p):
+        for i, low, high in self._ranges(p, m):
             upper[:, i] = high
             if low is not None:
                 lower[:, i] = low
@@ -132,31 +154,42 @@ class Borders:
             size = self.chart.problem.size_of(condition)
             lower[:, k], upper[:, k] = (bound / size for bound in condition.limits(p))
 
-    def _ranges(self, p: Any) -> list[tuple[int, Any, Any]]:
+    def _ranges(self, p: Any, m: Any = NUMERIC) -> list[tuple[int, Any, Any]]:
         """Bounds of free parameters that follow from the given ones, canonical; None for one that is not looked at."""
         if (problem := self.chart.problem).ranges is None:
             return []
-        found = problem.ranges(p, NUMERIC)
+        found = problem.ranges(p, m)
         told = ((i, *found[name][:2], size, bounded) for i, name, size, bounded in self._chosen if name in found)
         return [(i, low / size if bounded else None, high / size) for i, low, high, size, bounded in told]
+
+    def sides(self, sheets: Sequence[Sheet]) -> Matrix:
+        """At which bound each sheet holds what can be held, (sheets, what can be held); see `atlas.standing`."""
+        found = np.zeros((len(sheets), self.chart.shooting.plan.held))
+        for row, sheet in zip(found, sheets, strict=True):
+            for name, side in sheet.holds.items():
+                row[self.names.index(name)] = 1.0 if side == "lower" else -1.0
+        return found
 
     def holds(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix, limits: Limits | None = None
     ) -> Holds:
         """What each lane holds beside the parameters; `which` is each lane's sheet."""
-        held = self.chart.shooting.plan.held
-        out, moves = np.zeros((len(values), 2 * held)), None
-        if not any(sheet.holds for sheet in sheets):
+        return self.held(self.sides(sheets)[which], values, limits)
+
+    def held(self, sides: Matrix, values: Matrix, limits: Limits | None = None) -> Holds:
+        """The same of lanes whose `sides` are told."""
+        count, moves = sides.shape[1], None
+        out = np.zeros((len(values), 2 * count))
+        if not sides.any():
             return Holds(out)
-        both = limits or self.at(values)
-        for number in set(which.tolist()):
-            for name, side in sheets[number].holds.items():
-                here, i, upper = np.nonzero(which == number)[0], self.names.index(name), int(side == "upper")
-                out[here, i] = 1.0
-                out[here, held + i] = both[upper][here, i]
-                if (i, upper) in self._moving and len(here):
-                    moves = np.zeros((len(values), len(self.chart.names), held)) if moves is None else moves
-                    moves[here, :, i] = self._rates(values[here], i, upper)
+        lower, upper = limits or self.at(values)
+        out[:, :count] = np.abs(sides)
+        np.copyto(out[:, count:], lower, where=sides > 0.0)
+        np.copyto(out[:, count:], upper, where=sides < 0.0)
+        for i, at in self._moving:
+            if (here := np.nonzero(sides[:, i] == (-1.0 if at else 1.0))[0]).size:
+                moves = np.zeros((len(values), len(self.chart.names), count)) if moves is None else moves
+                moves[here, :, i] = self._rates(values[here], i, at)
         return Holds(out, moves)
 
     @cached_property
@@ -229,17 +262,27 @@ class Borders:
         """
         if not self.of_arcs:
             return np.zeros(len(y), dtype=bool)
-        with np.errstate(invalid="ignore"):
-            below, above = at < limits[0] - SLACK, at > limits[1] + SLACK
-        speaks_against = ((below | above) & self.users).any(axis=1) | (y[:, self._touched] > SLACK).any(axis=1)
-        return np.any(below & ~self.users, axis=1) & ~speaks_against
+        return self._maps["short"](at, *limits, y[:, self.touched])[0][:, 0] > 0.0
 
     def beyond(self, at: Matrix, choice: Matrix, limits: Limits) -> NDArray[np.bool_]:
         """Which `bounds` of what the user states, and is not held, lanes lie beyond, (lanes, bounds)."""
-        lower, upper = limits
-        free = ~(choice[:, : self.chart.shooting.plan.held] > 0) & self.users
-        with np.errstate(invalid="ignore"):
-            return np.hstack([free & (at < lower - SLACK), free & (at > upper + SLACK)])
+        return self._maps["beyond"](at, choice[:, : self.chart.shooting.plan.held], *limits)[0] > 0.0
+
+    @cached_property
+    def symbols(self) -> Standing:
+        """For what is traced of one lane."""
+        return Standing.symbols(self.chart.shooting.plan.held, len(self.touched))
+
+    @cached_property
+    def _maps(self) -> dict[str, Map]:
+        """What `Standing` says of lanes."""
+        s = self.symbols
+        asked = {
+            "short": ([s.at, s.lower, s.upper, s.touched], s.short(self.users)),
+            "beyond": ([s.at, s.held, s.lower, s.upper], s.beyond(self.users)),
+            "margin": (list(s), s.margin),
+        }
+        return {name: compile_map(ca.Function(name, given, [ca.cse(found)])) for name, (given, found) in asked.items()}
 
     def crossed(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
@@ -270,10 +313,7 @@ class Borders:
         choice: Matrix,
         limits: Limits,
     ) -> Vector:
-        """How far each lane is from where its sheet ends to be an answer; below zero beyond it. Canonical.
-
-        Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior, and of what is
-        touched by how much J would fall if it gave way.
+        """`Standing.margin` of each lane.
 
         Parameters
         ----------
@@ -286,19 +326,8 @@ class Borders:
         limits
             Bounds of these.
         """
-        lower, upper = limits
-        masks = choice[:, : self.chart.shooting.plan.held] > 0
-        with np.errstate(invalid="ignore"):
-            inside = np.minimum(at - lower, upper - at)
-        margin = np.fmin.reduce(inside, axis=1, initial=np.inf, where=~masks)  # NaN where nothing limits it
-        if self._touched:
-            margin = np.minimum(margin, -y[:, self._touched].max(axis=1, initial=-np.inf))
-        for number in set(which.tolist()):
-            for name, side in sheets[number].holds.items():
-                here, i = which == number, self.names.index(name)
-                rise = rises[here, i] * (1.0 if side == "lower" else -1.0)
-                margin[here] = np.minimum(margin[here], rise)
-        return margin
+        held, sides = choice[:, : self.chart.shooting.plan.held], self.sides(sheets)[which]
+        return self._maps["margin"](at, rises, held, sides, *limits, y[:, self.touched])[0][:, 0]
 
 
 def held_at(borders: Borders, values: Vector, y: Vector) -> dict[str, str]:

@@ -15,6 +15,8 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any, Literal
 
+import numpy as np
+
 from perilune.models.bodies import MOON, Body, oblate, told_as
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
@@ -46,7 +48,7 @@ from perilune.problem.variables import Free, Given
 from perilune.problem.views import History, Space, Views
 from perilune.words.asked import called_in_words, demand_records
 from perilune.words.declared import quantity, record, span, words
-from perilune.words.maths import NUMERIC
+from perilune.words.maths import NUMERIC, refuted
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 from perilune.words.units import Scales
@@ -201,8 +203,10 @@ def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding
 
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times; refuses given values that make no sense together."""
-    if not min(p.site_altitude, p.start_altitude) > -p.body_radius:
-        raise PeriluneError("an altitude lies below the centre of the body", expected=f"above {-p.body_radius:g} m")
+    if refuted(m.fmin(p.site_altitude, p.start_altitude) > -p.body_radius):
+        raise PeriluneError(
+            "an altitude lies below the centre of the body", expected=f"above {np.max(-p.body_radius):g} m"
+        )
     speed = m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
     # To stop the whole speed (rocket equation), and part of the time to drop the height by burns down and up.
     _, stop = braking(speed, p, m)

@@ -34,7 +34,7 @@ from perilune.problem.verification import Check
 from perilune.problem.views import Beside, History, Space, Views
 from perilune.words.asked import called_in_words, demand_records
 from perilune.words.declared import quantity, record
-from perilune.words.maths import NUMERIC
+from perilune.words.maths import NUMERIC, refuted
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
 
@@ -172,7 +172,7 @@ def _typical_end(p: Any, m: Any) -> Sequence[Any]:
 def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the free parameters; refuses given values that make no sense together."""
     lowest = m.fmin(m.fmin(p.landing_altitude, p.orbit_perilune_altitude), p.orbit_parking_altitude)
-    if not np.all(lowest > -p.body_radius):
+    if refuted(lowest > -p.body_radius):
         raise PeriluneError(
             "an altitude lies below the centre of the body", expected=f"above {np.max(-p.body_radius):g} m"
         )

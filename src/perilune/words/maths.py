@@ -50,6 +50,12 @@ _SPLINES = {"smooth": 5, "smoother": 7}  # degrees
 Choose = Callable[[Any, Any, Any], Any]  # (condition, yes, no)
 
 
+def refuted(condition: Any) -> bool:
+    """Whether a comparison fails, of arrays anywhere; of symbols nothing is known."""
+    known = isinstance(condition, bool | np.bool_ | np.ndarray)
+    return known and not np.all(condition)
+
+
 def _knots(name: str, values: Any) -> tuple[float, ...]:
     try:
         return tuple(float(v) for v in values)

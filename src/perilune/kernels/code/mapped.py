@@ -44,7 +44,7 @@ class BoundMap:
         self, inputs: Sequence[Matrix], widths: Sequence[int], bind: Callable[[BoundMap], Callable[[], Any]]
     ) -> None:
         self.inputs = inputs
-        self.lanes = max(map(len, inputs))
+        self.lanes = max(map(len, inputs)) if all(map(len, inputs)) else 0  # beside none one row serves none
         self.outputs: tuple[Matrix, ...] = tuple(np.empty((self.lanes, m)) for m in widths)
         self._evaluate = bind(self)
 
@@ -61,6 +61,7 @@ class Map:
         self._widths = [function.numel_out(i) for i in range(function.n_out())]
         self._flat, self._times = _flat(function), times
         self._kernel = _native(self._flat, times, cache) if compiled else None
+        self._ones = [1] * len(self._sizes)
         self._idle = list[BoundMap]()  # of one lane, which is asked again and again; its pop and append are atomic
 
     def bind(self, *arguments: Matrix) -> BoundMap:
@@ -78,7 +79,7 @@ class Map:
 
     def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
         """Outputs of one evaluation."""
-        if max(map(len, arguments)) != 1:
+        if [len(a) for a in arguments] != self._ones:
             bound = self.bind(*arguments)
             bound()
             return bound.outputs

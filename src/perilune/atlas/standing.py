@@ -1,0 +1,98 @@
+"""How an extremal stands to the bounds of what can be held: traced, so that one text serves a lane and many.
+
+A side is +1 where a sheet holds something at its lower bound, -1 at its upper one, and 0 where it does not hold it.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+#: Canonical: by what a bound, an end, a condition, H or its minimum may be missed, or a multiplier have the other sign.
+SLACK = 1e-9
+
+
+class Standing(NamedTuple):
+    """Symbols of one extremal, all canonical.
+
+    Attributes
+    ----------
+    at, rises
+        Values of what can be held, and dJ/d(value), as `Shooting.held_values` has them.
+    held
+        1 where it is held, at a bound or as a parameter that varies.
+    side
+        At which bound the sheet holds it.
+    lower, upper
+        Its bounds.
+    touched
+        Multipliers of what is touched.
+    """
+
+    at: ca.SX
+    rises: ca.SX
+    held: ca.SX
+    side: ca.SX
+    lower: ca.SX
+    upper: ca.SX
+    touched: ca.SX
+
+    @staticmethod
+    def symbols(count: int, touched: int) -> Standing:
+        """For so many that can be held, and so many that are touched."""
+        names = Standing._fields
+        return Standing(*(ca.SX.sym(name, touched if name == "touched" else count) for name in names))
+
+    @property
+    def margin(self) -> ca.SX:
+        """How far it is from where its sheet ends to be an answer; below zero beyond it.
+
+        Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior, and of what is
+        touched by how much J would fall if it gave way.
+        """
+        least = ca.SX(ca.inf)
+        for i in range(self.at.numel()):
+            room = ca.fmin(self.at[i] - self.lower[i], self.upper[i] - self.at[i])
+            nearer = ca.logic_and(ca.logic_not(self.held[i] > 0), room < least)  # not NaN, where nothing limits it
+            least = ca.if_else(nearer, room, least)
+        for multiplier in ca.vertsplit(self.touched) if self.touched.numel() else []:
+            least = ca.fmin(least, -multiplier)
+        for i in range(self.at.numel()):
+            least = ca.if_else(ca.fabs(self.side[i]) > 0, ca.fmin(least, self.side[i] * self.rises[i]), least)
+        return least
+
+    @property
+    def outside(self) -> tuple[ca.SX, ca.SX]:
+        """Which lie below their lower bound, and above their upper one; NaN does neither."""
+        return self.at < self.lower - SLACK, self.at > self.upper + SLACK
+
+    @property
+    def free_outside(self) -> ca.SX:
+        """Whether anything that is not held lies beyond a bound."""
+        below, above = self.outside
+        return ca.mmax(ca.logic_and(ca.logic_not(self.held > 0), ca.logic_or(below, above)))
+
+    def beyond(self, users: NDArray[np.bool_]) -> ca.SX:
+        """Which bounds of what the user states, and is not held, it lies beyond: lower ones, then upper ones."""
+        free = ca.logic_and(ca.logic_not(self.held > 0), ca.DM(users.astype(float)))
+        return ca.vertcat(*(ca.logic_and(free, side) for side in self.outside))
+
+    def short(self, users: NDArray[np.bool_]) -> ca.SX:
+        """Whether it is an answer but for an arc that is shorter than nothing, as far as values tell."""
+        (below, above), stated, touched = self.outside, ca.DM(users.astype(float)), self.touched > SLACK
+        against = ca.vertcat(ca.logic_and(ca.logic_or(below, above), stated), touched)
+        arc = ca.mmax(ca.logic_and(below, 1 - stated))
+        return ca.logic_and(arc, ca.logic_not(ca.mmax(against)))
+
+    def within(self) -> Standing:
+        """The same with all values within their bounds."""
+        return self._replace(at=ca.fmin(ca.fmax(self.at, self.lower), self.upper))
+
+
+def all_of(*conditions: ca.SX) -> ca.SX:
+    """Whether all hold."""
+    return reduce(ca.logic_and, conditions)
