@@ -93,3 +93,27 @@ def test_bounds_that_only_numpy_states_are_made_point_by_point() -> None:
     _, upper = Borders(chart).at(np.array([[200.0], [400.0]]) / chart.scale)
     at, size = chart.free.free_names.index("flight_time"), problem.scales.of("s")
     assert upper[:, at] * size == pytest.approx([problem.free[at].upper, 2e3])
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        lambda x, m: m.sqrt(x - 400.0) ** 2,
+        lambda x, m: (x - 400.0) / (x - 400.0),
+        lambda x, m: 0.0 * m.log(x - 400.0),
+        lambda x, m: m.fmax(m.sqrt(x - 400.0), 0.0),
+    ],
+    ids=["square of a root", "0/0", "0 log", "greater"],
+)
+def test_what_symbols_make_simpler_allows_no_more_than_what_is_stated(value: Any) -> None:
+    """Each is NaN at 399 or at 400, of which CasADi's own simplifications and functions make a number."""
+
+    def compare(p: Any, m: Any) -> list[Finding]:
+        one = {"limit": -1.5, "at_least": True, "unit": "N", "binding": True, "meaning": "too weak"}
+        return [Finding(name="shown", value=value(p.vehicle_thrust, m), **one)]
+
+    problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=compare)
+    points = np.array([[399.0], [400.0], [401.0]])
+    found = allowed(problem, ["vehicle_thrust"])(points)
+    np.testing.assert_array_equal(found, judged(problem, ["vehicle_thrust"], points))
+    assert found[2] and not found.all()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
+import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import reduce
 from types import SimpleNamespace
 
@@ -15,9 +16,12 @@ from perilune.kernels import compile_map
 from perilune.problem.preflight import possible, preflight
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import SYMBOLIC
+from perilune.problem.tape import Expression, Recorder
 from perilune.words.types import Matrix
 
 Allowed = Callable[[Matrix], NDArray[np.bool_]]
+
+_LEAVING = {"p", "div", "pow", "sqrt", "log", "exp", "asin", "acos", "tan", "sinh", "cosh"}  # the numbers, from numbers
 
 
 def allowed(problem: Problem, names: Sequence[str]) -> Allowed:
@@ -28,28 +32,48 @@ def allowed(problem: Problem, names: Sequence[str]) -> Allowed:
     if problem.preflight is None:
         return lambda points: np.ones(len(points), dtype=bool)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of NumPy's functions CasADi warns, and has its own idea of what they mean
-            passed = _traced(problem, names)
+        traced = _traced(problem, names)
     except Exception:  # whatever a user's own comparisons, which may use NumPy alone, make of symbols
-        return lambda points: _compared(problem, dict(zip(names, points.T, strict=True)), len(points))
-    mapped, given = compile_map(passed), np.array([[own.value for own in problem.given.values()]])
-    return lambda points: mapped(points, given)[0][:, 0] > 0.0
+        return lambda points: _compared(problem, names, points)
+    mapped, given = compile_map(traced), np.array([[own.value for own in problem.given.values()]])
+
+    def asked(points: Matrix) -> NDArray[np.bool_]:
+        found = mapped(points, given)[0][:, 0] > 0.0
+        if not found.all():
+            found[~found] = _compared(problem, names, points[~found])
+        return found
+
+    return asked
 
 
-def _compared(problem: Problem, over: dict[str, NDArray[np.float64]], count: int) -> NDArray[np.bool_]:
-    return np.broadcast_to(possible(preflight(problem, over)), count)
+def _compared(problem: Problem, names: Sequence[str], points: Matrix) -> NDArray[np.bool_]:
+    return np.broadcast_to(possible(preflight(problem, dict(zip(names, points.T, strict=True)))), len(points))
 
 
 def _traced(problem: Problem, names: Sequence[str]) -> ca.Function:
-    """(values of the parameters, all that is given) -> 1 where physics allows it and else 0.
+    """(values of the parameters, all that is given) -> 1 where physics surely allows it; of others it has to be asked.
 
-    What does not vary is a symbol too: CasADi takes 0 times anything for 0, and NaN would pass.
+    CasADi takes 0 times anything for 0, x/x for 1 and the square of a root for what is under it, where what is stated
+    says NaN and allows nothing. So it is sure where no function on the way leaves the numbers and nothing is divided by
+    0; what does not vary is a symbol too.
     """
     assert problem.preflight is not None
+    recorder = Recorder()
+    symbols = SimpleNamespace(**{name: recorder.input("p", name) for name in problem.given})
+    symbols.__dict__.update({name: recorder.input("p", name) for name in names})
+    found = [f for f in problem.preflight(symbols, recorder.namespace) if f.binding]
+    tape = recorder.tape([side for f in found for side in (f.value, f.limit)])
     point, given = ca.SX.sym("point", len(names)), ca.SX.sym("given", len(problem.given))
     values = {name: given[i] for i, name in enumerate(problem.given)}
     values |= {name: point[i] for i, name in enumerate(names)}
-    found = problem.preflight(SimpleNamespace(**values), SYMBOLIC)
-    passed = reduce(ca.logic_and, (f.passed for f in found if f.binding), ca.SX(1))
-    return ca.Function("allowed", [point, given], [passed])
+    all_of_it = Expression(replace(tape, outputs=tuple(range(len(tape.instructions)))), ("p",))
+    way = [ca.SX(value) for value in all_of_it(SimpleNamespace(**values), SYMBOLIC)]
+    sides = [way[k] for k in tape.outputs]
+    pairs = zip(found, sides[::2], sides[1::2], strict=True)
+    passed = [replace(f, value=value, limit=limit).passed for f, value, limit in pairs]
+    sound = [
+        ca.fabs(way[op[2]]) > 0.0 if op[0] == "div" else ca.fabs(value) <= sys.float_info.max
+        for op, value in zip(tape.instructions, way, strict=True)
+        if op[0] in _LEAVING
+    ]
+    return ca.Function("allowed", [point, given], [reduce(ca.logic_and, [*passed, *sound], ca.SX(1))])
