@@ -340,13 +340,30 @@ def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(tmp_path: Pa
         (lambda p, m: [replace(f, limit=np.interp(f.value, (0, 1), (0, 1))) for f in away(p, m)], r"m\.table"),
         (lambda p, m: away(p, m)[: 1 + isinstance(p.orbit_parking_altitude, float)], "more or fewer"),
         (lambda p, m: [f.name for f in away(p, m)], "AttributeError"),
+        (lambda p, m: [replace(f, binding=p.orbit_parking_altitude > 0) for f in away(p, m)], "what binding of"),
+        (lambda p, m: [replace(f, limit=np.array([f.limit])) for f in away(p, m)], "scalars"),
     ],
-    ids=["branches", "words", "NumPy", "fewer", "no findings"],
+    ids=["branches", "words", "NumPy", "fewer", "no findings", "a side that varies", "an array"],
 )
 def test_comparisons_that_an_atlas_cannot_keep_are_refused(preflight: Callable[[Any, Any], Any], words: str) -> None:
     problem = replace(cho_landing(), preflight=preflight)
     with pytest.raises(PeriluneError, match=words):
         comparisons_document(problem, [{"orbit_parking_altitude": 90e3}])
+
+
+def test_comparisons_are_looked_at_within_a_region_too(tmp_path: Path) -> None:
+    """As with its corners alone: of this function an atlas kept what it says there, and answered at 100 km."""
+
+    def hidden(p: Any, m: Any) -> Any:
+        try:
+            inside = bool(abs(p.orbit_parking_altitude - 100e3) < 8e3)
+        except Exception:  # a symbol
+            inside = False
+        return [replace(f, value=0.0 * f.value if inside else f.value) for f in away(p, m)]
+
+    axes = {"orbit.parking_altitude": (90e3, 110e3)}
+    with pytest.raises(PeriluneError, match="words or values"):
+        build(replace(cho_landing(), preflight=hidden), axes, tmp_path / "map", bricks=1)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.variables import Given, Variable
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, Outcome
+from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 
 def lander(
@@ -391,3 +391,12 @@ def test_turning_bodies_keep_the_bound_of_the_rocket_equation(
     found = finding(problem, "speed to lose")
     assert found.value == pytest.approx(w[0] - abs(rotation) * r_site, rel=1e-9)
     assert found.limit == pytest.approx(1.02 * c * math.log(4.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [{"name": 3}, {"advice": None}, {"binding": 1}, {"at_least": "yes"}])
+def test_what_a_comparison_says_beside_its_numbers_is_texts_and_sides(wrong: dict[str, Any]) -> None:
+    """Of these an atlas was built whole, and could not be opened."""
+    said: dict[str, Any] = {"name": "way", "unit": "m", "meaning": "too far", "binding": np.bool_(True)}
+    assert Finding(value=1.0, limit=2.0, at_least=False, **said).binding is True
+    with pytest.raises(PeriluneError, match=f"{next(iter(wrong))} of a comparison"):
+        Finding(value=1.0, limit=2.0, **{"at_least": False, **said, **wrong})

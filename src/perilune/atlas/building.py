@@ -111,8 +111,8 @@ def build(
     header = {**header_axes(region), "tolerance": tolerance, "versions": versions(), **document}
     if problem.ranges is not None and as_kept.ranges is None:
         header[RANGES] = "as they are within the axes; the function that they follow from is not kept"
-    if not compared_alike(problem, as_kept, region.ends):
-        header[COMPARISONS] = comparisons_document(problem, region.ends)
+    if not compared_alike(problem, as_kept, looks := region.looks):
+        header[COMPARISONS] = comparisons_document(problem, looks)
     survey = _surveyed(kept, header, problem, region, method or Indirect(), say, force)
     completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
     sampled(kept, sample, executor, say)

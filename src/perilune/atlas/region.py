@@ -23,7 +23,7 @@ from perilune.words.units import told, told_range
 
 MOST_AXES = 4
 _MOST_BRICKS = 10**6
-_LOOKS = 16  # at points within a region, beside its corners, between which a range may go and come back
+_LOOKS = 16  # at points within a region, beside its corners, between which a function may go and come back
 _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
 
 
@@ -111,6 +111,12 @@ class Region:
     def ends(self) -> list[dict[str, float]]:
         """Its own corners, each as values [SI] by name."""
         return [dict(zip(self.names, at, strict=True)) for at in product(*((a.low, a.high) for a in self.axes))]
+
+    @property
+    def looks(self) -> list[dict[str, float]]:
+        """Its corners and points within, at which functions that are kept are compared with those that were stated."""
+        within = np.random.default_rng(0).uniform(self.low, self.high, (_LOOKS, len(self.axes))).tolist()
+        return [*self.ends, *(dict(zip(self.names, row, strict=True)) for row in within)]
 
     @property
     def bricks(self) -> list[tuple[int, ...]]:
@@ -226,8 +232,7 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
     """
     if problem.ranges is None:
         return
-    within = np.random.default_rng(0).uniform(region.low, region.high, (_LOOKS, len(region.axes))).tolist()
-    for at in [*region.ends, *(dict(zip(region.names, row, strict=True)) for row in within)]:
+    for at in region.looks:
         values = {n: v for n, v in at.items() if n in problem.given}
         for here, f in zip(kept.with_given(**values).free, problem.with_given(**values).free, strict=True):
             if (here.lower, here.upper) != (f.lower, f.upper):

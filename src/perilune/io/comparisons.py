@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from perilune.io.reading import MOST_ENTRIES, refuse, text
 from perilune.io.tapes import tape_of
 from perilune.problem.preflight import Finding, preflight
@@ -67,17 +69,16 @@ def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
     try:
         found = tuple(ask(SimpleNamespace(**{n: recorder.input("p", n) for n in problem.given}), recorder.namespace))
         tape = recorder.tape([getattr(f, name) for f in found for name in _NUMBERS])
+        kept = Comparisons(found, Expression(tape, ("p",)))
+        differing = next((d for place in places if (d := _differing(problem, kept, place))), None)
     except NotAFormula as error:
         raise _not_kept(error.got, error.advice) from None
+    except PeriluneError as error:
+        raise _not_kept(f"{error.what}, {error.got}", error.expected) from error
     except Exception as error:  # of a function that nobody has looked at
         raise _not_kept(f"{type(error).__name__}: {error}"[:120]) from error
-    kept = Comparisons(found, Expression(tape, ("p",)))
-    for place in places:
-        said, again = preflight(problem, place), preflight(problem.changed(preflight=kept), place)
-        if [_plain(f) for f in said] != [_plain(f) for f in again]:
-            other = next((f for f, g in zip(said, again, strict=False) if _plain(f) != _plain(g)), None)
-            got = "more or fewer of them" if other is None else f"'{other.name}', whose words or values are others"
-            raise _not_kept(f"{got} where " + ", ".join(f"{n} = {v:.6g}" for n, v in place.items()))
+    if differing is not None:
+        raise _not_kept(differing)
     stated = [{name: getattr(f, name) for name in (*_TEXTS, *_FLAGS)} for f in found]
     return {"stated": stated, "values": tape.document()}
 
@@ -104,9 +105,22 @@ def read_comparisons(document: Any, problem: Problem) -> Comparisons:
     return Comparisons(found, Expression(tape, ("p",), origin="a file"))
 
 
+def _differing(problem: Problem, kept: Comparisons, place: Mapping[str, float]) -> str | None:
+    """What of comparisons says something else at a place than what is kept of them, in words."""
+    said, again = preflight(problem, place), preflight(problem.changed(preflight=kept), place)
+    if [_plain(f) for f in said] == [_plain(f) for f in again]:
+        return None
+    other = next((f for f, g in zip(said, again, strict=False) if _plain(f) != _plain(g)), None)
+    got = "more or fewer of them" if other is None else f"'{other.name}', whose words or values are others"
+    return f"{got} where " + ", ".join(f"{n} = {v:.6g}" for n, v in place.items())
+
+
 def _plain(found: Finding) -> list[Any]:
     """What a finding says, of what two can be compared by: NaN equals nothing."""
-    return [*(repr(float(getattr(found, n))) for n in _NUMBERS), *(getattr(found, n) for n in (*_TEXTS, *_FLAGS))]
+    return [
+        *(repr(np.asarray(getattr(found, n), dtype=float).tolist()) for n in _NUMBERS),
+        *(getattr(found, n) for n in (*_TEXTS, *_FLAGS)),
+    ]
 
 
 def _not_kept(got: str, advice: str = "") -> PeriluneError:

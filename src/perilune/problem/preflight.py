@@ -24,7 +24,8 @@ from perilune.words.outcome import InfeasibleError, unknown_name
 class Finding:
     """One comparison: ``value <= limit``, or ``value >= limit`` where `at_least`.
 
-    `value` and `limit` are what the parameters were: numbers, arrays or symbols. Missing a binding one is fatal.
+    `value` and `limit` are what the parameters were: numbers, arrays or symbols. Missing a binding one is fatal. All
+    else is the same whatever the parameters are.
     """
 
     name: str
@@ -35,6 +36,16 @@ class Finding:
     binding: bool
     meaning: str
     advice: str = ""
+
+    def __post_init__(self) -> None:
+        for text in ("name", "unit", "meaning", "advice"):
+            demand(getattr(self, text), str, f"the {text} of a comparison")
+        for side in ("at_least", "binding"):
+            if not isinstance(stated := getattr(self, side), bool | np.bool_):
+                raise refused(
+                    stated, "True or False, whatever the parameters are", f"what {side} of a comparison can be"
+                )
+            object.__setattr__(self, side, bool(stated))
 
     @property
     def passed(self) -> Any:
