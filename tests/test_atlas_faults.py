@@ -214,9 +214,14 @@ def test_no_space_left_is_said_and_what_is_there_is_kept(built: Path, tmp_path: 
     assert len(after.said) == 16 and all(after.said[key] == line for key, line in before.items())
 
 
-def test_no_space_for_a_header_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("number", "helps"), [(errno.ENOSPC, "make space"), (errno.EACCES, "its rights"), (errno.EROFS, "its rights")]
+)
+def test_what_cannot_be_written_is_said_with_what_helps(
+    number: int, helps: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", full)
     store = Store(tmp_path / "full")
@@ -224,7 +229,8 @@ def test_no_space_for_a_header_is_said(tmp_path: Path, monkeypatch: pytest.Monke
     for write in (lambda: store.begin({}), lambda: store.add({}), lambda: store.put("survey-0.npy", np.zeros(3))):
         with pytest.raises(PeriluneError, match="cannot be written") as said:
             write()
-        assert "No space left" in said.value.got and "--resume" in said.value.advice
+        assert os.strerror(number) in said.value.got
+        assert helps in said.value.advice and "--resume" in said.value.advice
     assert [path.name for path in (tmp_path / "full").iterdir()] == [MANIFEST]
 
 

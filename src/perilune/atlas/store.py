@@ -348,10 +348,11 @@ def _unusable(place: Path, got: str, expected: str, advice: str = "choose anothe
 
 
 def _unwritable(name: str, error: OSError) -> PeriluneError:
+    helps = "look at its rights" if isinstance(error, PermissionError) or error.errno == errno.EROFS else "make space"
     return PeriluneError(
         "the atlas cannot be written", got=f"{name}: {error.strerror}",
         expected="a directory that you may write, with space left",
-        advice="what is there is kept: make space, and give the same order again (atlas build: with --resume)",
+        advice=f"what is there is kept: {helps}, and give the same order again (atlas build: with --resume)",
     )  # fmt: skip
 
 
