@@ -66,9 +66,55 @@ def test_what_is_no_kind_is_refused_in_words(value: str, words: str, tmp_path: P
     assert code == 2 and words in text and "Traceback" not in text
 
 
-def test_without_the_package_the_known_kinds_are_named() -> None:
-    code, text = said(dict(os.environ), "check", str(PLACE / "hop.toml"))
-    assert code == 2 and "hybrid_landing" in text
+_DECLARED = """
+from dataclasses import replace
+from lunar_hopper import LUNAR_HOP
+from perilune.models import Section
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("raise SystemExit(7)", "cannot be loaded.*SystemExit: 7"),
+        ("K = replace(LUNAR_HOP, sections=['hop'])", "cannot be loaded.*what a file has"),
+        ("K = replace(LUNAR_HOP, sections={**LUNAR_HOP.sections, 'hop': int})", "cannot be loaded.*what a file has"),
+        ("K = replace(LUNAR_HOP, sections={'hop': Section(record=int)})", "cannot be loaded.*stated by a record"),
+        ("K = replace(LUNAR_HOP, sections={'hop': LUNAR_HOP.sections['hop']})", "cannot be loaded.*problem, which"),
+        ("K = replace(LUNAR_HOP, make=lambda **records: 1 / 0)", "lunar_hop fails.*bad_kind:K of .*ZeroDivision"),
+        ("K = replace(LUNAR_HOP, make=lambda problem: None)", "lunar_hop fails.*unexpected keyword"),
+        ("K = replace(LUNAR_HOP, make=lambda **records: None)", "makes no problem.*NoneType"),
+    ],
+)
+def test_a_fault_of_a_package_is_named_as_its_own(
+    text: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed(tmp_path, "bad_kind:K")
+    (tmp_path / "bad_kind.py").write_text(_DECLARED + text, encoding="utf-8")
+    for place in (tmp_path, PLACE):
+        monkeypatch.syspath_prepend(place)
+    monkeypatch.delitem(sys.modules, "bad_kind", raising=False)
+    try:
+        with pytest.raises(PeriluneError, match=f"(?s){words}"):
+            load_file(PLACE / "hop.toml")
+    finally:
+        KINDS.pop("lunar_hop", None)
+
+
+def test_two_packages_of_one_kind_are_both_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("lunar_hopper", "other_hopper"):
+        place = tmp_path / f"{name}-1.0.dist-info"
+        place.mkdir()
+        (place / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", encoding="utf-8")
+        (place / "entry_points.txt").write_text(f"[perilune.models]\nlunar_hop = {name}:K\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PeriluneError, match=r"(?s)more than one.*lunar_hopper.*other_hopper.*uninstall"):
+        load_file(PLACE / "hop.toml")
+
+
+def test_without_the_package_the_known_kinds_are_named_and_what_to_do() -> None:
+    with pytest.raises(PeriluneError, match=r"(?s)hybrid_landing.*install the package"):
+        load_file(PLACE / "hop.toml")
 
 
 def test_its_problems_are_read_back_where_nothing_of_it_was_loaded_yet(

@@ -12,7 +12,7 @@ from typing import Any
 
 from perilune.io.reading import number, part, refuse, text
 from perilune.models.bodies import Body, recognised
-from perilune.models.kinds import KINDS, Section, kind_named, kind_names
+from perilune.models.kinds import KINDS, Section, kind_named, kind_names, unknown_kind
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given
 from perilune.words.declared import Quantity, keys_of, made_of, section_of, values_of
@@ -45,11 +45,7 @@ def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Proble
     """
     name, sections = text(document, "kind"), part(document, "sections", dict)
     if name not in KINDS and name not in kind_names():
-        raise PeriluneError(
-            "made.kind: the problem is of a kind that is not known here", got=name[:40],
-            expected="one of " + ", ".join(kind_names()),
-            advice="install the package that brings it (an entry point of the group perilune.models)",
-        )  # fmt: skip
+        raise unknown_kind("made.kind", name[:40])
     kind = kind_named(name)
     for section in sections:
         if section not in kind.sections:

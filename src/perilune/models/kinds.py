@@ -6,9 +6,9 @@ Nothing else knows of them: the reader of scenarios, the templates and the refer
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from functools import cache
-from importlib.metadata import entry_points
+from dataclasses import dataclass, field, is_dataclass, replace
+from functools import cache, wraps
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from perilune.models.bodies import BODIES, PLANETS, Body, OblateBody, Planet, UniformGravity
@@ -60,6 +60,14 @@ class Section:
     instead: type | None = None
     absent: str = "may be left out"
 
+    def __post_init__(self) -> None:
+        """Refuse what declares no keys."""
+        for stated in (self.record, self.instead):
+            if stated is not None and not (isinstance(stated, type) and is_dataclass(stated)):
+                raise PeriluneError(
+                    "a section is stated by a record", got=repr(stated)[:80], expected="a class below @record(...)"
+                )
+
     @property
     def keys(self) -> Mapping[str, Key]:
         """All keys that it may have, in order."""
@@ -102,6 +110,20 @@ class Kind:
     sections: Mapping[str, Section]
     make: Callable[..., Problem]
     example: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        """Refuse what no file could state."""
+        sections: Any = self.sections  # of a package, that may bring anything
+        if not isinstance(sections, Mapping) or not all(isinstance(found, Section) for found in sections.values()):
+            raise PeriluneError(
+                f"the sections of the kind {self.name} are not what a file has", got=repr(sections)[:80],
+                expected="a dictionary of Section(record=...) by their names",
+            )  # fmt: skip
+        if "problem" not in sections or PROOF in sections:
+            raise PeriluneError(
+                f"the sections of the kind {self.name} are not what a file has", got=", ".join(map(str, sections)),
+                expected=f"problem, which states the kind, among them, and {PROOF} not: every file may have that",
+            )  # fmt: skip
 
     @property
     def in_file(self) -> Mapping[str, Section]:
@@ -279,6 +301,13 @@ def kind_names() -> list[str]:
     return list(dict.fromkeys([*KINDS, *sorted(entry.name for entry in entry_points(group=GROUP))]))
 
 
+def unknown_kind(called: str, name: str) -> PeriluneError:
+    """Error for a kind that neither is one of these nor one that an installed package brings."""
+    error = unknown_name(called, name, kind_names())
+    advice = error.advice or f"install the package that brings it (an entry point of the group {GROUP})"
+    return PeriluneError(error.what, got=error.got, expected=error.expected, advice=advice)
+
+
 def kind_named(name: str) -> Kind:
     """A kind by its name: one of these, or one that an installed package brings as an entry point of `GROUP`.
 
@@ -287,25 +316,61 @@ def kind_named(name: str) -> Kind:
     Raises
     ------
     PeriluneError
-        If there is none of this name, or it cannot be loaded.
+        If there is none of this name, packages bring more than one, or it cannot be loaded.
     """
     if name in KINDS:
         return KINDS[name]
-    entry = next(iter(entry_points(group=GROUP, name=name)), None)
-    if entry is None:
-        raise unknown_name("problem.kind", name[:60], kind_names())
-    package = f"{entry.value} of {entry.dist.name if entry.dist is not None else 'a package'}"
+    brought = {_told(entry): entry for entry in entry_points(group=GROUP, name=name)}
+    if not brought:
+        raise unknown_kind("problem.kind", name)
+    if len(brought) > 1:
+        got = ", ".join(sorted(brought))[:300]
+        raise PeriluneError(
+            f"packages bring more than one kind {name}", got=got, advice="uninstall all but one of them"
+        )
+    package, entry = next(iter(brought.items()))
     try:
         found = entry.load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise PeriluneError(
-            f"the kind of problem {name} cannot be loaded", got=f"{package}: {type(error).__name__}: {error}"[:300]
+            f"the kind of problem {name} cannot be loaded", got=f"{package}: {_in_a_line(error)}"
         ) from error
     if not isinstance(found, Kind) or found.name != name:
         raise PeriluneError(f"what {package} brings is no kind of problem", expected=f"Kind(name={name!r}, ...)")
+    found = replace(found, make=_of_package(found, package))
     KINDS[name] = found  # its keys are known like those of the others from now on
     _keys.cache_clear()
     return found
+
+
+def _told(entry: EntryPoint) -> str:
+    return f"{entry.value} of {entry.dist.name if entry.dist is not None else 'a package'}"
+
+
+def _in_a_line(error: BaseException) -> str:
+    return f"{type(error).__name__}: {'; '.join(map(str.strip, str(error).splitlines()))}"[:300]
+
+
+def _of_package(kind: Kind, package: str) -> Callable[..., Problem]:
+    """What makes its problems; a fault in it is named as the package's, and no fault of this program."""
+
+    @wraps(kind.make)
+    def make(**records: Any) -> Problem:
+        try:
+            made = kind.make(**records)
+        except PeriluneError:
+            raise
+        except Exception as error:
+            raise PeriluneError(
+                f"the kind of problem {kind.name} fails", got=f"{package}: {_in_a_line(error)}",
+                advice="it is called with the record of each section by the section's name",
+            ) from error  # fmt: skip
+        if not isinstance(made, Problem):
+            got = f"{package}: {type(made).__name__}"
+            raise PeriluneError(f"the kind of problem {kind.name} makes no problem", got=got, expected="Problem")
+        return made
+
+    return make
 
 
 @cache

@@ -5,11 +5,10 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 
-from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names
+from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names, unknown_kind
 from perilune.scenario.reader import names_of
 from perilune.words.asked import called_in_words, refused
 from perilune.words.declared import Key, Quantity
-from perilune.words.outcome import unknown_name
 
 _COMMENT_COLUMN = 38
 _HEAD = """\
@@ -32,7 +31,7 @@ def template(kind: str = "hybrid_landing") -> str:
     if not isinstance(kind, str):
         raise refused(kind, "a text", "a kind of problem")
     if kind not in KINDS and kind not in kind_names():
-        raise unknown_name("kind of problem", kind, kind_names())
+        raise unknown_kind("kind of problem", kind)
     found = kind_named(kind)
     sections = ("\n".join(_section(found, name, section)) for name, section in found.in_file.items())
     body = "\n\n".join(sections)
