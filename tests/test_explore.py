@@ -416,6 +416,8 @@ def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:
     assert len(steps) == 2 and all(a == b for a, b in steps)
     flat = phase["columns"]["lambda_east"]["values"]  # constant to 1e-3, of which six digits show a thousand steps
     assert len(set(flat)) == len(set(times))
+    called = flight(flown)["labels"]
+    assert "v_east" not in called and called["thrust_tilt"] == "tilt"  # beside the panel of "east" it is no "east" too
 
 
 def test_quantities_are_called_as_on_the_axes_of_figures(subject: Subject) -> None:

@@ -280,6 +280,8 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     page.goto(alone.as_uri())
     until(page, "perilune.frames > 0")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.click("#reset")
+    assert page.locator("#undo").is_disabled()  # as nothing has moved
     page.locator(ISP).scroll_into_view_if_needed()
     for share, burn in ((0.05, "=== 0"), (0.95, "> 500")):
         _drag(page, share, share, 0.1)
@@ -299,7 +301,12 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     page.click("#pin")
     assert "objective [kg]" in page.inner_text("#extremals")
     assert "180 deg\npinned 1: 180 deg" in page.inner_text("#numbers")
-    for said in ("nosuch=3", "vehicle.thrust=440N", "vehicle.thrust=1e9"):  # a link of another page, or mistyped
+    for said in (
+        "nosuch=3",
+        "vehicle.thrust=440N",
+        "vehicle.thrust=0x1b8",
+        "vehicle.thrust=1e9",
+    ):  # a link of another page, or mistyped
         page.goto(f"{alone.as_uri()}#{said}")
         until(page, f"document.getElementById('source').innerText.includes('not as the link says: {said}')")
     _drag(page, 0.95, 0.95, 0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -89,10 +90,15 @@ def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> d
 
 
 def _labels(solution: Solution) -> dict[str, str]:
-    """What quantities are called on axes and beside numbers, where that is not their name."""
+    """What quantities are called on axes and beside numbers, where that is not their name, nor what another is called.
+
+    A figure of several may leave to its caption that they are speeds; a panel of one may not.
+    """
     variables = (v for phase in solution.problem.phases for v in (*phase.states, *phase.output_variables))
-    named = [*((v.name, v.label) for v in variables), *((name, r.label) for name, r in solution.results.items())]
-    return {name: label for name, label in named if label}
+    panels, numbers = ({v.name: v.label for v in variables}, {name: r.label for name, r in solution.results.items()})
+    called = Counter(label or name for name, label in panels.items())
+    alone = {name: label for name, label in panels.items() if called[label] == 1}
+    return {name: label for name, label in {**alone, **numbers}.items() if label}
 
 
 def extremals(solution: Solution) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 // The page: what is moved is asked for, and what comes is shown. Only the newest answer counts.
 "use strict";
 (() => {
-  const $ = (id) => document.getElementById(id), HOT = 60, UNPROVED = "stored without a proof to level 3";
+  const $ = (id) => document.getElementById(id), HOT = 60, DECIMAL = /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i, UNPROVED = "stored without a proof to level 3";
   const state = { knobs: [], values: {}, first: {}, number: 0, shown: -1, flight: null, pins: [], past: [], ahead: [], slice: null, family: null, frames: 0, asked: 0, maximised: "", unlinked: "" };
   window.perilune = state; // for who looks, and for tests
   const frozen = window.PERILUNE_FROZEN || null;
@@ -72,7 +72,7 @@
   function linked() { // the values that the address holds; what of it cannot be taken is said
     const from = new URLSearchParams(location.hash.slice(1)), lost = new Set(from.keys());
     const values = Object.fromEntries(state.knobs.map((k) => {
-      const said = from.get(k.key), v = said && said.trim() ? Number(said) : NaN;
+      const said = from.get(k.key), v = said && DECIMAL.test(said.trim()) ? Number(said) : NaN;
       if (!Number.isFinite(v)) { return [k.name, state.first[k.name]]; }
       const at = placed(k, v * k.size); if (at === v * k.size) { lost.delete(k.key); }
       return [k.name, at];
@@ -101,7 +101,11 @@
     };
     knob.set = set; set();
     let held = false;
-    const move = (v) => { if (!held) { remember(); held = true; } state.values[knob.name] = placed(knob, v * knob.size); set(); ask(); };
+    const move = (v) => { // what stays where it is is no step back, and asks nothing
+      const to = placed(knob, v * knob.size);
+      if (to !== state.values[knob.name]) { if (!held) { remember(); held = true; } state.values[knob.name] = to; ask(); }
+      set();
+    };
     slider.oninput = () => move(parseFloat(slider.value)); slider.onchange = () => { held = false; save(); };
     slider.onpointerdown = () => { held = false; }; // a touch where it is already ends without a change
     slider.onpointercancel = () => { if (held) { held = false; restore(state.past.pop()); } }; // a finger that scrolls the page moves nothing
@@ -298,7 +302,7 @@
   function give(name, kind, content) {
     const a = document.createElement("a"); a.href = URL.createObjectURL(new Blob([content], { type: kind })); a.download = name; a.click(); setTimeout(() => URL.revokeObjectURL(a.href), 1000);
   }
-  $("undo").onclick = undo; $("redo").onclick = redo; $("reset").onclick = () => { remember(); restore(state.first); };
+  $("undo").onclick = undo; $("redo").onclick = redo; $("reset").onclick = () => { if (hash()) { remember(); restore(state.first); } };
   $("pin").onclick = () => { if (!state.flight) { return; } if (state.pins.length >= 2) { state.pins = []; } else { state.pins.push({ values: { ...state.first, ...state.flight.values }, flight: state.flight }); } text($("pin"), state.pins.length >= 2 ? "Unpin all" : "Pin"); whole(); };
   $("link").onclick = async () => { save(); try { await navigator.clipboard.writeText(location.href); text($("link"), "Copied"); } catch { text($("link"), "Copy the address above"); } setTimeout(() => text($("link"), "Copy link"), 1500); };
   $("csv").onclick = () => {
