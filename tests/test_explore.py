@@ -322,7 +322,7 @@ def test_newer_values_do_not_wait_until_the_map_is_drawn(subject: Subject, monke
 def test_what_is_computed_for_a_page_that_has_gone_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     ended = Event()
 
-    def without_end(self: Answering, values: Any, watch: Watch) -> None:
+    def without_end(self: Answering, values: Any, watch: Watch, patient: Watch) -> None:
         try:
             while True:
                 time.sleep(0.02)
@@ -337,6 +337,33 @@ def test_what_is_computed_for_a_page_that_has_gone_is_dropped(monkeypatch: pytes
     monkeypatch.setattr(Answering, "at", without_end)
     _told_to(subject_of(None), story)
     assert ended.wait(5.0)
+
+
+def test_newer_values_do_not_end_the_first_flight_from_which_they_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At theirs nothing may be found for minutes, and each of them would begin to look for it anew."""
+    solve, nudged = perilune.app.answering.solve, Event()
+
+    def slow(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+        if guess is None:  # and nothing is at other values
+            assert asked.given == subject.problem.given and nudged.wait(30.0)
+        watch("looking for it")
+        return solve(asked, guess=guess, level=level, watch=watch)
+
+    async def story(page: _Page) -> None:
+        page.put(number=0, values={})
+        await page.until("progress")
+        page.put(number=1, values={"vehicle_thrust": 445.0})
+        await asyncio.sleep(0.1)  # until it is read
+        nudged.set()
+        while len(flights := [said for said in page.told if said["type"] in ("flight", "refusal")]) < 2:
+            await asyncio.sleep(0.01)
+        assert [(said["number"], said.get("source")) for said in flights] == [(0, "nothing"), (1, "neighbour")]
+
+    subject = subject_of(None)
+    monkeypatch.setattr("perilune.app.answering.solve", slow)
+    for name in ("_TELL", "_SLOW"):
+        monkeypatch.setattr(f"perilune.app.client.{name}", 0.01)
+    _told_to(subject, story)
 
 
 def test_it_is_said_when_nothing_more_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -611,7 +638,23 @@ def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_valu
     monkeypatch.setattr("perilune.app.answering.solve", hard)
     found = Answering(problem).at({"vehicle_thrust": 445.0})
     assert found.source == "neighbour" and found.solution.problem.given["vehicle_thrust"].value == 445.0
-    assert "none was found from nothing" in found.words
+    assert found.words.endswith("none was found from nothing")
+
+
+def test_a_link_to_what_is_not_found_soon_is_reached_from_the_first_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = load_file(ROOT / "examples" / "hybrid_lander.toml").problem
+    solve = perilune.app.answering.solve
+
+    def long(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+        while guess is None and asked.given != problem.given:
+            watch("looking for it")
+            time.sleep(0.01)
+        return solve(asked, guess=guess, level=level, watch=watch)
+
+    monkeypatch.setattr("perilune.app.answering.solve", long)
+    monkeypatch.setattr("perilune.app.answering._FOLLOW", 0.5)
+    found = Answering(problem).at({"vehicle_thrust": 440.1})
+    assert found.source == "neighbour" and found.words.endswith("none was found from nothing in 0.5 s")
 
 
 def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -76,9 +77,13 @@ class Answering:
     atlas: Atlas | None = None
     last: Solution | None = field(default=None)
     patience: float = _FOLLOW
+    _from_first: bool = field(default=True, init=False)  # whether the flight at the first values may still be tried
 
-    def at(self, values: Mapping[str, float], watch: Watch = silent) -> Flown:
+    def at(self, values: Mapping[str, float], watch: Watch = silent, patient: Watch | None = None) -> Flown:
         """The flight at values of given parameters [SI]; all others are as the problem has them.
+
+        `patient` watches in place of `watch` while the flight at the first values is found, from which all others are
+        followed.
 
         Raises
         ------
@@ -95,7 +100,7 @@ class Answering:
         except PeriluneError as error:
             found, why = None, f" (the map: {error.what})"  # which ends here; a neighbour may know more
         if found is None:
-            near, source, words = self._near(values, watch)
+            near, source, words = self._near(values, watch, patient or watch)
             found = near, source, words + why
         self.last = found[0]
         return Flown(solution=found[0], source=found[1], words=found[2], latency=time.perf_counter() - began)
@@ -130,24 +135,49 @@ class Answering:
         """
         return self.problem.with_given(**{name: value for name, value in values.items() if name in self.problem.given})
 
-    def _near(self, values: Mapping[str, float], watch: Watch) -> tuple[Solution, str, str]:
-        problem, began = self.problem_at(values), time.monotonic()
-        if self.last is not None:
-            near, steps = self._followed(problem, self.last, watch)
-            if near is not None:
-                words = "an extremal near the flight before" + (f", followed in {steps} steps" if steps > 1 else "")
-                return near, "neighbour", words
-            watch = _shortly(watch, _LOOK)  # a family that ends here: from nothing there may be another
-        try:
-            found = solve(problem, level=0, watch=watch)
+    def _near(self, values: Mapping[str, float], watch: Watch, patient: Watch) -> tuple[Solution, str, str]:
+        problem = self.problem_at(values)
+        if self.last is None:
+            return self._begun(problem, watch, patient)
+        near, steps = self._followed(problem, self.last, watch)
+        if near is not None:
+            words = "an extremal near the flight before" + (f", followed in {steps} steps" if steps > 1 else "")
+            return near, "neighbour", words
+        try:  # a family that ends here: from nothing there may be another
+            return self._found(problem, _shortly(watch, _LOOK))
         except _TooLong:
             what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
             raise NoneNear(what, advice=advice) from None
-        except NotConvergedError:
-            near = self._from_first(problem, watch) if self.last is None else None
-            if near is None:
-                raise
-            return near, "neighbour", "an extremal near the flight at the first values; none was found from nothing"
+
+    def _begun(self, problem: Problem, watch: Watch, patient: Watch) -> tuple[Solution, str, str]:
+        """The first flight. A link may hold what a slider reached, and no start does, or not soon.
+
+        Then it is followed from the flight at the first values, which is looked for once.
+        """
+        if problem.given == self.problem.given:
+            self._from_first = False
+            return self._found(problem, patient)
+        if not self._from_first:
+            return self._found(problem, watch)
+        try:
+            return self._found(problem, _shortly(watch, _FOLLOW))
+        except (NotConvergedError, _TooLong) as error:
+            why = error
+        self._from_first = False
+        with suppress(PeriluneError):
+            self.last = self._found(self.problem, patient)[0]
+            near, _ = self._followed(problem, self.last, watch)
+            if near is not None:
+                soon = "" if isinstance(why, NotConvergedError) else f" in {_FOLLOW:g} s"
+                words = f"an extremal near the flight at the first values; none was found from nothing{soon}"
+                return near, "neighbour", words
+        if isinstance(why, NotConvergedError):
+            raise why
+        return self._found(problem, watch)
+
+    def _found(self, problem: Problem, watch: Watch) -> tuple[Solution, str, str]:
+        began = time.monotonic()
+        found = solve(problem, level=0, watch=watch)
         self.patience = max(_PATIENT[0], time.monotonic() - began)  # to follow need not take longer than to find
         return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
 
@@ -208,16 +238,6 @@ class Answering:
             return None
         self.patience = max(_PATIENT[0], _PATIENT[1] * (time.monotonic() - began))
         return found
-
-    def _from_first(self, problem: Problem, watch: Watch) -> Solution | None:
-        """What is near the flight at the first values: a link may hold what a slider reached, and no start does."""
-        try:
-            if problem.given == self.problem.given:
-                return None
-            found = solve(problem, guess=solve(self.problem, level=0, watch=watch), level=0, watch=watch)
-        except PeriluneError:
-            return None
-        return found if keeps(found) else None
 
 
 def keeps(solution: Solution) -> bool:

@@ -26,13 +26,14 @@ from perilune.app.slices import Slices
 from perilune.app.subject import Subject
 from perilune.problem.solution import Solution
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import Iteration
+from perilune.words.watch import Iteration, Watch
 
 MESSAGE = 16_384  # bytes that a message may have
 COMPARING = 60.0  # s that are given to looking from nothing for a better flight
 _MOST, _PER = 240, 2.0  # messages in so many seconds
 _REST = 0.35  # s without a new value until what takes longer is done
 _TELL, _SLOW = 1.0, 1.0  # s until it is said that a flight takes its time; until it makes way for newer values
+_FIRST = 60.0  # s of CPU, until the first flight does, from which newer values are followed
 _FAR = 100.0  # times the largest value of a slider that may be typed
 _T = TypeVar("_T")
 
@@ -126,16 +127,22 @@ class Client:
 
     def _flown(self, request: dict[str, Any]) -> Flown | PeriluneError | None:
         """In a thread: the flight at the newest values, why there is none, or None where newer values have come."""
-        began, self._doing = time.monotonic(), "stating the problem"
+        self._doing = "stating the problem"
 
-        def watch(event: Iteration | str) -> None:
-            if isinstance(event, str):
-                self._doing = event
-            if self._gone or (self._new.is_set() and time.monotonic() - began > _SLOW):
-                raise Dropped
+        def watching(clock: Callable[[], float], longest: float) -> Watch:
+            end = clock() + longest
+
+            def watch(event: Iteration | str) -> None:
+                if isinstance(event, str):
+                    self._doing = event
+                if self._gone or (self._new.is_set() and clock() > end):
+                    raise Dropped
+
+            return watch
 
         try:
-            return self.answering.at(request["values"], watch)
+            watches = watching(time.monotonic, _SLOW), watching(time.thread_time, _FIRST)
+            return self.answering.at(request["values"], *watches)
         except Dropped:
             return None
         except Exception as error:
