@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import cast
 
@@ -24,6 +25,7 @@ from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST
 from perilune.shooting.plan import plan
 from test_bounds import push, shove
+from test_language import transfer
 
 kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 
@@ -39,9 +41,12 @@ def near(shooting: Shooting, Y: np.ndarray, size: float = 1e-3, seed: int = 1) -
     return moved
 
 
-@kinds
+BENT = Kind(name="spring met on the way", make=partial(transfer, "fmax"), spread={})
+
+
+@pytest.mark.parametrize("kind", [*KINDS, BENT], ids=lambda kind: kind.name)
 def test_the_derivative_is_that_of_differences(kind: Kind) -> None:
-    """Links, switches, durations and joints included: each column against central differences."""
+    """Links, switches, durations, joints and kinks included: each column against central differences."""
     shooting, guesses, p = kind.batch(1)
     plan, nothing = shooting.plan, shooting.holding({})
     Y = near(shooting, guesses[0])

@@ -316,9 +316,9 @@ def _events(
                 other = dynamics.sides.index((*sides[:i], side, *sides[i + 1 :]))
                 knot = choice.knots[min(side, sides[i])]
                 if choice.steady and law.regimes == laws[other].regimes:
-                    # A control's regime changes by its own event: H goes on without a jump, and so do its slopes.
+                    # A control's regime changes by its own event: H goes on without a jump, its slopes unless bent.
                     switches = {firsts[number] + k: firsts[other] + k for k in range(len(law.regimes))}
-                    together(choice.argument, direction, True, switches, knot)
+                    together(choice.argument, direction, not choice.bent, switches, knot)
                     continue
                 margin, behind = choice.argument - knot, flows[firsts[other] : firsts[other + 1]]
                 for before in range(firsts[number], firsts[number + 1]):

@@ -106,11 +106,14 @@ class Choice:
         Its values where the choice changes, in increasing order.
     steady
         Whether the rates go on there without a jump, as those of a table do.
+    bent
+        Whether their slopes jump all the same, and with them the rates of the costates.
     """
 
     argument: ca.SX
     knots: tuple[float, ...]
     steady: bool
+    bent: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,11 +162,11 @@ def _on_side(
 ) -> ca.SX:
     """The rates with every choice held on its side; adds new choices, steady ones up to `most` sides."""
 
-    def side(argument: Any, knots: tuple[float, ...], steady: bool = True) -> int | None:
+    def side(argument: Any, knots: tuple[float, ...], *, steady: bool = True, bent: bool = True) -> int | None:
         argument = ca.SX(argument)
         if not ca.depends_on(argument, x) or ca.depends_on(argument, u):
             return None
-        number = _number(Choice(argument=argument, knots=knots, steady=steady), choices, most)
+        number = _number(Choice(argument=argument, knots=knots, steady=steady, bent=bent), choices, most)
         return None if number is None else sides[number] if number < len(sides) else 0
 
     def where(condition: Any, yes: Any, no: Any) -> Any:
@@ -183,7 +186,7 @@ def _on_side(
         return whole if here is None else above if here else below
 
     def table(of: Table, value: Any) -> Any:
-        return of.chosen(value, ca.if_else, side(value, of.kinks))
+        return of.chosen(value, ca.if_else, side(value, of.kinks, bent=of.kind == "linear"))
 
     namespace = SimpleNamespace(
         **{
@@ -202,7 +205,7 @@ def _number(new: Choice, choices: list[Choice], most: int) -> int | None:
     """Place of a choice among all; None where it cannot be held."""
     for number, known in enumerate(choices):
         if known.knots == new.knots and ca.is_equal(known.argument, new.argument, 30):
-            choices[number] = replace(known, steady=known.steady and new.steady)
+            choices[number] = replace(known, steady=known.steady and new.steady, bent=known.bent or new.bent)
             return number
     if new.steady and math.prod(len(choice.knots) + 1 for choice in (*choices, new)) > most:
         return None
