@@ -10,7 +10,7 @@ import numpy as np
 import perilune as pl
 from perilune.atlas import building
 from perilune.atlas.query import open_atlas
-from test_verify_kinks import push
+from test_verify_kinks import SLOPES, push
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 
@@ -24,3 +24,14 @@ def test_flights_through_a_bent_table_are_answered_between_nodes(tmp_path: Path)
     assert answers.good.all()
     alone = pl.solve(problem.with_given(k=0.4), level=0)
     assert abs(answers.objective[-1] / alone.objective - 1.0) < 1e-10
+
+
+def test_where_the_dynamics_jump_every_point_is_answered(tmp_path: Path) -> None:
+    """H is looked at on the side that is flown: the rounded place of the jump lies on the other one of each fifth."""
+    problem = push(SLOPES["jump"])
+    atlas = open_atlas(build(problem, {"k": (0.1, 0.5), "xs": (20.0, 60.0)}, tmp_path / "map", bricks=1))
+    points = np.random.default_rng(0).uniform([0.1, 20.0], [0.5, 60.0], (300, 2))
+    answers = atlas.query_many(points)
+    assert answers.good.all()
+    alone = pl.solve(problem.with_given(k=points[0, 0], xs=points[0, 1]), level=0)
+    assert abs(answers.objective[0] / alone.objective - 1.0) < 1e-10

@@ -38,6 +38,7 @@ def by_hand() -> Conditions:
     phase = PhaseExtremal(
         solved=(None,),
         modes=(ca.Function("rhs", [z, p], [ca.vertcat(rhs(z[:7], p), 0)]),),
+        rates=(),
         reports=(),
         multipliers=(),
         regimes=((),),

@@ -233,7 +233,8 @@ def _seen(
     n, p = extremal.state_count, trace_parameters(problem)
     symbols, limits = limit_symbols(problem, p)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
-    rates = column(phase.rates(elements(x), elements(u), p.record, SYMBOLIC))
+    # On the mode's own side also where it begins: there its rounded place may be on the other side of a jump.
+    rates = extremal.rates[mode](x, u, p.given, p.free)
     path, held = (
         column(phase.evaluate(name, elements(x), elements(u), p.record, SYMBOLIC)) for name in ("path", "held")
     )

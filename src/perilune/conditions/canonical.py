@@ -51,6 +51,8 @@ class PhaseExtremal:
         (z, p) -> z' for each mode. p is `extremal_parameters`.
     solved
         For each mode None, or where its control is found by Newton's method (z, p) -> w and (z, [p; w]) -> z'.
+    rates
+        (x, u, given, free) -> x' under any control for each mode, on its side of what the dynamics choose by.
     reports
         (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
     multipliers
@@ -72,6 +74,7 @@ class PhaseExtremal:
 
     modes: tuple[ca.Function, ...]
     solved: tuple[tuple[ca.Function, ca.Function] | None, ...]
+    rates: tuple[ca.Function, ...]
     reports: tuple[ca.Function, ...]
     multipliers: tuple[ca.Function, ...]
     regimes: tuple[tuple[Regime, ...], ...]
@@ -177,7 +180,7 @@ def canonical_equations(
     def function(name: str, *expressions: ca.SX) -> ca.Function:
         return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
 
-    laws, flows, solved, reports, multipliers = [], [], [], [], []
+    laws, flows, solved, sides, reports, multipliers = [], [], [], [], [], []
     for f in dynamics.rates:
         hamiltonian = ca.dot(lam[:n], f)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
@@ -202,6 +205,7 @@ def canonical_equations(
             z=z, rate=lambda control, *mode, moving=moving: ca.substitute(moving(control, *mode), u, control)
         )
         law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion)
+        sides += [ca.Function("rates", [x, u, p.given, p.free], [f])] * len(law.control)
         each = zip(law.control, law.room, law.solved, law.held, law.regimes, strict=True)
         for control, room, found, held, regimes in each:
             if always:
@@ -226,6 +230,7 @@ def canonical_equations(
     return PhaseExtremal(
         modes=tuple(function("rhs", rate) for rate in flows),
         solved=tuple(solved),
+        rates=tuple(sides),
         reports=tuple(reports),
         multipliers=tuple(multipliers),
         regimes=tuple(regimes for law in laws for regimes in law.regimes),
