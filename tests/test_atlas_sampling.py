@@ -18,10 +18,11 @@ from perilune.atlas import sampling
 from perilune.atlas.building import build
 from perilune.atlas.extending import extend
 from perilune.atlas.merging import merge
-from perilune.atlas.query import open_atlas
+from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sampling import Certificate, Sample, assured, drawn_at_random, drawn_thin, sample_of
 from perilune.atlas.store import MANIFEST
+from perilune.atlas.verify import Verified
 from perilune.cli import run
 from perilune.solve import prove
 from perilune.words.outcome import PeriluneError
@@ -113,7 +114,7 @@ def test_of_a_wider_atlas_is_drawn_anew(copy: Path) -> None:
 def test_draws_go_all_over_and_are_answers(tmp_path: Path) -> None:
     """Of two sheets, one the worse of the two at many nodes, and one that can be no answer."""
     atlas = open_atlas(build(cho_landing(), AXES, tmp_path / "two", sample=0))
-    drawn = list(drawn_at_random(atlas, 30, np.random.default_rng(1)))
+    drawn = list(drawn_at_random(atlas, 30, np.random.default_rng(1), {}))
     assert len(drawn) == len({at for at, _ in drawn}) == 30
     places = np.array([at for at, _ in drawn])
     assert len(np.unique(atlas.region.bricks_of(places), axis=0)) >= 8
@@ -127,7 +128,33 @@ def test_draws_go_all_over_and_are_answers(tmp_path: Path) -> None:
         assert line["thin"] == found.sum()
         count += int(found.sum())
     assert sample_of(atlas).thin_nodes == count and len(thin) == min(3, count)
-    assert not list(drawn_at_random(atlas, 0, np.random.default_rng(1)))
+    assert not list(drawn_at_random(atlas, 0, np.random.default_rng(1), {}))
+
+
+def test_places_that_a_query_refuses_are_counted_and_said(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were left out without a word; the confidence speaks of what is answered."""
+    query, asked = Atlas.query, list[float]()
+
+    def refusing_first(atlas: Atlas, **at: float) -> Any:
+        asked.extend(at.values())
+        if len(asked) == 1:
+            raise PeriluneError("no answer here")
+        return query(atlas, **at)
+
+    monkeypatch.setattr(Atlas, "query", refusing_first)
+    assert run(["atlas", "verify", str(copy), "--sample", "2", "--json"]) == 0
+    found = read_json(capsys.readouterr().out)
+    assert found["drawn"] == found["proved"] == 2 and found["share"] == assured(2, 2)
+    assert found["refused"] == len(found["refusals"]) == 1 and found["refusals"][0].endswith(" N: no answer here")
+    told = str(Verified(**{name: found[name] for name in Verified.__dataclass_fields__}))
+    assert "of 3 places that were drawn 1 are refused by a query" in told and found["refusals"][0] in told
+    asked.clear()
+    build(cho_landing(), THRUST, copy, sample=4)
+    assert [line["refused"] for line in proofs(copy)] == [0, 1]
+    atlas = open_atlas(copy)
+    assert "of 5 places that were drawn 1 are refused" in "\n".join(sample_of(atlas).told(atlas))
 
 
 def test_what_is_not_proved_is_said(

@@ -91,6 +91,7 @@ def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
 def refuse_no_sample(line: Mapping[str, Any], d: int) -> None:
     """ValueError for a line of proofs that cannot be one, of an atlas of d axes."""
     _demand(_whole(line.get("asked")) and line["asked"] >= 0, "how many proofs")
+    _demand(_whole(line.get("refused", 0)) and line.get("refused", 0) >= 0, "how many places are refused")
     for kind in ("drawn", "thin", "kept"):
         certificates: Any = line.get(kind, [] if kind == "kept" else None)
         _demand(_all(certificates, dict), f"certificates that are {kind}")

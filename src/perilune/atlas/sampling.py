@@ -3,7 +3,7 @@
 Each node of a brick carries what its second flight showed; the proof of level 3 takes a hundred times as long as the
 node itself. Of n answers that are drawn at random and all proved, at least a share 0.01^(1/n) of all would be proved,
 at 99 % confidence: with 459, 99 %. What is drawn are answers at nodes: places of nodes at which the atlas answers, so
-nothing is said of what lies between them.
+nothing is said of what lies between them, nor of places that a query refuses. Of these it is said how many were drawn.
 
 Nodes whose margin is thin lie beside the border of their sheet, where a bound begins or ends to be active; what goes
 wrong there would seldom be met by a draw among all.
@@ -34,6 +34,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
 
 Drawn = tuple[tuple[float, ...], Mapped]  # values of the axes [SI], and the answer there
+Refused = dict[tuple[float, ...], str]  # values of the axes [SI], and why a query has no answer there
 
 LEVEL = 3
 USUAL, _ONE_OF = 10, 100  # proofs of a build at most, unless it is told how many; and of so many nodes one
@@ -78,12 +79,15 @@ class Sample:
         Of those with a thin margin, and how many of these there are.
     kept
         Of atlases that were merged to this one: drawn of parts of it, they say nothing of the whole.
+    refused
+        How many places were drawn beside those of `drawn` at which a query has no answer.
     """
 
     drawn: tuple[Certificate, ...] = ()
     thin: tuple[Certificate, ...] = ()
     thin_nodes: int = 0
     kept: tuple[Certificate, ...] = ()
+    refused: int = 0
 
     @property
     def proved(self) -> int:
@@ -92,7 +96,7 @@ class Sample:
 
     @property
     def share(self) -> float:
-        """Of all answers at nodes at least so many would be proved, at 99 % confidence; 0 where one is not."""
+        """Of all answers of queries at nodes at least so many would be proved, at 99 %; 0 where one is not."""
         return assured(self.proved, len(self.drawn))
 
     @property
@@ -103,6 +107,7 @@ class Sample:
     def told(self, atlas: Atlas) -> list[str]:
         """The same in sentences."""
         lines = [proved_text(self.proved, len(self.drawn))] if self.drawn else []
+        lines += refused_text(self.refused, len(self.drawn))
         if self.thin:
             good = sum(one.proved for one in self.thin)
             lines.append(f"{good} of {len(self.thin)} with a thin margin proved, of {self.thin_nodes} that there are")
@@ -130,6 +135,12 @@ def proved_text(proved: int, drawn: int) -> str:
     return f"{proved} of {drawn} answers drawn at random proved to level {LEVEL}{said}"
 
 
+def refused_text(refused: int, drawn: int) -> list[str]:
+    """Of how many places that were drawn nothing is said; nothing where there are none."""
+    told = f"of {drawn + refused} places that were drawn {refused} are refused by a query, of which nothing is said"
+    return [told] if refused else []
+
+
 def unproved_text(atlas: Atlas, one: Certificate) -> str:
     """Which, and why."""
     return f"at {atlas.region.told(one.values)}: level {one.level}, not {', '.join(one.failed[:3])}"
@@ -141,8 +152,11 @@ def thin_ones(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]
     return found[np.argsort(nodes["margin"][found], kind="stable")]
 
 
-def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[Drawn]:
-    """Answers at nodes that are drawn at random, no place twice, each with its values of the axes."""
+def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator, refused: Refused) -> Iterator[Drawn]:
+    """Answers at nodes that are drawn at random, no place twice, each with its values of the axes.
+
+    Places that are drawn and have no answer are added to those that are `refused`.
+    """
     keys = sorted(atlas.said)
     ends = np.cumsum([atlas.said[key]["nodes"]["rows"] for key in keys])
     total, seen = int(ends[-1]) if len(ends) else 0, set[tuple[float, ...]]()
@@ -155,12 +169,13 @@ def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator) -> Itera
             continue
         row = brick.nodes[number - int(ends[at])]
         if may_be_answers(row[None], atlas.charted[chart].sheets)[0]:
-            yield from _answered(atlas, row["values"], seen)
+            yield from _answered(atlas, row["values"], seen, refused)
 
 
 def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[Drawn]:
     """Answers at nodes with a thin margin, no place twice; of those in one brick the thinnest first."""
     keys, seen = [key for key in sorted(atlas.said) if atlas.said[key].get("thin", 0)], set[tuple[float, ...]]()
+    refused = Refused()
     for at in rng.permutation(len(keys)).tolist():
         chart, *place = keys[at]
         if (brick := atlas.brick(chart, tuple(place))) is None:
@@ -168,16 +183,17 @@ def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[D
         for row in thin_ones(brick.nodes, atlas.charted[chart].sheets).tolist():
             if len(seen) >= count:
                 return
-            yield from _answered(atlas, brick.nodes["values"][row], seen)
+            yield from _answered(atlas, brick.nodes["values"][row], seen, refused)
 
 
-def _answered(atlas: Atlas, values: NDArray[Any], seen: set[tuple[float, ...]]) -> Iterator[Drawn]:
+def _answered(atlas: Atlas, values: NDArray[Any], seen: set[tuple[float, ...]], refused: Refused) -> Iterator[Drawn]:
     """The answer at a place that was not seen yet, if there is one."""
-    if (told := tuple(values.tolist())) not in seen:
+    if (told := tuple(values.tolist())) not in seen and told not in refused:
         try:
             found = atlas.query(**dict(zip(atlas.region.names, told, strict=True)))
-        except PeriluneError:
-            return  # where another sheet that might be better ends
+        except PeriluneError as error:  # where another sheet that might be better ends
+            refused[told] = error.what
+            return
         seen.add(told)
         yield told, found
 
@@ -214,9 +230,11 @@ def sampled(
         asked = sum(line["asked"] for line in sample_lines(atlas))
         if ours and count > asked and atlas.said:
             rng = np.random.default_rng()  # another each time, so that nobody can choose what is looked at
-            drawn = certified(drawn_at_random(atlas, count - asked, rng), executor, watch)
+            refused = Refused()
+            drawn = certified(drawn_at_random(atlas, count - asked, rng, refused), executor, watch)
             thin = certified(drawn_thin(atlas, count - asked, rng), executor, watch)
             said = {"survey": atlas.survey["digest"], "nodes": nodes, "asked": count - asked, "level": LEVEL}
+            said["refused"] = len(refused)
             proofs = {"drawn": [vars(one) for one in drawn], "thin": [vars(one) for one in thin]}
             kept.add({"kind": "sample", **said, **proofs})
         if ours:
@@ -250,6 +268,7 @@ def sample_of(atlas: Atlas) -> Sample:
         thin=tuple(thin.values()),
         thin_nodes=sum(line.get("thin", 0) for line in atlas.said.values()),
         kept=tuple(_certificate(said) for line in lines for said in line.get("kept", ())),
+        refused=sum(line.get("refused", 0) for line in lines),
     )
 
 

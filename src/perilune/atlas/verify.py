@@ -13,15 +13,19 @@ from perilune.atlas.columns import cell_type, node_type, seed_type
 from perilune.atlas.query import Atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sampling import (
+    Refused,
     assured,
     certified,
     drawn_at_random,
     proved_text,
+    refused_text,
     unproved_text,
 )
 from perilune.atlas.store import MANIFEST
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
+
+_TOLD = 10  # places that a query refuses, in words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +42,10 @@ class Verified:
         How many of the drawn answers are proved to level 3.
     unproved
         Which were not, and why, in sentences.
+    refused
+        How many places were drawn beside these at which a query has no answer: of them nothing is said.
+    refusals
+        Ten of them at most, and why, in sentences.
     """
 
     shards: int
@@ -47,6 +55,8 @@ class Verified:
     proved: int
     drawn: int
     unproved: tuple[str, ...]
+    refused: int
+    refusals: tuple[str, ...]
 
     @property
     def passed(self) -> bool:
@@ -55,15 +65,19 @@ class Verified:
 
     @property
     def share(self) -> float:
-        """Of all answers at least so many would be proved, at 99 % confidence; 0 where one of the drawn was not."""
+        """Of all answers of queries at nodes at least so many would be proved, at 99 % confidence.
+
+        0 where one of the drawn was not.
+        """
         return assured(self.proved, self.drawn)
 
     def __str__(self) -> str:
         lines = [
             f"{self.shards} shards, {len(self.damaged)} damaged; {self.nodes} nodes, {self.answers} of them answers",
             proved_text(self.proved, self.drawn),
+            *refused_text(self.refused, self.drawn),
         ]
-        return "\n".join([*lines, *self.damaged, *self.unproved])
+        return "\n".join([*lines, *self.refusals, *self.damaged, *self.unproved])
 
 
 def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, watch: Watch = silent) -> Verified:
@@ -110,9 +124,11 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
             f"{broken} line{'s' * (broken > 1)} of {MANIFEST} cannot be read, and what they told of is missing: remove"
             " them; perilune atlas build ... --resume computes it again"
         )
-    found = certified(drawn_at_random(atlas, sample, np.random.default_rng(seed)), None, watch)
+    refused = Refused()
+    found = certified(drawn_at_random(atlas, sample, np.random.default_rng(seed), refused), None, watch)
     unproved = tuple(unproved_text(atlas, one) for one in found if not one.proved)
     return Verified(
         shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
-        drawn=len(found), unproved=unproved,
+        drawn=len(found), unproved=unproved, refused=len(refused),
+        refusals=tuple(f"at {atlas.region.told(at)}: {why}" for at, why in list(refused.items())[:_TOLD]),
     )  # fmt: skip

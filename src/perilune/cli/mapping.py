@@ -222,7 +222,8 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     lines += sample.told(atlas)
     proofs = {
         "drawn": len(sample.drawn), "proved": sample.proved, "share": sample.share, "thin_nodes": sample.thin_nodes,
-        "thin_drawn": len(sample.thin), "kept": len(sample.kept), "unproved": [asdict(one) for one in sample.unproved],
+        "thin_drawn": len(sample.thin), "kept": len(sample.kept), "refused": sample.refused,
+        "unproved": [asdict(one) for one in sample.unproved],
     }  # fmt: skip
     document = {
         "problem": atlas.problem.name, "axes": axes, "tolerance": atlas.tolerance, "bricks": len(atlas.said),
