@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from command_line import ENVIRONMENT, HYBRID, snapshot
-from perilune.atlas import building, read
+from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
+from perilune.atlas import building, extending, read
 from perilune.atlas.extending import extend
 from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
@@ -169,7 +169,8 @@ def test_ctrl_c_stops_a_build_that_goes_on_later(workers: str, built: Path, tmp_
         time.sleep(0.005)
     os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does: all processes of the job
     printed, said = stopped.communicate(timeout=60)
-    assert (stopped.returncode, printed, said) == (130, "", "perilune: stopped by the user\n")
+    advice = "  try: the same command with --resume goes on\n"
+    assert (stopped.returncode, printed, said) == (130, "", f"perilune: stopped by the user\n{advice}")
     kept = {name: content for name, content in snapshot(out).items() if name.endswith(".npy")}
     assert not [name for name in snapshot(out) if "writing" in name]
     build(cho_landing(), AXES, out)
@@ -177,6 +178,30 @@ def test_ctrl_c_stops_a_build_that_goes_on_later(workers: str, built: Path, tmp_
     assert all(again[name] == content for name, content in kept.items())
     assert len(open_atlas(out).said) == len(open_atlas(built).said) == 16
     assert not [name for name in again if "claim" in name and "survey" not in name]
+
+
+def test_ctrl_c_says_how_to_go_on_where_something_is_there(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not of an atlas that `--force` did not replace yet, nor of one whose wider region is not surveyed yet."""
+    there, new = str(built), str(tmp_path / "new")
+
+    def stopped(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(building, "build", stopped)
+    monkeypatch.setattr(extending, "extend", stopped)
+    wider, order = ["--vary", "vehicle.thrust=430:460 N"], ["atlas", "build", HYBRID, *VARY, "--out"]
+    for typed, advice in (
+        ([*order, there, "--resume"], "the same command with --resume goes on"),
+        ([*order, there, "--force"], ""),
+        ([*order, new], ""),
+        (["atlas", "extend", there], f"perilune atlas extend {there} builds what is missing"),
+        (["atlas", "extend", there, *wider], ""),
+    ):
+        assert run([*typed, "--json"]) == 130
+        told = capsys.readouterr()
+        assert read_json(told.out)["error"]["try"] == advice and ("try:" in told.err) == bool(advice)
 
 
 # -- no space left -----------------------------------------------------------------------------------------------------

@@ -30,8 +30,8 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> int:
     """Do the work of a command, say its answer or why there is none; the exit code."""
     try:
         answer = work()
-    except KeyboardInterrupt:
-        answer = refusal(stopped(), INTERRUPTED)
+    except KeyboardInterrupt as error:
+        answer = refusal(stopped(*error.args), INTERRUPTED)
     except Exception as error:
         # Foreign code that is met by Ctrl-C may make an error of its own of it.
         answer = refusal(stopped(), INTERRUPTED) if STOPPED.is_set() else _failed(error)
@@ -63,9 +63,9 @@ def _failed(error: Exception) -> Answer:
     return refusal(fault, 1)
 
 
-def stopped() -> PeriluneError:
+def stopped(advice: str = "") -> PeriluneError:
     """What is said of Ctrl-C."""
-    return PeriluneError("stopped by the user")
+    return PeriluneError("stopped by the user", advice=advice)
 
 
 def refusal(error: PeriluneError, code: int) -> Answer:

@@ -6,11 +6,12 @@ from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from perilune.cli.answer import Answer
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
-from perilune.cli.stopping import heed
+from perilune.cli.stopping import advised, heed
 from perilune.cli.sweeping import elsewhere, ranges, varied
 from perilune.words.declared import named, parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -29,13 +30,19 @@ def _build(typed: Namespace) -> Answer:
 
     axes = ranges(typed, bounds_of)
     problem = _problem(typed, axes)
-    there = (typed.out / HEADER).is_file()
+    there = _written(typed.out / HEADER)
     if there and not (typed.resume or typed.force):
         raise PeriluneError(
             "the output directory holds an atlas already", got=str(typed.out), expected="a new or empty directory",
             advice="--resume to go on with it, --force to begin anew, or another directory",
         )  # fmt: skip
-    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
+
+    def going_on() -> str:
+        """Nothing where nothing was begun, or the atlas that was to be replaced is still there."""
+        begun = _written(typed.out / HEADER)
+        return "the same command with --resume goes on" if begun and (typed.resume or begun != there) else ""
+
+    with advised(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
         build(
             problem,
             axes,
@@ -50,6 +57,11 @@ def _build(typed: Namespace) -> Answer:
     return _described(_opened(typed), built=str(typed.out))
 
 
+def _written(file: Path) -> tuple[int, int] | None:
+    """What tells a file from one that replaces it; None of one that is not there."""
+    return (found.st_ino, found.st_mtime_ns) if file.is_file() and (found := file.stat()) else None
+
+
 def _extend(typed: Namespace) -> Answer:
     from perilune.atlas.extending import extend
 
@@ -58,7 +70,13 @@ def _extend(typed: Namespace) -> Answer:
         if key in wanted:
             raise PeriluneError(f"--vary names {key} twice", expected="each axis once")
         wanted[key] = bounds
-    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
+
+    def going_on() -> str:
+        """Nothing where the wider region is not surveyed yet: the atlas is what it was."""
+        wide = (atlas.store.survey() or {}).get("digest") != atlas.survey.get("digest")
+        return f"perilune atlas extend {typed.directory} builds what is missing" if wide or not wanted else ""
+
+    with advised(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
         extend(typed.directory, wanted, executor, watch=watch, sample=typed.sample)
     return _described(_opened(typed), built=str(typed.directory))
 

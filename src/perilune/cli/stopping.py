@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from threading import Event
 from typing import NoReturn
 
@@ -21,6 +23,17 @@ def heed() -> None:
     """Ctrl-C, where what was computed may have lost it, or taken it for a fault: before an answer is made of that."""
     if STOPPED.is_set():
         raise KeyboardInterrupt
+
+
+@contextmanager
+def advised(advice: Callable[[], str]) -> Iterator[None]:
+    """Ctrl-C, or what foreign code made of it, with words on what may be done then; none where these are empty."""
+    try:
+        yield
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) or STOPPED.is_set():
+            raise KeyboardInterrupt(advice()) from None
+        raise
 
 
 def _again(ignored: sys.UnraisableHookArgs) -> None:
