@@ -10,6 +10,7 @@ import numpy as np
 import perilune as pl
 from perilune.atlas import building
 from perilune.atlas.query import open_atlas
+from perilune.atlas.verify import verify_atlas
 from test_verify_kinks import SLOPES, push
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
@@ -35,3 +36,13 @@ def test_where_the_dynamics_jump_every_point_is_answered(tmp_path: Path) -> None
     assert answers.good.all()
     alone = pl.solve(problem.with_given(k=points[0, 0], xs=points[0, 1]), level=0)
     assert abs(answers.objective[0] / alone.objective - 1.0) < 1e-10
+
+
+def test_no_node_lies_beyond_the_region_by_a_rounding(tmp_path: Path) -> None:
+    """0.56 times 100 m is more than 56 m: what was drawn there had no answer, as it lay outside."""
+    problem = push(SLOPES["jump"])
+    atlas = open_atlas(build(problem, {"xs": (40.0, 56.0)}, tmp_path / "map", bricks=1))
+    (line,) = atlas.said.values()
+    values = np.load(tmp_path / "map" / line["nodes"]["file"])["values"]
+    assert values.min() == 40.0 and values.max() == 56.0
+    assert verify_atlas(atlas, sample=2).refused == 0

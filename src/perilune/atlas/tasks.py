@@ -79,7 +79,8 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     for name, rows in cut.nodes.items():
         nodes[name] = rows
     nodes["sheet"] = own[nodes["branch"]]
-    nodes["values"] = (low + nodes["place"] * ((high - low) / WHOLE)) * chart.scale
+    inside = task.low + nodes["place"] * ((task.high - task.low) / WHOLE)
+    nodes["values"] = np.where(nodes["place"] == WHOLE, task.high, inside)  # not beyond it by a rounding
     cells = np.zeros(len(cut.cells), dtype=cell_type(d))
     for column in fields(Cells):
         cells[column.name] = getattr(cut.cells, column.name)
