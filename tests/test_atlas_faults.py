@@ -289,6 +289,28 @@ def test_a_header_that_was_altered_is_refused(copy: Path) -> None:
         open_atlas(copy)
 
 
+def test_a_header_beside_the_manifest_of_another_atlas_is_refused(built: Path, tmp_path: Path) -> None:
+    """As where a copy of one onto another stops halfway: best flights of one problem were given for those of another.
+
+    And a map that is replaced while it is open is not taken for the one that was opened.
+    """
+    problem, axes = cho_landing().with_given(retro_specific_impulse=270.0), {"vehicle.thrust": (430.0, 450.0)}
+    other = build(problem, axes, tmp_path / "other", bricks=1)
+    opened = open_atlas(other)
+    shutil.copy(built / HEADER, other)
+    for orders in (
+        lambda: open_atlas(other),
+        lambda: extend(other, {}),
+        lambda: merge(other, built, tmp_path / "both"),
+    ):
+        with pytest.raises(PeriluneError, match="are of two atlases"):
+            orders()
+    build(cho_landing(), axes, other, bricks=1, force=True)
+    assert len(open_atlas(other).said) > 0
+    with pytest.raises(PeriluneError, match="are of two atlases"):
+        opened.refresh()
+
+
 def test_lines_that_cannot_be_read_any_more_are_named(copy: Path) -> None:
     """One that was not written whole, of a builder that was killed, is none of them."""
     lines = (copy / MANIFEST).read_bytes().splitlines(keepends=True)

@@ -11,6 +11,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from perilune.atlas import building, extending
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.region import region_of, wider
-from perilune.atlas.store import HEADER, MANIFEST, Store, sealed
+from perilune.atlas.store import CHECKSUM, HEADER, MANIFEST, Store, sealed
 from perilune.atlas.survey import Found
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
@@ -220,11 +221,20 @@ def test_two_side_by_side_make_one(parts: tuple[Path, Path], tmp_path: Path) -> 
     assert_right(open_atlas(tmp_path / "0"), {"vehicle.thrust": (430.0, 451.0), **ISP})
 
 
+def put_header(directory: Path, header: dict[str, Any]) -> None:
+    """Another header, which the lines of its manifest name as well."""
+    said, manifest = sealed(header), directory / MANIFEST
+    lines = [json.loads(line) for line in manifest.read_text().splitlines()]
+    own = ({**line, "header": said[CHECKSUM]} if line["kind"] == "survey" else line for line in lines)
+    manifest.write_text("".join(json.dumps(line) + "\n" for line in own))
+    (directory / HEADER).write_text(json.dumps(said))
+
+
 def test_a_merged_atlas_names_the_versions_that_computed_it(parts: tuple[Path, Path], tmp_path: Path) -> None:
     other = Path(shutil.copytree(parts[1], tmp_path / "other"))
     header = json.loads((other / HEADER).read_text())
     ours, header["versions"]["perilune"] = header["versions"]["perilune"], "0.0.1"
-    (other / HEADER).write_text(json.dumps(sealed(header)))
+    put_header(other, header)
     versions = json.loads((merge(parts[0], other, tmp_path / "both") / HEADER).read_text())["versions"]
     assert versions == {**header["versions"], "perilune": f"{ours} and 0.0.1"}
 
@@ -263,7 +273,7 @@ def test_atlases_that_do_not_go_together_are_refused(low: Path, parts: tuple[Pat
     header = json.loads((changed / HEADER).read_text())
 
     def change(**more: object) -> Path:
-        (changed / HEADER).write_text(json.dumps(sealed({**header, **more})))
+        put_header(changed, {**header, **more})
         return changed
 
     refused("different tolerance", low, change(tolerance=1e-8))

@@ -256,4 +256,4 @@ def _survey(kept: Store, region: Region, found: Sequence[Found], notes: Sequence
         rows = seeds(places, one)
         charts.append({**said_of(one), "seeds": kept.put(f"survey-{number}.npy", rows)})
     said = {"edges": edges, "charts": charts, "notes": list(notes)[:MOST_NOTES]}
-    return {"kind": "survey", "digest": digest_of([edges, charts]), **said}
+    return {"kind": "survey", "digest": digest_of([edges, charts]), "header": kept.seal, **said}

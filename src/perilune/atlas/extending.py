@@ -162,8 +162,8 @@ def _extended(
     edges = [{"first": axis.first, "at": list(axis.edges)} for axis in wide.axes]
     notes = [*survey.get("notes", []), *surveyed.notes]
     return {
-        "kind": "survey", "digest": digest_of([before, edges, lines]), "before": before, "edges": edges,
-        "charts": lines, "notes": list(dict.fromkeys(notes))[:MOST_NOTES],
+        "kind": "survey", "digest": digest_of([before, edges, lines]), "header": kept.seal, "before": before,
+        "edges": edges, "charts": lines, "notes": list(dict.fromkeys(notes))[:MOST_NOTES],
     }  # fmt: skip
 
 

@@ -33,7 +33,7 @@ from perilune.atlas.columns import (
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.sampling import LEVEL, lines_of_samples
-from perilune.atlas.store import HEADER, Store, clear, digest_of
+from perilune.atlas.store import HEADER, Store, clear, digest_of, seal_of
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_path
 from perilune.words.outcome import PeriluneError
@@ -141,7 +141,7 @@ def merge(
     kept.prepare(None)
     if (kept.directory / HEADER).exists():
         clear(kept.directory)
-    lines = _lines(kept, one, other, region, watch)
+    lines = _lines(kept, one, other, region, seal_of(header), watch)
     kept.write_lines(lines)
     kept.begin(header)
     return kept.directory
@@ -213,7 +213,7 @@ def _told(a: Axis, b: Axis) -> str:
     return f"{a.key} {' and '.join(ranges)}"
 
 
-def _lines(kept: Store, one: _Part, other: _Part, region: Region, watch: Watch) -> Iterator[dict[str, Any]]:
+def _lines(kept: Store, one: _Part, other: _Part, region: Region, seal: str, watch: Watch) -> Iterator[dict[str, Any]]:
     """The lines of the manifest, behind the shards that they name."""
     d, same = len(region.axes), one.survey["digest"] == other.survey["digest"]
     shift = np.array([_shift(a, b, c) for a, b, c in zip(one.region.axes, other.region.axes, region.axes, strict=True)])
@@ -243,7 +243,7 @@ def _lines(kept: Store, one: _Part, other: _Part, region: Region, watch: Watch) 
     if lost:
         watch(said := f"{lost} of the proofs of the merged atlases are dropped: what answers at their nodes is of both")
         notes = [*notes, said][-MOST_NOTES:]
-    yield {"kind": "survey", "digest": digest, "edges": edges, "charts": lines, "notes": notes}
+    yield {"kind": "survey", "digest": digest, "header": seal, "edges": edges, "charts": lines, "notes": notes}
     for count, (key, (part, line)) in enumerate(sorted(taken.items(), key=lambda item: item[0]), 1):
         watch(f"{count} of {len(taken)} bricks")
         yield _copied(kept, part, line, key, digest, lines[key[0]]["unknowns"])

@@ -56,6 +56,7 @@ class Store:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self._file, self._read, self._made = -1, 0, False
+        self._seal = ""  # checksum of the header that was read
         self._lines, self._names = list[dict[str, Any]](), set[str]()
         self.unreadable: int = 0  # lines that were written whole, and say nothing now
 
@@ -89,7 +90,7 @@ class Store:
     def begin(self, header: Mapping[str, Any]) -> None:
         """Write the header, unless another builder did; arguments and errors of `prepare`."""
         if not (self.directory / HEADER).exists():
-            self._put(HEADER, json_text(sealed({"format": FORMAT, **finite(dict(header))})).encode())
+            self._put(HEADER, json_text(_whole(header)).encode())
         self.prepare(header)
 
     def leave(self) -> None:
@@ -129,8 +130,15 @@ class Store:
                 expected="the file as it was written",
                 advice=_ANEW,
             )
-        del found[CHECKSUM]
+        self._seal = found.pop(CHECKSUM)
         return found
+
+    @property
+    def seal(self) -> str:
+        """Checksum of the header, which a survey names: of the one that was read, if it was; "" where there is none."""
+        if not self._seal and (self.directory / HEADER).exists():
+            self.header()
+        return self._seal
 
     def lines(self) -> list[dict[str, Any]]:
         """What the manifest says so far, line by line; a last line that is not whole was never written.
@@ -170,15 +178,24 @@ class Store:
         Raises
         ------
         PeriluneError
-            If it is of another hand.
+            If it is of another hand, or all are of another header: extremals of one problem would be polished to those
+            of another, whose best they need not be.
         """
-        found = None
+        found, others = None, False
         for line in self.lines():
             if line.get("kind") == "survey":
                 with told_of_damage(MANIFEST):
                     refuse_no_survey(line)
-                if line.get("before", [])[-1:] == ([] if found is None else [found["digest"]]):
+                if line.get("header") != self.seal:
+                    others = True
+                elif line.get("before", [])[-1:] == ([] if found is None else [found["digest"]]):
                     found = line
+        if others and found is None and self.seal:
+            raise PeriluneError(
+                f"the atlas is damaged: {HEADER} and {MANIFEST} are of two atlases", got=str(self.directory),
+                expected="the files of one, as they were written",
+                advice=f"copy the whole directory again; open one that was replaced meanwhile anew; or {_ANEW}",
+            )  # fmt: skip
         return found
 
     def bricks(self, survey: Mapping[str, Any], d: int) -> list[dict[str, Any]]:
@@ -328,6 +345,15 @@ def sealed(header: Mapping[str, Any]) -> dict[str, Any]:
     """A header with the checksum of all else in it."""
     said = {name: value for name, value in header.items() if name != CHECKSUM}
     return {**said, CHECKSUM: digest_of(said)}
+
+
+def seal_of(header: Mapping[str, Any]) -> str:
+    """The checksum that a header will have."""
+    return _whole(header)[CHECKSUM]
+
+
+def _whole(header: Mapping[str, Any]) -> dict[str, Any]:
+    return sealed({"format": FORMAT, **finite(dict(header))})
 
 
 def clear(directory: Path) -> None:
