@@ -38,7 +38,7 @@ except ImportError:  # Windows: two builders may compute the same brick there
     fcntl = None
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
-FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 4}
+FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 5}
 CHECKSUM = "sha256"  # of all else in the header
 _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
 _ANEW = "build the atlas anew: perilune atlas build ... --force"
