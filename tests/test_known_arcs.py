@@ -91,6 +91,19 @@ def test_arcs_that_are_known_last_as_long_as_is_stated_now() -> None:
     assert solution.free["T"] == pytest.approx(1.2, rel=1e-14) and solution.verification.level == 3
 
 
+def test_arcs_are_known_where_a_range_moves_that_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the longest flight of a return does with the area of its drag: all of it was read and restated anew."""
+    first, moved, narrow = (timed_bryson_denham(0.12, 0.5, longest, -8 / 9) for longest in (0.8, 0.9, 0.58))
+    guess, best = pl.solve(first, level=0), pl.solve(moved, level=0)
+    assert isinstance(guess.trajectories, Joined) and guess.free["T"] == pytest.approx(0.6)
+    for name in ("restate", "readings", "split"):
+        monkeypatch.setattr(structured, name, None)
+    solution = pl.solve(moved, guess=guess, level=0)
+    assert solution.objective == pytest.approx(best.objective, rel=1e-12)
+    monkeypatch.undo()
+    assert pl.solve(narrow, guess=guess).free["T"] == pytest.approx(0.58, rel=1e-14)
+
+
 def test_a_guess_is_read_once_for_all_its_neighbours(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept is of this very solution, and is gone with it."""
     read = list[int]()

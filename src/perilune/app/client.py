@@ -33,7 +33,7 @@ COMPARING = 60.0  # s that are given to looking from nothing for a better flight
 _MOST, _PER = 240, 2.0  # messages in so many seconds
 _REST = 0.35  # s without a new value until what takes longer is done
 _TELL, _SLOW = 1.0, 1.0  # s until it is said that a flight takes its time; until it makes way for newer values
-_FIRST = 60.0  # s of CPU, until the first flight does, from which newer values are followed
+_FIRST = 120.0  # s of CPU, until the first flight does, from which newer values are followed
 _FAR = 100.0  # times the largest value of a slider that may be typed
 _T = TypeVar("_T")
 
