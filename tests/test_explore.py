@@ -345,14 +345,15 @@ def test_newer_values_do_not_end_the_first_flight_from_which_they_are_followed(m
 
     def slow(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         if guess is None:  # and nothing is at other values
-            assert asked.given == subject.problem.given and nudged.wait(30.0)
+            assert asked.given["vehicle_thrust"].value == 440.0 and nudged.wait(30.0)
         watch("looking for it")
         return solve(asked, guess=guess, level=level, watch=watch)
 
     async def story(page: _Page) -> None:
-        page.put(number=0, values={})
+        first = {knob.name: knob.value for knob in subject.knobs}  # as a page says it: all of them, as numbers
+        page.put(number=0, values=first)
         await page.until("progress")
-        page.put(number=1, values={"vehicle_thrust": 445.0})
+        page.put(number=1, values={**first, "vehicle_thrust": 445.0})
         await asyncio.sleep(0.1)  # until it is read
         nudged.set()
         while len(flights := [said for said in page.told if said["type"] in ("flight", "refusal")]) < 2:
@@ -417,6 +418,31 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
     }  # a file with it states another problem
     with pytest.raises(PeriluneError, match="far from its range"):
         asked('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
+
+
+def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Solving it again may take longer than a page waits, and newer values do not end what they are followed from."""
+    save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, level=0), tmp_path / "run")
+    subject, solve_it, asked = subject_of(tmp_path / "run"), perilune.app.answering.solve, list[float]()
+
+    def noted(problem: Problem, **more: Any) -> Solution:
+        asked.append(problem.given["vehicle_thrust"].value)
+        more["watch"]("Newton's method")
+        return solve_it(problem, **more)
+
+    def newer(_: object) -> None:
+        if asked != [440.0]:
+            return
+        raise Dropped
+
+    monkeypatch.setattr("perilune.app.answering.solve", noted)
+    answering, first = Answering(subject.problem, None, subject.known), {k.name: k.value for k in subject.knobs}
+    found = answering.at(first, newer)
+    assert found.solution is subject.known and found.words == "as it was saved" and not asked
+    assert answering.at({**first, "vehicle_thrust": 441.0}, newer, silent).source == "neighbour"
+    assert asked == [440.0, 441.0]
 
 
 def test_a_saved_solution_hands_out_the_scenario_that_it_keeps(tmp_path: Path) -> None:

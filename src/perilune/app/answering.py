@@ -68,7 +68,7 @@ class Answering:
     atlas
         Where it is mapped, if it is.
     last
-        The flight from which neighbours begin.
+        The flight from which neighbours begin, of a file if there is one at first.
     patience
         How long a step from there may take until a smaller one is tried [s].
     """
@@ -78,6 +78,11 @@ class Answering:
     last: Solution | None = field(default=None)
     patience: float = _FOLLOW
     _from_first: bool = field(default=True, init=False)  # whether the flight at the first values may still be tried
+    _saved: bool = field(default=False, init=False)  # whether the last flight is that of a file, as it stands there
+
+    def __post_init__(self) -> None:
+        """What is known at first is of a file."""
+        self._saved = self.last is not None
 
     def at(self, values: Mapping[str, float], watch: Watch = silent, patient: Watch | None = None) -> Flown:
         """The flight at values of given parameters [SI]; all others are as the problem has them.
@@ -102,6 +107,7 @@ class Answering:
         if found is None:
             near, source, words = self._near(values, watch, patient or watch)
             found = near, source, words + why
+        self._saved &= found[0] is self.last
         self.last = found[0]
         return Flown(solution=found[0], source=found[1], words=found[2], latency=time.perf_counter() - began)
 
@@ -139,6 +145,12 @@ class Answering:
         problem = self.problem_at(values)
         if self.last is None:
             return self._begun(problem, watch, patient)
+        if self._saved:
+            if _alike(problem, self.last.problem):
+                return self.last, "neighbour", "as it was saved"
+            self._saved = False
+            with suppress(PeriluneError):  # its arcs, which a file does not hold, are found once for all neighbours
+                self.last = solve(self.last.problem, guess=self.last, level=0, watch=patient)
         near, steps = self._followed(problem, self.last, watch)
         if near is not None:
             words = "an extremal near the flight before" + (f", followed in {steps} steps" if steps > 1 else "")
@@ -154,7 +166,7 @@ class Answering:
 
         Then it is followed from the flight at the first values, which is looked for once.
         """
-        if problem.given == self.problem.given:
+        if _alike(problem, self.problem):
             self._from_first = False
             return self._found(problem, patient)
         if not self._from_first:
@@ -238,6 +250,11 @@ class Answering:
             return None
         self.patience = max(_PATIENT[0], _PATIENT[1] * (time.monotonic() - began))
         return found
+
+
+def _alike(problem: Problem, other: Problem) -> bool:
+    """Whether the given values are the same, however they were stated."""
+    return all(given.value == other.given[name].value for name, given in problem.given.items())
 
 
 def keeps(solution: Solution) -> bool:
