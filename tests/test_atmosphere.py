@@ -177,4 +177,4 @@ def test_what_is_missing_is_said_in_one_sentence(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "pymsis", None)
     with pytest.raises(PeriluneError, match="nrlmsis needs pymsis") as error:
         atmosphere.thermosphere(datetime(2024, 1, 1), atmosphere.Way.over(0.0, 0.0), f107=150, f107a=150, ap=4)
-    assert error.value.advice == 'pip install "perilune[msis]"'
+    assert error.value.advice == "pip install 'perilune[msis]'"

@@ -49,7 +49,7 @@ def switch(flag: str, about: str, **settings: Any) -> Option:
 def level(least: int, usual: int, most: int = 3) -> Option:
     """The level of a proof."""
     text = f"Verification level to prove, {_range(least, most)}" + ("; 0 for none" if not least else "")
-    help_ = f"{text}. Usually {usual}."
+    help_ = f"{text}. Usually {usual}." + ("" if most == 5 else " Level 5 is of `perilune verify DIR`.")
     return option("--level", metavar="LEVEL", type=whole(least, most), default=usual, help=help_)
 
 

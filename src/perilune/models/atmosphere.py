@@ -175,7 +175,7 @@ def thermosphere(epoch: datetime, way: Way, *, f107: float, f107a: float, ap: fl
         raise PeriluneError(
             "the atmosphere nrlmsis needs pymsis, which is not installed",
             expected="the extra msis",
-            advice='pip install "perilune[msis]"',
+            advice="pip install 'perilune[msis]'",
         ) from None
     utc = epoch.astimezone(UTC).replace(tzinfo=None) if epoch.tzinfo else epoch
     altitude = np.concatenate([np.arange(_LOWEST, 200e3, 500.0), np.arange(200e3, 1001e3, 2e3)])
