@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ import perilune as pl
 from perilune.methods.nearby import Nearby
 from perilune.problem.solution import Solution
 from perilune.words.outcome import PeriluneError
-from problems.constrained import bryson_denham, bryson_denham_truth
+from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham
 from problems.ridden import string
+from test_atlas_limits import haul
 
 
 @pytest.fixture(scope="module")
@@ -85,3 +87,32 @@ def test_an_end_off_the_arc_that_said_it_is_not_left_out() -> None:
     lower = pl.solve(problem.with_given(x1=0.8), guess=riding)
     assert lower.trajectories[0].state(np.array([1.5]))[0, 0] == pytest.approx(0.8, abs=1e-9)
     assert lower.outcome is pl.Outcome.NOT_PROVED or lower.objective == pytest.approx(-0.8017714156, rel=1e-9)
+
+
+@pytest.mark.parametrize("rides", [True, False])
+def test_bounds_that_follow_from_what_varies_are_those_of_each_lane(rides: bool) -> None:
+    """T is at its longest: along a ceiling, where it is a sum of arcs, and without one."""
+    base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5) if rides else haul(True)
+    longest = "longest" if rides else "patience"
+    given = {**base.given, "longest": pl.Given(value=1.0, unit="s")}
+    ranges = (lambda p, m: {"T": (0.5 * p.longest, p.longest, 0.9)}) if rides else base.ranges
+    problem = replace(base, given=given, ranges=ranges)
+    nearby = Nearby(pl.solve(problem, level=0))
+    assert (nearby.arcs is not None) == rides
+    factors = np.array([1.0, 1.05, 0.95])
+    roots = nearby.roots({longest: factors})
+    assert roots.converged.all()
+    for root, factor in zip(roots, factors.tolist(), strict=True):
+        found, alone = nearby.at(root, {longest: factor}), pl.solve(problem.with_given(**{longest: factor}), level=0)
+        assert found.free["T"] == pytest.approx(factor if rides else factor**2, abs=1e-12)
+        assert found.objective == pytest.approx(alone.objective, rel=1e-11)
+
+
+def test_a_sum_of_arcs_whose_range_becomes_one_value_is_solved_anew() -> None:
+    """That is another formula, and no other number."""
+    base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5)
+    given = {**base.given, "least": pl.Given(value=0.5, unit="s")}
+    problem = replace(base, given=given, ranges=lambda p, m: {"T": (p.least, 1.0, 0.9)})
+    nearby = Nearby(pl.solve(problem, level=0))
+    with pytest.raises(PeriluneError, match="range of T is of another kind"):
+        nearby.roots({"least": 1.0})

@@ -8,7 +8,10 @@ the best one, is for others to say.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +19,14 @@ from numpy.typing import ArrayLike
 from perilune.conditions.canonical import extremal_parameters
 from perilune.methods.answer import Curves, composed
 from perilune.methods.trials import found_at
+from perilune.problem.neighbours import placed
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
-from perilune.shooting.active import limits_of, settle
+from perilune.shooting.active import Limits, limits_of, settle
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.structures.carry import Joined, joined
 from perilune.structures.restate import refuse_unsaid, renumbered
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix
 
@@ -100,12 +105,36 @@ class Nearby:
         """
         p = self.numbers(values)
         Y = np.tile(self.root.y, (len(p), 1)) if begin is None else begin
-        return settle(self.shooting, Y, p, np.tile(self.root.choice, (len(p), 1)), self.limits)
+        each = self._limits(values, len(p))
+        choice = np.array([limits.taken_over(self.root.choice, self.limits) for limits in each])
+        limits = Limits(lower=np.array([one.lower for one in each]), upper=np.array([one.upper for one in each]))
+        return settle(self.shooting, Y, p, choice, limits)
+
+    def _limits(self, values: Mapping[str, ArrayLike], lanes: int) -> list[Limits]:
+        """Of each lane: ranges of free parameters may follow from the given ones."""
+        if self.solution.problem.ranges is None:
+            return [self.limits] * lanes
+        columns = [np.broadcast_to(np.asarray(value, dtype=float), lanes).tolist() for value in values.values()]
+        rows = zip(*columns, strict=True) if columns else [()] * lanes
+        return [self._limits_at(dict(zip(values, row, strict=True))) for row in rows]
+
+    def _limits_at(self, values: Mapping[str, float]) -> Limits:
+        known, found = self.solution.problem, dict[str, tuple[Any, ...]]()
+        assert known.ranges is not None, "they were asked for"
+        with suppress(PeriluneError):  # nothing is said where the values make no sense
+            found = known.ranges(SimpleNamespace(**{**vars(known.parameters({})), **values}), NUMERIC)
+        if all(found.get(f.name, (f.lower, f.upper))[:2] == (f.lower, f.upper) for f in known.free):
+            return self.limits
+        return limits_of(self._own(placed(known, values)), self.shooting.conditions)
+
+    def _own(self, problem: Problem) -> Problem:
+        """The user's problem at other values as it is solved: with a phase for each arc."""
+        return problem if self.arcs is None else renumbered(self.problem, problem, self.arcs.structure)
 
     def at(self, root: Root, values: Mapping[str, float]) -> Solution:
         """An extremal that was found as a solution of the problem with these values, unverified."""
         problem = self.solution.problem.with_given(**values)
-        own = problem if self.arcs is None else renumbered(self.problem, problem, self.arcs.structure)
+        own = self._own(problem)
         statistics = Statistics(rung="guess", iterations=len(root.history))
         extremal = found_at(self.shooting, own, root)
         found = composed(self.solution.method, own, self.shooting.conditions, [extremal], statistics)

@@ -27,15 +27,15 @@ _SLACK = 1e-9  # by which a limit may be missed, or a multiplier be on the wrong
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of the free parameters, then of the ranges, canonical; infinite where there is none."""
+    """Limits of free parameters, then of ranges, canonical, (k,) or (lanes, k); infinite where there is none."""
 
-    lower: Vector
-    upper: Vector
+    lower: Vector | Matrix
+    upper: Vector | Matrix
 
     @property
     def count(self) -> int:
-        """How many limits there are."""
-        return int(np.isfinite(self.lower).sum() + np.isfinite(self.upper).sum())
+        """How many limits there are, of a lane at most."""
+        return int((np.isfinite(self.lower).sum(axis=-1) + np.isfinite(self.upper).sum(axis=-1)).max())
 
     def without(self, index: int | None) -> Limits:
         """The same without those of one free parameter."""
@@ -56,7 +56,7 @@ class Limits:
     def revised(self, shooting: Shooting, roots: Roots) -> Matrix:
         """What should be held at each of the roots instead, (lanes, choice); their own choice where all may stay."""
         values, rises = shooting.held_values(roots)
-        count = len(self.lower)
+        count = self.lower.shape[-1]
         within = (values >= self.lower) & (values <= self.upper)
         if np.count_nonzero(within) == within.size and not np.count_nonzero(roots.choice[:, :count]):
             return roots.choice

@@ -39,6 +39,7 @@ from perilune.structures.structure import (
     without_bounds,
 )
 from perilune.words.outcome import PeriluneError
+from perilune.words.units import told_range
 
 _ENDLESS = 1e6  # canonical units of time: what a free duration without an upper bound may last
 
@@ -74,9 +75,7 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True, va
 
 
 def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Problem:
-    """What `restate` returns, from what it returned of a problem that differs in values of its parameters alone.
-
-    Nothing is traced again.
+    """What `restate` returns, from what it returned of a problem of other values alone: nothing is traced again.
 
     Parameters
     ----------
@@ -84,11 +83,38 @@ def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Pro
         Of that other problem, with the arcs of the structure.
     problem, structure
         As for `restate`.
+
+    Raises
+    ------
+    PeriluneError
+        If the range of a duration that is a sum is none there any more, or one value, or becomes one.
     """
     given = {**{name: g for name, g in restated.given.items() if name not in problem.given}, **problem.given}
     given = MappingProxyType({name: given[name] for name in restated.given})  # in its order
-    free = tuple(_Restated(problem, structure, True).free())
-    return restated.changed(given=given, free=free, structure=restated.structure)
+    free, phases = _Restated(problem, structure, True).free(), _summed_anew(restated, problem, structure)
+    return restated.changed(phases=tuple(phases), given=given, free=tuple(free), structure=restated.structure)
+
+
+def _summed_anew(restated: Problem, problem: Problem, structure: Structure) -> Sequence[Phase]:
+    """The phases of `renumbered`: ranges of durations that are sums, which end conditions state, may have moved."""
+    phases, most = list(restated.phases), {f.name: f.upper for f in restated.free}
+    for name, k in summed(problem, structure).items():
+        of, at = problem.free[problem.free_names.index(name)], sum(map(len, structure.phases[: k + 1])) - 1
+        one, (lower, upper), stated = of.lower == of.upper, _range_of_sum(of), phases[at].end_conditions
+        if stated and (was := stated[-1]).name == name:
+            alike = not one if was.ranged else one and most[part_durations(problem, structure, k)[0]] == upper
+            if was.ranged and alike and (was.lower, was.upper) != (lower, upper):
+                phases[at] = replace(phases[at], end_conditions=(*stated[:-1], replace(was, lower=lower, upper=upper)))
+        else:
+            alike = not (math.isfinite(lower) or math.isfinite(upper))
+        if not alike:
+            what = f"the range of {name} is of another kind there: none, one value, or between bounds"
+            raise PeriluneError(what, got=told_range((lower, upper), of.unit), advice="solve there from nothing")
+    return restated.phases if all(new is old for new, old in zip(phases, restated.phases, strict=True)) else phases
+
+
+def _range_of_sum(of: Free) -> tuple[float, float]:
+    return (of.lower if of.lower > 0 else -math.inf), of.upper  # none of the durations is negative
 
 
 def refuse_unsaid(restated: Problem, problem: Problem, structure: Structure, varied: Collection[str] = ()) -> None:
@@ -310,9 +336,9 @@ class _Restated:
                 total = recorder.do("sub", total, of.lower)
                 yield Variable(name=name, unit="s"), Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
                 return
-            lower = of.lower if of.lower > 0 else -math.inf
-            if math.isfinite(lower) or math.isfinite(of.upper):
-                whole = Variable(name=name, unit="s", lower=lower, upper=of.upper)
+            lower, upper = _range_of_sum(of)
+            if math.isfinite(lower) or math.isfinite(upper):
+                whole = Variable(name=name, unit="s", lower=lower, upper=upper)
                 yield whole, Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
             return
         said = _sum(recorder, self.sums[name]) if name in self.sums else recorder.input("p", name)
