@@ -213,6 +213,21 @@ def test_answers_are_those_of_a_solve_from_nothing(atlas: Atlas) -> None:
         assert found.results["landed_mass"].value == pytest.approx(-alone.objective, rel=1e-10)
 
 
+def test_one_lane_is_polished_as_it_is_among_many_and_stays_as_it_was_found(atlas: Atlas) -> None:
+    """Arrays of one lane are used again; a lane that Newton's method leads nowhere is told so in both."""
+    charted, points = atlas.charted[0], RNG(2).uniform([430.0, 270.0], [450.0, 310.0], (12, 2))
+    guess, which = atlas.begins(points)[0][:, 2:] * RNG(3).choice([1.0, 1.2], (12, 1)), np.zeros(12, dtype=np.int64)
+    values = points / charted.chart.scale
+    together = charted.polish(values, which, guess)
+    alone = [charted.polish(values[i : i + 1], which[:1], guess[i : i + 1]) for i in range(12)]
+    assert 0 < together.reached.sum() < 12
+    for name in ("y", "choice", "course", "told", "passed", "slopes", "reached"):
+        np.testing.assert_array_equal(
+            np.vstack([getattr(one, name) for one in alone]).squeeze(), np.vstack(getattr(together, name)).squeeze()
+        )
+    np.testing.assert_array_equal(np.vstack([one.flown.shown for one in alone]), together.flown.shown)
+
+
 def test_the_answer_jumps_where_the_retro_burn_stops_paying(atlas: Atlas) -> None:
     below, above = (atlas.query(vehicle_thrust=440.0, retro_specific_impulse=JUMP + by) for by in (-0.01, 0.01))
     assert below.free["retro_delta_v"] == 0.0 and above.free["retro_delta_v"] == pytest.approx(1086.0, abs=2.0)

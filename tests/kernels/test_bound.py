@@ -161,6 +161,12 @@ def test_rows_may_lie_apart_in_an_argument(backend: str) -> None:
         np.testing.assert_array_equal(evaluate(part)[0], 2 * part)
 
 
+def test_one_row_beside_none_is_evaluated_for_none(backend: str) -> None:
+    a, b = ca.SX.sym("a", 2), ca.SX.sym("b", 3)
+    evaluate = compile_map(ca.Function("f", [a, b], [a, b]), backend=backend)
+    assert [out.shape for out in evaluate(np.zeros((0, 2)), np.ones((1, 3)))] == [(0, 2), (0, 3)]
+
+
 def test_wrong_arguments_of_an_evaluation_are_named(backend: str) -> None:
     evaluate = compile_map(landing_rhs(), backend=backend)
     for arguments in ((start(),), (start(), PARAMETERS[None, :1]), (start(), PARAMETERS)):

@@ -141,20 +141,20 @@ class Chart:
         return [self.free.free_names.index(name) for name in self.names]
 
     @cached_property
-    def _chosen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def chosen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Of the parameters in a choice: their masks, and their values."""
         at = np.array(self.varied_at)
         return at, self.shooting.plan.held + at
 
     @cached_property
-    def _held_at(self) -> NDArray[np.int64]:
+    def held_at(self) -> NDArray[np.int64]:
         """Their places among the unknowns that Newton moves."""
         return self.shooting.plan.at_free + np.array(self.varied_at)
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """Of the other unknowns among those that Newton moves."""
-        return np.setdiff1d(np.arange(len(self.shooting.plan.active)), self._held_at)
+        return np.setdiff1d(np.arange(len(self.shooting.plan.active)), self.held_at)
 
     @cached_property
     def active(self) -> NDArray[np.int64]:
@@ -164,7 +164,7 @@ class Chart:
     @cached_property
     def _held(self) -> NDArray[np.int64]:
         """Places of the parameters among all unknowns."""
-        return self.shooting.plan.active[self._held_at]
+        return self.shooting.plan.active[self.held_at]
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
@@ -175,7 +175,7 @@ class Chart:
         """What is held in each lane: the parameters at their values, and `holds` of all others."""
         choice = np.empty((len(values), 2 * self.shooting.plan.held))
         choice[:] = holds.choice
-        choice[:, self._chosen[0]], choice[:, self._chosen[1]] = 1.0, values
+        choice[:, self.chosen[0]], choice[:, self.chosen[1]] = 1.0, values
         return choice
 
     def whole(self, values: Matrix, y: Matrix) -> Matrix:

@@ -13,7 +13,7 @@ Problems*, Springer 2011, section 2.1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart, orientation
 from perilune.atlas.march import Seen
-from perilune.atlas.reflight import Reflights, Reflown
+from perilune.atlas.reflight import Reflight, Reflights, Reflown
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.atlas.standing import SLACK, all_of
 from perilune.kernels import Map, compile_map
@@ -33,8 +33,10 @@ _MOST = 6  # steps
 _SHRINKS = 0.25  # by so much at least from step to step
 _CLOSE = 1e-10  # relative: farther from the extremal y makes another step
 _FLOWN = 1e-6  # canonical, by which the second flight of what breaks the path may miss its ends
-# Columns of what is told: answers, doubtful, breaking, short and gains; whether to fly once more; `bound` and `away`.
-_FLAGS, _POOR, _BOUND, _AWAY = slice(5), 5, 6, 7
+# Of Newton's method: its last step, whether all have shrunk, whether it goes on, and how many there were.
+_LENGTH, _SHRINKING, _GOING, _STEPS = range(4)
+# What is told of an extremal: see `Polished`; whether to fly once more.
+_ANSWERS, _DOUBTFUL, _BREAKING, _SHORT, _GAINS, _POOR, _BOUND, _AWAY = range(8)
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
 
 
@@ -48,50 +50,92 @@ class Polished:
         All unknowns of the chart behind the last step, (lanes, size).
     choice
         What they hold.
-    cost, slopes
-        J there, and dJ/dp of the axes, canonical, as the second flight has them.
+    course
+        How Newton's method went: columns `_LENGTH` and so on.
+    told
+        What is told of them: columns `_ANSWERS` and so on.
+    passed
+        1 for bounds that they lie beyond.
+    slopes
+        dJ/dp of the axes, canonical, as the second flight has them.
     reached
         Whether Newton's method converged to an extremal of the sheet.
-    answers
-        Whether that keeps its bounds and the path, and its second flight ends where it should.
-    steps
-        Of Newton's method.
-    bound
-        How far y can be from the extremal, relative.
-    away
-        How far what the cell gave was from it, relative.
-    doubtful
-        Whether it might be an answer all the same: not reached, or within its sheet but not borne out by its second
-        flight.
-    breaking
-        Whether it is an extremal of its sheet but for breaking the path: a flight that keeps that may still be better
-        than other sheets.
-    short
-        Whether it is an extremal but for an arc that is shorter than nothing: it becomes another there.
-    beyond
-        Which bounds of what the user states it lies beyond, being an extremal but for that, as `Borders.beyond` has
-        them: a flight that is held there may still be better.
-    gains
-        Whether it can be flown, but would gain by leaving what it holds: there is a flight that is better still.
     flown
-        Its second flight.
+        Their second flights.
     """
 
     y: Matrix
     choice: Matrix
-    cost: Vector
+    course: Matrix
+    told: Matrix
+    passed: Matrix
     slopes: Matrix
     reached: NDArray[np.bool_]
-    answers: NDArray[np.bool_]
-    doubtful: NDArray[np.bool_]
-    breaking: NDArray[np.bool_]
-    short: NDArray[np.bool_]
-    beyond: NDArray[np.bool_]
-    gains: NDArray[np.bool_]
-    steps: NDArray[np.int64]
-    bound: Vector
-    away: Vector
     flown: Reflown
+
+    def copy(self) -> Polished:
+        """In arrays of its own."""
+        names = "y", "choice", "course", "told", "passed"
+        return replace(self, **{name: getattr(self, name).copy() for name in names}, flown=self.flown.copy())
+
+    @property
+    def cost(self) -> Vector:
+        """J, canonical, as the second flight has it."""
+        return self.flown.seen.cost
+
+    @property
+    def steps(self) -> Vector:
+        """Of Newton's method."""
+        return self.course[:, _STEPS]
+
+    @property
+    def answers(self) -> NDArray[np.bool_]:
+        """Whether they keep their bounds and the path, and their second flights end where they should."""
+        return self.told[:, _ANSWERS] > 0.0
+
+    @property
+    def doubtful(self) -> NDArray[np.bool_]:
+        """Whether they might be answers all the same.
+
+        Not reached, or within their sheet but not borne out by their second flights.
+        """
+        return self.told[:, _DOUBTFUL] > 0.0
+
+    @property
+    def breaking(self) -> NDArray[np.bool_]:
+        """Whether they are extremals of their sheets but for breaking the path.
+
+        A flight that keeps that may still be better than other sheets.
+        """
+        return self.told[:, _BREAKING] > 0.0
+
+    @property
+    def short(self) -> NDArray[np.bool_]:
+        """Whether they are extremals but for an arc that is shorter than nothing: they become others there."""
+        return self.told[:, _SHORT] > 0.0
+
+    @property
+    def gains(self) -> NDArray[np.bool_]:
+        """Whether they can be flown, but would gain by leaving what they hold: there is a flight that is better."""
+        return self.told[:, _GAINS] > 0.0
+
+    @property
+    def beyond(self) -> NDArray[np.bool_]:
+        """Which bounds of what the user states they lie beyond, being extremals but for that, as `Borders.beyond`.
+
+        A flight that is held there may still be better.
+        """
+        return self.passed > 0.0
+
+    @property
+    def bound(self) -> Vector:
+        """How far y can be from the extremal, relative."""
+        return self.told[:, _BOUND]
+
+    @property
+    def away(self) -> Vector:
+        """How far what the cell gave was from it, relative."""
+        return self.told[:, _AWAY]
 
 
 class Polisher:
@@ -103,8 +147,9 @@ class Polisher:
         self.reflights: Reflights = reflights
         self.sheets: Sequence[Sheet] = sheets
         self.orientations: Vector = np.array([sheet.orientation for sheet in sheets])
-        self._sides: Matrix = borders.sides(sheets)
-        self._p, self._multipliers = chart.p[None], [nu for _, nu in chart.conditions.ranges]
+        self.sides: Matrix = borders.sides(sheets)
+        self.multipliers: list[int] = [nu for _, nu in chart.conditions.ranges]
+        self._idle = list[_Polish]()
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
         """Polish.
@@ -118,86 +163,86 @@ class Polisher:
         guess
             Unknowns, (lanes, n).
         """
-        chart, plan, count = self.chart, self.chart.shooting.plan, len(values)
-        limits = self.borders.at(values)
-        sides = self._sides[which]
-        holds = self.borders.held(sides, values, limits)
-        choice = chart.choice(values, holds)
-        y, length, steps = chart.whole(values, guess), np.full(count, _LOST), np.zeros(count, dtype=np.int64)
-        going = shrinking = np.ones(count, dtype=bool)
-        for number in range(1, _MOST + 1):  # a lane that is done stands still
-            roots = chart.shooting.at(y, chart.p, choice)
-            steps[going] = number
-            now = roots.rows[:, 2] / (1.0 + roots.rows[:, 3])
-            shrinking = shrinking & (~going | (now <= _SHRINKS * length))
-            length, going = now, going & shrinking & (now > _DONE)
-            if not going.any():
-                break
-            y[going[:, None] & plan.moved] += roots.rows[going, plan.columns.step].ravel()
-        inverse = roots.rows[:, plan.columns.inverse]
-        turned = orientation(inverse.reshape(-1, plan.columns.n, plan.columns.n))
-        reached = shrinking & (length <= _DONE) & (turned == self.orientations[which])
-        y[reached[:, None] & plan.moved] += roots.rows[reached, plan.columns.step].ravel()
-        self._exactly(y, choice)
-        flown = self.reflights(y, self._p, choice)
-        known = inverse, guess, reached[:, None].astype(float), sides, *limits
-        left, told, beyond = self._told(y, choice, *flown.rows, *known)
-        if (poor := np.nonzero(told[:, _POOR])[0]).size:  # what it misses says where to
-            y[poor[:, None], plan.active] -= left[poor]
-            self._exactly(y, choice)
-            flown.replace(poor, self.reflights.finer(y[poor], self._p, choice[poor]))
-            left, told, beyond = self._told(y, choice, *flown.rows, *known)
-        slopes = flown.rates[:, chart.varied_at]
-        if holds.moves is not None:
-            rises = np.hstack([flown.rates, -y[:, self._multipliers]])
-            slopes = slopes + np.einsum("ldk,lk->ld", holds.moves, rises)
-        answers, doubtful, breaking, short, gains = (told[:, _FLAGS] > 0.0).T
-        return Polished(
-            y=y,
-            choice=choice,
-            cost=flown.seen.cost,
-            slopes=slopes,
-            reached=reached,
-            answers=answers,
-            doubtful=doubtful,
-            breaking=breaking,
-            short=short,
-            beyond=beyond > 0.0,
-            gains=gains,
-            steps=steps,
-            bound=told[:, _BOUND],
-            away=told[:, _AWAY],
-            flown=flown,
-        )
-
-    def _exactly(self, y: Matrix, choice: Matrix) -> None:
-        """Put free parameters that are held where they are held: the last bit of a step is Newton's."""
-        plan = self.chart.shooting.plan
-        held = choice[:, : plan.free] > 0
-        np.copyto(y[:, self.chart.conditions.free_at], choice[:, plan.held : plan.held + plan.free], where=held)
+        if len(values) != 1:
+            return _Polish(self, len(values))(values, which, guess)
+        try:
+            one = self._idle.pop()  # of one lane, which is asked again and again; pop and append are atomic
+        except IndexError:
+            one = _Polish(self, 1)
+        polished = one(values, which, guess).copy()
+        self._idle.append(one)
+        return polished
 
     @cached_property
-    def _told(self) -> Map:
+    def opening(self) -> Map:
+        """How Newton's method begins.
+
+        (values, guess, sides, lower and upper bounds) -> what is held, unknowns that Newton moves, `Polished.course`.
+        """
+        chart, plan, s = self.chart, self.chart.shooting.plan, self.borders.symbols
+        values, guess = ca.SX.sym("values", len(chart.names)), ca.SX.sym("guess", len(chart.active))
+        masks, at = ca.fabs(s.side), ca.if_else(s.side > 0, s.lower, ca.if_else(s.side < 0, s.upper, 0))
+        places = chart.varied_at
+        masks[places], at[places] = 1.0, values
+        choice, y = ca.vertcat(masks, at), ca.SX.zeros(len(plan.active))
+        y[chart.places.tolist()], y[chart.held_at.tolist()] = guess, values
+        first = ca.DM([_LOST, 1.0, 1.0, 0.0])
+        found = choice, self._exactly(y, choice), first
+        given = [values, guess, s.side, s.lower, s.upper]
+        return compile_map(ca.Function("opening", given, [ca.densify(x) for x in found]))
+
+    @cached_property
+    def advance(self) -> Map:
+        """What an evaluation leads to.
+
+        (row, unknowns that Newton moves, what is held, `Polished.course`) -> unknowns and course behind its step, where
+        it goes on; and all unknowns behind the last step, with whether it has converged.
+        """
+        plan = self.chart.shooting.plan
+        row, y = ca.SX.sym("row", plan.columns.width), ca.SX.sym("y", len(plan.active))
+        choice, course = ca.SX.sym("choice", 2 * plan.held), ca.SX.sym("course", 4)
+        length, shrinking, going, steps = ca.vertsplit(course)
+        now = row[2] / (1.0 + row[3])
+        shrinks = ca.logic_and(shrinking, ca.logic_or(ca.logic_not(going), now <= _SHRINKS * length))
+        goes = all_of(going, shrinks, now > _DONE)
+        close = ca.logic_and(shrinks, now <= _DONE)
+        stepped = self._exactly(y + row[plan.columns.step], choice)
+        whole = ca.SX.zeros(plan.size)
+        whole[plan.active.tolist()] = self._exactly(ca.if_else(close, stepped, y), choice)
+        found = ca.if_else(goes, stepped, y), ca.vertcat(now, shrinks, goes, steps + going), whole, close
+        return compile_map(ca.Function("advance", [row, y, choice, course], [ca.cse(ca.densify(x)) for x in found]))
+
+    def _exactly(self, y: ca.SX, choice: ca.SX) -> ca.SX:
+        """With free parameters that are held exactly where they are held: the last bit of a step is Newton's."""
+        plan, found = self.chart.shooting.plan, ca.SX(y)
+        for i in range(plan.free):
+            at = plan.at_free + i
+            found[at] = ca.if_else(choice[i] > 0, choice[plan.held + i], y[at])
+        return found
+
+    @cached_property
+    def told(self) -> Map:
         """What second flights and inverse Jacobians say of lanes.
 
-        (y, choice, rows of `Reflown`, J^-1, guess, reached, sides, lower and upper bounds) -> J^-1 h of what is left,
-        numbers at `_BOUND` and so on, and which `Borders.bounds` it lies beyond.
+        (y, choice, rows of `Reflown`, J^-1, guess, reached, sides, lower and upper bounds) -> y behind a step of what
+        is left, `Polished.told`, and `Polished.passed`.
         """
         chart, plan, borders, s = self.chart, self.chart.shooting.plan, self.borders, self.borders.symbols
         n = len(plan.active)
         y, choice = ca.SX.sym("y", plan.size), ca.SX.sym("choice", 2 * plan.held)
         sizes = {"residuals": len(chart.conditions.residuals), "shown": len(Seen._fields)}
-        sizes |= {"rates": plan.free, "ranges": len(self._multipliers)}
+        sizes |= {"rates": plan.free, "ranges": len(self.multipliers)}
         rows = [ca.SX.sym(name, size) for name, size in sizes.items()]
         residuals, seen, rates, ranges = rows[0], Seen(*ca.vertsplit(rows[1])), *rows[2:]
         inverse, guess = ca.SX.sym("inverse", n * n), ca.SX.sym("guess", len(chart.active))
         reached = ca.SX.sym("reached")
-        left = ca.mtimes(ca.reshape(inverse, n, n).T, residuals[plan.rows.tolist()])
+        left, mended = ca.mtimes(ca.reshape(inverse, n, n).T, residuals[plan.rows.tolist()]), ca.SX.zeros(plan.size)
+        mended[plan.active.tolist()] = self._exactly(y[plan.active.tolist()] - left, choice)
         found = y[chart.active.tolist()]
         scale = 1.0 + ca.norm_2(found)
         bound, away = 2.0 * ca.norm_2(left) / scale, ca.norm_2(found - guess) / scale
         free = chart.conditions.free_at
-        at, rises = ca.vertcat(y[free.start : free.stop], ranges), ca.vertcat(rates, -y[self._multipliers])
+        at, rises = ca.vertcat(y[free.start : free.stop], ranges), ca.vertcat(rates, -y[self.multipliers])
         s = s._replace(at=at, rises=rises, held=choice[: plan.held], touched=y[borders.touched])
         sound = seen.residual <= _FLOWN
         paying, kept = seen.pays >= -SLACK, seen.path >= -SLACK
@@ -213,4 +258,58 @@ class Polisher:
         beyond = ca.logic_and(flies, s.beyond(borders.users))
         told = ca.vertcat(answers, none, breaking, short, gains, poor, bound, away)
         given = [y, choice, *rows, inverse, guess, reached, s.side, s.lower, s.upper]
-        return compile_map(ca.Function("told", given, [ca.cse(ca.densify(x)) for x in (left, told, beyond)]))
+        return compile_map(ca.Function("told", given, [ca.cse(ca.densify(x)) for x in (mended, told, beyond)]))
+
+
+class _Polish:
+    """The polish of so many lanes, bound to arrays."""
+
+    def __init__(self, own: Polisher, lanes: int) -> None:
+        chart, plan = own.chart, own.chart.shooting.plan
+        self._own, p = own, chart.p[None]
+        sizes = len(chart.names), len(chart.active), plan.held, plan.columns.width, 1
+        arrays = [np.empty((lanes, size)) for size in sizes]
+        self._values, self._guess, self._sides, self._row, self._reached = values, guess, sides, row, reached = arrays
+        limits, self._limits = own.borders.bind(values)
+        self._opening = own.opening.bind(values, guess, sides, *limits)
+        self._choice, self._y, self._course = self._opening.outputs
+        self._flight = chart.shooting.bind(self._y, p, self._choice)
+        self._advance = own.advance.bind(row, self._y, self._choice, self._course)
+        whole, self._inverse = self._advance.outputs[2], row[:, plan.columns.inverse]
+        self._reflight = Reflight(own.reflights, whole, p, self._choice, own.reflights.times)
+        known = self._inverse, guess, reached, sides, *limits
+        self._told = own.told.bind(whole, self._choice, *self._reflight.rows, *known)
+
+    def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
+        """See `Polisher`; the next call may overwrite what is returned."""
+        own = self._own
+        self._values[:], self._guess[:], self._sides[:] = values, guess, own.sides[which]
+        self._limits()
+        self._opening()
+        y, course, whole, close = self._advance.outputs
+        for number in range(_MOST):  # a lane that is done stands still
+            if number:
+                self._y[:], self._course[:] = y, course
+            self._row[:] = self._flight()
+            self._advance()
+            if not course[:, _GOING].any():
+                break
+        n = own.chart.shooting.plan.columns.n
+        turned = orientation(self._inverse.reshape(-1, n, n))
+        reached = (close[:, 0] > 0.0) & (turned == own.orientations[which])
+        self._reached[:, 0] = reached
+        flown = self._reflight()
+        self._told()
+        mended, told, passed = self._told.outputs
+        if (poor := np.nonzero(told[:, _POOR])[0]).size:  # what it misses says where to
+            whole[poor] = mended[poor]
+            flown.replace(poor, own.reflights.finer(whole[poor], own.chart.p[None], self._choice[poor]))
+            self._told()
+        slopes = flown.rates[:, own.chart.varied_at]
+        if (moves := own.borders.moves(self._sides, values)) is not None:
+            rises = np.hstack([flown.rates, -whole[:, own.multipliers]])
+            slopes = slopes + np.einsum("ldk,lk->ld", moves, rises)
+        return Polished(
+            y=whole, choice=self._choice, course=course, told=told, passed=passed, slopes=slopes, reached=reached,
+            flown=flown,
+        )  # fmt: skip

@@ -158,14 +158,14 @@ class Atlas(Reader):
 
     def _offers(self, at: Vector) -> list[Offer]:
         """What the cells in which a point lies give of sheets that can be answers, the least J first."""
-        place = self.region.brick_of(at)
-        low, high = self.region.box(place)
-        inside, offers = (at - low) / (high - low) * WHOLE, list[Offer]()
-        where, part = inside.tolist(), (high - low) / (self.region.high - self.region.low) / WHOLE
+        place, offers = self.region.brick_of(at), list[Offer]()
+        low, width, part = self._extents(place)
+        inside = (at - low) / width * WHOLE
+        where = inside.tolist()
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
                 continue
-            step, canonical = (high - low) / WHOLE / charted.chart.scale, (at / charted.chart.scale)[None]
+            step, canonical = width / WHOLE / charted.chart.scale, (at / charted.chart.scale)[None]
             for sheet, root in brick.minima:
                 cell = brick.leaf(root, where)
                 status = brick.status[cell]
@@ -184,6 +184,13 @@ class Atlas(Reader):
                     if charted.short(canonical, given[None, :-1])[0]:
                         offers.append(Offer(charted, sheet, given[:-1], float(given[-1]), low, breaks=True, short=True))
         return sorted(offers, key=lambda offer: offer.cost)
+
+    def _extents(self, place: tuple[int, ...]) -> tuple[Vector, Vector, Vector]:
+        """The low corner of a brick, its width, and that of the smallest cells in parts of the region."""
+        if place not in self._boxes:
+            low, high = self.region.box(place)
+            self._boxes[place] = low, high - low, (high - low) / (self.region.high - self.region.low) / WHOLE
+        return self._boxes[place]
 
     def _become(
         self, at: Vector, best: Offer | None, turns: Sequence[Offer], breaking: Sequence[Offer], tried: list[Offer]

@@ -160,6 +160,7 @@ class Reader:
         self.region: Region = survey_region(self._first, self.survey)
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
+        self._boxes: dict[tuple[int, ...], tuple[Vector, Vector, Vector]] = {}
         for name in ("allowed", "charted", "descents", "_surveyed"):
             self.__dict__.pop(name, None)
 

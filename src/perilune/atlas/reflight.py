@@ -37,6 +37,9 @@ _MOST, _EXACT = 32, 1e-11  # times as many, and what the end of a phase may be w
 _FINER = 4  # times as many for a lane that misses something by as little as coarse steps may
 
 
+Arcs = tuple[Lanes, tuple[int, ...]]  # lanes, and the modes that they go through in a phase
+
+
 @dataclass(frozen=True, kw_only=True)
 class Reflown:
     """What second flights show, in lanes; canonical.
@@ -94,6 +97,11 @@ class Reflown:
         words = max(against, key=lambda name: against[name])
         return f"{words} {against[words]:.1e} (canonical; limit {SLACK:g})"
 
+    def copy(self) -> Reflown:
+        """In arrays of its own."""
+        residuals, shown, rates, ranges = (array.copy() for array in self.rows)
+        return Reflown(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=self.arcs)
+
     def replace(self, lanes: Lanes, by: Reflown) -> None:
         """Put other flights of the same arcs in the place of some."""
         for own, other in zip(self.rows, by.rows, strict=True):
@@ -124,20 +132,14 @@ class Reflights:
         self.chart: Chart = chart
         self.conditions: Conditions = chart.conditions
         self.times: tuple[int, ...] = tuple(times) or (1,) * len(self.conditions.phases)
+        self._idle: dict[tuple[int, ...], list[tuple[tuple[Matrix, Matrix, Matrix], Reflight]]] = {}
+        self._begun: dict[int, Map] = {}
         self._marches: dict[tuple[int, int], Map] = {}
         self._jumps: dict[tuple[int, int], Map] = {}
 
     @cached_property
     def _rides(self) -> Rides:
         return Rides(self.chart)
-
-    @cached_property
-    def _begun(self) -> list[Map]:
-        return [compile_map(begun(self.conditions, k)) for k in range(len(self.conditions.phases))]
-
-    @cached_property
-    def _ended(self) -> Map:
-        return compile_map(ended(self.conditions, self._rides))
 
     @cached_property
     def _modes(self) -> list[Map]:
@@ -162,58 +164,85 @@ class Reflights:
         found = self._flown(y, p, choice, self.times)
         if (poor := np.nonzero(found.seen.nearly)[0]).size:
             numbers = p if len(p) == 1 else p[poor]
-            found.replace(poor, self._flown(y[poor], numbers, choice[poor], [_FINER * times for times in self.times]))
+            found.replace(
+                poor, self._flown(y[poor], numbers, choice[poor], tuple(_FINER * times for times in self.times))
+            )
         return found
 
-    def _flown(self, y: Matrix, p: Matrix, choice: Matrix, times: Sequence[int]) -> Reflown:
-        free, before, states = y[:, self.conditions.free_at], np.zeros((len(y), 0)), list[Matrix]()
-        gone = list[tuple[int, Lanes, tuple[int, ...]]]()
-        for k in range(len(self.conditions.phases)):
-            before, arcs = self._along(k, y, before, p, free, times[k])
-            states.append(before)
-            gone += [(k, *arc) for arc in arcs]
-        residuals, shown, rates, ranges = self._ended(y, p, choice, *states)
-        return Reflown(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=tuple(gone))
+    def _flown(self, y: Matrix, p: Matrix, choice: Matrix, times: tuple[int, ...]) -> Reflown:
+        if len(y) != 1:
+            return Reflight(self, y, p, choice, times)()
+        idle = self._idle.setdefault(times, [])  # of one lane; pop and append are atomic
+        try:
+            given, one = idle.pop()
+        except IndexError:
+            given = y.copy(), p.copy(), choice.copy()
+            one = Reflight(self, *given, times)
+        for own, array in zip(given, (y, p, choice), strict=True):
+            own[:] = array
+        flown = one().copy()
+        idle.append((given, one))
+        return flown
 
     def fine_enough(self, y: Matrix, p: Matrix) -> tuple[int, ...]:
         """How many times `STEPS` each phase needs, so that twice as many end at the same; for extremals, (lanes, n)."""
-        free, before, found = y[:, self.conditions.free_at], np.zeros((len(y), 0)), list[int]()
+        before, found = np.zeros((len(y), 0)), list[int]()
+
+        def flown(k: int, times: int) -> Matrix:
+            leg = _Leg(self, k, (y, p, before), times)
+            leg()
+            return leg.state
+
         for k, extremal in enumerate(self.conditions.phases):
             times, wrong, size = 1, np.inf, extremal.half if extremal.settles else 2 * extremal.half
-            fine, _ = self._along(k, y, before, p, free, times)
+            fine = flown(k, times)
             while wrong > _EXACT and times < _MOST:
                 coarse, times = fine[:, :size], 2 * times
-                fine, _ = self._along(k, y, before, p, free, times)
+                fine = flown(k, times)
                 away = np.abs(fine[:, :size] - coarse) / (1.0 + np.abs(fine[:, :size]))
                 wrong = float(np.fmax.reduce(away, axis=None))
             found.append(times // 2 if wrong <= _EXACT else times)
             before = fine
         return tuple(found)
 
-    def _along(
-        self, k: int, y: Matrix, before: Matrix, p: Matrix, free: Matrix, times: int
-    ) -> tuple[Matrix, list[tuple[Lanes, tuple[int, ...]]]]:
-        """Fly one phase: the state of its march at the end, and lanes with the modes that they go through."""
-        state, z, duration = self._begun[k](y, p, before)
-        arcs, last = list[tuple[Lanes, tuple[int, ...]]](), state.shape[1] - len(NOTHING_SEEN)
-        for lanes, pieces in self._sequences(k, z, duration[:, 0], p):
+    def begun(self, k: int) -> Map:
+        """See `march.begun`."""
+        if k not in self._begun:
+            self._begun[k] = compile_map(begun(self.conditions, k))
+        return self._begun[k]
+
+    @cached_property
+    def ended(self) -> Map:
+        """See `march.ended`."""
+        return compile_map(ended(self.conditions, self._rides))
+
+    def march(self, k: int, mode: int) -> Map:
+        """`STEPS` steps of a phase in a mode."""
+        if (k, mode) not in self._marches:
+            step = step_settling if self.conditions.phases[k].settles else step_along
+            self._marches[k, mode] = compile_map(step(self._rides, k, mode), times=STEPS)
+        return self._marches[k, mode]
+
+    def over_switches(
+        self, k: int, state: Matrix, z: Matrix, duration: Vector, p: Matrix, free: Matrix, times: int
+    ) -> list[Arcs]:
+        """March a phase that may switch from its start, in place: lanes with the modes that they go through."""
+        arcs, last = list[Arcs](), state.shape[1] - len(NOTHING_SEEN)
+        for lanes, pieces in self._sequences(k, z, duration, p):
             numbers, chosen, here = p if len(p) == 1 else p[lanes], free[lanes], state[lanes]
             for piece in pieces:
-                march, length = self._march(k, piece.mode), piece.length[:, None] / (STEPS * times)
+                march, length = self.march(k, piece.mode), piece.length[:, None] / (STEPS * times)
                 for _ in range(times):
                     here = march(here, numbers, chosen, length)[0]
                 if piece.jump is not None:
                     here[:, :last] = piece.jump(np.ascontiguousarray(here[:, :last]), numbers)[0]
             arcs.append((lanes, tuple(piece.mode for piece in pieces)))
             state[lanes] = here
-        return state, arcs
+        return arcs
 
     def _sequences(self, k: int, z: Matrix, duration: Vector, p: Matrix) -> Iterator[tuple[Lanes, list[_Piece]]]:
         """Lanes that go through the same modes, and their pieces between switches."""
         extremal = self.conditions.phases[k]
-        if not extremal.events:
-            yield np.arange(len(z)), [_Piece(0, duration, None)]
-            return
         first = self._modes[k](z, p)[0][:, 0]
         whole = equations(extremal, (), ())
         flown = engine(whole).propagate(z, p[:, whole.numbers], duration, mode=first)
@@ -231,8 +260,65 @@ class Reflights:
                 mode, at = event.switches.get(mode, mode), time
             yield lanes, [*pieces, _Piece(mode, duration[lanes] - at, None)]
 
-    def _march(self, k: int, mode: int) -> Map:
-        if (k, mode) not in self._marches:
-            step = step_settling if self.conditions.phases[k].settles else step_along
-            self._marches[k, mode] = compile_map(step(self._rides, k, mode), times=STEPS)
-        return self._marches[k, mode]
+
+class _Leg:
+    """One phase of second flights, bound to arrays: (unknowns, numbers, state at the end of the phase before).
+
+    Attributes
+    ----------
+    state
+        That is marched, at the end.
+    """
+
+    def __init__(self, own: Reflights, k: int, given: tuple[Matrix, Matrix, Matrix], times: int) -> None:
+        self._own, self._k, self._times = own, k, times
+        (y, self._p, _), self._steps = given, np.empty((len(given[0]), 1))
+        self._free = y[:, own.conditions.free_at]
+        self._begun = own.begun(k).bind(*given)
+        self._start, self._z, self._duration = self._begun.outputs
+        self._switches = bool(own.conditions.phases[k].events)
+        self._all: list[Arcs] = [(np.arange(len(y)), (0,))]
+        if self._switches:
+            self.state = self._start
+        else:
+            self._march = own.march(k, 0).bind(self._start, self._p, self._free, self._steps)
+            self.state = self._march.outputs[0]
+
+    def __call__(self) -> list[Arcs]:
+        """Fly it: lanes with the modes that they go through."""
+        self._begun()
+        if self._switches:
+            duration = self._duration[:, 0]
+            return self._own.over_switches(self._k, self.state, self._z, duration, self._p, self._free, self._times)
+        np.divide(self._duration, STEPS * self._times, out=self._steps)
+        self._march()
+        for _ in range(1, self._times):
+            self._start[:] = self.state
+            self._march()
+        return self._all
+
+
+class Reflight:
+    """Second flights bound to arrays, which are read at each call: those of `Reflights.__call__`, and its `times`.
+
+    Attributes
+    ----------
+    rows
+        Those of what they show, overwritten by the next call.
+    """
+
+    def __init__(self, own: Reflights, y: Matrix, p: Matrix, choice: Matrix, times: Sequence[int]) -> None:
+        self._legs, before = list[_Leg](), np.zeros((len(y), 0))
+        for k in range(len(own.conditions.phases)):
+            leg = _Leg(own, k, (y, p, before), times[k])
+            self._legs.append(leg)
+            before = leg.state
+        self._ended = own.ended.bind(y, p, choice, *(leg.state for leg in self._legs))
+        self.rows: tuple[Matrix, ...] = self._ended.outputs
+
+    def __call__(self) -> Reflown:
+        """Fly them."""
+        arcs = [(k, *arc) for k, leg in enumerate(self._legs) for arc in leg()]
+        self._ended()
+        residuals, shown, rates, ranges = self.rows
+        return Reflown(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=tuple(arcs))

@@ -9,7 +9,7 @@ sheet, and whether a root may be an answer is asked at the point itself.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -128,6 +128,20 @@ class Borders:
                 self._state(p, lower[lane : lane + 1], upper[lane : lane + 1])
         return lower, upper
 
+    def bind(self, values: Matrix) -> tuple[Limits, Callable[[], None]]:
+        """Bounds, and what fills them in anew for values of the parameters, which are read at each call."""
+        if self._told and self._traced is not None:
+            bound = self._traced.bind(values, self._numbers)
+            lower, upper = bound.outputs
+            return (lower, upper), bound
+        lower, upper = self.at(values)
+
+        def fill() -> None:
+            if self._told:
+                lower[:], upper[:] = self.at(values)
+
+        return (lower, upper), fill
+
     @cached_property
     def _traced(self) -> Map | None:
         """(values, canonical, and all that is given) -> lower and upper bounds, where what is stated can be traced."""
@@ -174,11 +188,8 @@ class Borders:
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix, limits: Limits | None = None
     ) -> Holds:
         """What each lane holds beside the parameters; `which` is each lane's sheet."""
-        return self.held(self.sides(sheets)[which], values, limits)
-
-    def held(self, sides: Matrix, values: Matrix, limits: Limits | None = None) -> Holds:
-        """The same of lanes whose `sides` are told."""
-        count, moves = sides.shape[1], None
+        sides = self.sides(sheets)[which]
+        count = sides.shape[1]
         out = np.zeros((len(values), 2 * count))
         if not sides.any():
             return Holds(out)
@@ -186,11 +197,16 @@ class Borders:
         out[:, :count] = np.abs(sides)
         np.copyto(out[:, count:], lower, where=sides > 0.0)
         np.copyto(out[:, count:], upper, where=sides < 0.0)
+        return Holds(out, self.moves(sides, values))
+
+    def moves(self, sides: Matrix, values: Matrix) -> NDArray[np.float64] | None:
+        """Derivatives by the parameters of what lanes hold at such sides, (lanes, d, k); None where all of it stays."""
+        found = None
         for i, at in self._moving:
             if (here := np.nonzero(sides[:, i] == (-1.0 if at else 1.0))[0]).size:
-                moves = np.zeros((len(values), len(self.chart.names), count)) if moves is None else moves
-                moves[here, :, i] = self._rates(values[here], i, at)
-        return Holds(out, moves)
+                found = np.zeros((len(values), len(self.chart.names), sides.shape[1])) if found is None else found
+                found[here, :, i] = self._rates(values[here], i, at)
+        return found
 
     @cached_property
     def _moving(self) -> set[tuple[int, int]]:

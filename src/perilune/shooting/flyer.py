@@ -179,11 +179,15 @@ class Fleet:
         """The plan as machine code."""
         return Code(self.plan)
 
+    def bind(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Flight:
+        """A flight of arrays that live as long."""
+        return Flight(self.code, Y, choice, p, accuracy, inverse)
+
     def fly(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
         """Rows of an evaluation; arguments as for `Flight`."""
         arguments, lanes = (Y, choice, p, accuracy, inverse), len(Y)
         if not 0 < lanes <= _FEW:
-            return Flight(self.code, *arguments)()
+            return self.bind(*arguments)()
         try:
             few = self._idle[lanes].pop()
         except IndexError:

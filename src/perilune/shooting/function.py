@@ -7,7 +7,7 @@ With several segments to a phase, the states at the joints are further unknowns 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -207,6 +207,18 @@ class Shooting:
         self.arcs += count * len(self.plan.legs)
         once, none = np.ones(count, dtype=np.int64), np.zeros(count, dtype=bool)
         return self._roots(Ends(y=y, rows=rows, converged=none, evaluations=once, iterations=1 - once), choice)
+
+    def bind(self, y: Matrix, p: Matrix, choice: Matrix) -> Callable[[], Matrix]:
+        """What `at` evaluates, bound to arrays that are read at each call: rows of an evaluation, (lanes, width).
+
+        Parameters
+        ----------
+        y
+            The unknowns that Newton's method moves, (lanes, n), with what is held where it is held.
+        p, choice
+            As for `at`, (lanes, ...) or (1, ...).
+        """
+        return self._fleet.bind(y, choice, p, np.full(len(y), FINEST), np.zeros((len(y), self.plan.columns.n**2)))
 
     def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
         """Of all lanes, by the unknowns that are not silent, (lanes, n, n); NaN where an arc could not be flown."""

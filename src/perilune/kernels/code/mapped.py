@@ -104,6 +104,8 @@ class Map:
         )
 
     def _interpreted(self, bound: BoundMap) -> Callable[[], None]:
+        if not bound.lanes:
+            return lambda: None
         function, cuts = self._flat.map(bound.lanes), np.cumsum(self._widths)[:-1]
 
         def evaluate() -> None:
@@ -158,8 +160,7 @@ def _evaluation(kernel: _Kernel, bound: BoundMap) -> Callable[[], Any]:
         entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0, a.shape[1]]
     call, table, groups = _rows_of_groups(), native.table(entries), -(-bound.lanes // _WIDTH)
     most = bound.lanes // _LANES_PER_THREAD
-    threads = min(os.cpu_count() or 1, most)
-    if threads <= 1:
+    if most <= 1 or (threads := min(os.cpu_count() or 1, most)) == 1:
         return partial(call, 0, groups, table)
     share = -(-groups // threads)
 
