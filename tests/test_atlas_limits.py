@@ -14,6 +14,7 @@ import perilune as pl
 from perilune import PeriluneError
 from perilune.atlas import building
 from perilune.atlas.chart import Chart, Holds
+from perilune.atlas.course import Course
 from perilune.atlas.extending import extend
 from perilune.atlas.query import open_atlas
 from perilune.atlas.sheets import Borders, Sheet
@@ -22,7 +23,9 @@ from perilune.models.landing import Orbit, hybrid_landing
 from perilune.models.vehicle import Retro, Vehicle
 from perilune.problem.extremal import Nature
 from perilune.problem.variables import Given, Variable
+from perilune.structures.structure import Arc, Structure
 from perilune.words.types import Matrix, Vector
+from problems.constrained import timed_bryson_denham
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 
@@ -211,6 +214,24 @@ def test_an_extremal_beyond_a_bound_is_followed_to_one_that_is_held_there(
     monkeypatch.setattr(brick, "minima", free)
     assert atlas.query(high=short).objective == pytest.approx(least)
     assert atlas.query_many(np.array([[short]])).objective[0] == pytest.approx(least)
+
+
+def test_a_sum_of_arcs_lies_between_bounds_that_follow_from_what_varies() -> None:
+    """A duration of several arcs, and each of them: all stayed within the bounds of the problem as it was stated."""
+    base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5)
+    problem = replace(
+        base, given={**base.given, "longest": Given(value=1.0, unit="s")},
+        ranges=lambda p, m: {"T": (0.5 * p.longest, p.longest, 0.9)},
+    )  # fmt: skip
+    rides = Structure(((Arc(until=0.3), Arc(until=0.7, along=("room",)), Arc()),))
+    borders = Borders(Chart(problem, ("longest",), np.array([0.4]), Course(structure=rides)))
+    at, second = borders.names.index("T"), borders.chart.problem.scales.time
+    for longest in ([0.8], [0.8, 1.1]):
+        lower, upper = borders.at(np.array(longest)[:, None] / borders.chart.scale)
+        assert (lower[:, at] * second).tolist() == pytest.approx([0.5 * each for each in longest])
+        for name in ("T", "T-1", "T-3"):
+            assert (upper[:, borders.names.index(name)] * second).tolist() == pytest.approx(longest)
+    assert {(at, 0), (at, 1)} <= borders._moving
 
 
 def lure(far: float = 0.3) -> pl.Problem:

@@ -27,6 +27,7 @@ from perilune.methods.starts import SIGNED
 from perilune.problem.extremal import Nature
 from perilune.problem.symbolic import SYMBOLIC, free_scales
 from perilune.shooting.active import limits_of
+from perilune.structures.restate import sums_of
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -96,10 +97,16 @@ class Borders:
         self._free_sizes = free_scales(problem.free, problem)
         self._given = {name: given.value for name, given in problem.given.items()}
         self._numbers = np.array([list(self._given.values())]).reshape(1, -1)
-        self._chosen = [  # what `Problem.ranges` may say of it
-            (i, f.name, self._free_sizes[i], bool(np.isfinite(lower[i])))
-            for i, f in enumerate(problem.free) if problem.ranges is not None and f.name not in chart.names
+        sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
+        part_of = {part: name for name, parts in sums.items() for part in parts}
+        chosen = [  # what `Problem.ranges` may say of it, or of what it is a part of
+            (i, part_of.get(f.name, f.name), self._free_sizes[i], f.name not in part_of and bool(np.isfinite(lower[i])))
+            for i, f in enumerate(problem.free) if f.name not in chart.names
+        ] + [
+            (i, c.name, problem.size_of(c), bool(np.isfinite(lower[i])))
+            for i, c in enumerate(self._ranged, plan.free) if c.name in sums
         ]  # fmt: skip
+        self._chosen = chosen if problem.ranges is not None else []
         self._told = problem.ranges is not None or any(
             isinstance(x, str) for c in self._ranged for x in (c.lower, c.upper)
         )
@@ -160,13 +167,13 @@ class Borders:
 
     def _state(self, p: Any, lower: Any, upper: Any, m: Any = NUMERIC) -> None:
         """Fill in what parameters say of lanes, one or all."""
+        for k, condition in enumerate(self._ranged, self.chart.shooting.plan.free):
+            size = self.chart.problem.size_of(condition)
+            lower[:, k], upper[:, k] = (bound / size for bound in condition.limits(p))
         for i, low, high in self._ranges(p, m):
             upper[:, i] = high
             if low is not None:
                 lower[:, i] = low
-        for k, condition in enumerate(self._ranged, self.chart.shooting.plan.free):
-            size = self.chart.problem.size_of(condition)
-            lower[:, k], upper[:, k] = (bound / size for bound in condition.limits(p))
 
     def _ranges(self, p: Any, m: Any = NUMERIC) -> list[tuple[int, Any, Any]]:
         """Bounds of free parameters that follow from the given ones, canonical; None for one that is not looked at."""
