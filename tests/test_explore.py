@@ -633,6 +633,24 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
     assert found.solution.objective == pytest.approx(solve(found.solution.problem, level=0).objective, rel=1e-9)
 
 
+def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It took all there was: Newton's method fails at once, and what is tried behind it takes long."""
+    answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
+    solve = perilune.app.answering.solve
+
+    def lost(asked: Problem, *, guess: Solution, watch: Watch, level: int) -> Solution:
+        while abs(asked.given["vehicle_thrust"].value - guess.problem.given["vehicle_thrust"].value) > 3.0:
+            watch("direct method")
+            time.sleep(0.01)
+        return solve(asked, guess=guess, level=level, watch=watch)
+
+    answering.at({})
+    monkeypatch.setattr("perilune.app.answering.solve", lost)
+    monkeypatch.setattr("perilune.app.answering._FOLLOW", 1.5)
+    answering.patience = 60.0  # as long as the first flight took
+    assert "followed in 2 steps" in answering.at({"vehicle_thrust": 445.0}).words
+
+
 def test_the_last_attempt_is_one_step_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the way in one step; behind it no smaller one leads on, but the whole rest."""
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)

@@ -26,6 +26,7 @@ _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side
 _FOLLOW = 20.0  # s from the flight before, which takes no more where it leads anywhere
 _PATIENT = 1.0, 4.0  # s for one step of it at least; times what the step before took
+_STEP = 1 / 3  # of that time, for one step: what leads nowhere leaves some to smaller ones
 _SMALLEST = 1 / 16  # of the way: a step that is not halved again
 _LOOK = 0.5  # s from nothing, where a neighbour leads nowhere
 _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far below what anybody sees of it
@@ -210,7 +211,8 @@ class Answering:
             to = min(reached + step, 1.0)
             try:
                 at = self._between(begin, problem, to)
-                found = self._stepped(at, last, watch, min(self.patience, end - time.monotonic()))
+                longest = min(self.patience, _STEP * _FOLLOW, end - time.monotonic())
+                found = self._stepped(at, last, watch, longest)
             except PeriluneError:
                 if to == 1.0:
                     raise
