@@ -592,7 +592,6 @@ def test_a_neighbour_that_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatc
     def lost(problem: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         while guess is not None:
             watch("structure: of many arcs")
-            time.sleep(0.01)
         return solve(problem, level=level, watch=watch)
 
     monkeypatch.setattr("perilune.app.answering.solve", lost)
@@ -641,7 +640,6 @@ def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pyte
     def lost(asked: Problem, *, guess: Solution, watch: Watch, level: int) -> Solution:
         while abs(asked.given["vehicle_thrust"].value - guess.problem.given["vehicle_thrust"].value) > 3.0:
             watch("direct method")
-            time.sleep(0.01)
         return solve(asked, guess=guess, level=level, watch=watch)
 
     answering.at({})
@@ -692,13 +690,12 @@ def test_a_link_to_what_is_not_found_soon_is_reached_from_the_first_values(monke
     def long(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         while guess is None and asked.given != problem.given:
             watch("looking for it")
-            time.sleep(0.01)
         return solve(asked, guess=guess, level=level, watch=watch)
 
     monkeypatch.setattr("perilune.app.answering.solve", long)
     monkeypatch.setattr("perilune.app.answering._FOLLOW", 0.5)
     found = Answering(problem).at({"vehicle_thrust": 440.1})
-    assert found.source == "neighbour" and found.words.endswith("none was found from nothing in 0.5 s")
+    assert found.source == "neighbour" and found.words.endswith("none was found from nothing in 0.5 s of CPU")
 
 
 def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:

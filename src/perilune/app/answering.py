@@ -24,11 +24,12 @@ from perilune.words.watch import Iteration, Watch, silent
 
 _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side
-_FOLLOW = 20.0  # s from the flight before, which takes no more where it leads anywhere
-_PATIENT = 1.0, 4.0  # s for one step of it at least; times what the step before took
+# Times of CPU [s], as others may keep the machine busy.
+_FOLLOW = 20.0  # from the flight before, which takes no more where it leads anywhere
+_PATIENT = 1.0, 4.0  # for one step of it at least; times what the step before took
 _STEP = 1 / 3  # of that time, for one step: what leads nowhere leaves some to smaller ones
 _SMALLEST = 1 / 16  # of the way: a step that is not halved again
-_LOOK = 0.5  # s from nothing, where a neighbour leads nowhere
+_LOOK = 0.5  # from nothing, where a neighbour leads nowhere
 _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far below what anybody sees of it
 
 
@@ -181,7 +182,7 @@ class Answering:
             self.last = self._found(self.problem, patient)[0]
             near, _ = self._followed(problem, self.last, watch)
             if near is not None:
-                soon = "" if isinstance(why, NotConvergedError) else f" in {_FOLLOW:g} s"
+                soon = "" if isinstance(why, NotConvergedError) else f" in {_FOLLOW:g} s of CPU"
                 words = f"an extremal near the flight at the first values; none was found from nothing{soon}"
                 return near, "neighbour", words
         if isinstance(why, NotConvergedError):
@@ -189,9 +190,9 @@ class Answering:
         return self._found(problem, watch)
 
     def _found(self, problem: Problem, watch: Watch) -> tuple[Solution, str, str]:
-        began = time.monotonic()
+        began = time.thread_time()
         found = solve(problem, level=0, watch=watch)
-        self.patience = max(_PATIENT[0], time.monotonic() - began)  # to follow need not take longer than to find
+        self.patience = max(_PATIENT[0], time.thread_time() - began)  # to follow need not take longer than to find
         return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
 
     def _followed(self, problem: Problem, last: Solution, watch: Watch) -> tuple[Solution | None, int]:
@@ -205,13 +206,13 @@ class Answering:
         InfeasibleError
             If nothing flies there, whatever is tried.
         """
-        end, begin = time.monotonic() + _FOLLOW, last.problem.given
+        end, begin = time.thread_time() + _FOLLOW, last.problem.given
         reached, step, steps = 0.0, 1.0, 0
         while step >= _SMALLEST:
             to = min(reached + step, 1.0)
             try:
                 at = self._between(begin, problem, to)
-                longest = min(self.patience, _STEP * _FOLLOW, end - time.monotonic())
+                longest = min(self.patience, _STEP * _FOLLOW, end - time.thread_time())
                 found = self._stepped(at, last, watch, longest)
             except PeriluneError:
                 if to == 1.0:
@@ -225,7 +226,7 @@ class Answering:
             if reached == 1.0:
                 return found, steps
             last = found
-        return self._stepped(problem, last, watch, end - time.monotonic()), steps + 1
+        return self._stepped(problem, last, watch, end - time.thread_time()), steps + 1
 
     def _between(self, begin: Mapping[str, Given], problem: Problem, share: float) -> Problem:
         if share == 1.0:
@@ -234,14 +235,14 @@ class Answering:
         return problem.with_given(**{name: a + share * (b - a) for name, (a, b) in ways.items() if a != b})
 
     def _stepped(self, problem: Problem, last: Solution, watch: Watch, limit: float) -> Solution | None:
-        """What a flight leads to within so many seconds, if that keeps the path.
+        """What a flight leads to within so many seconds of CPU, if that keeps the path.
 
         Raises
         ------
         InfeasibleError
             If nothing flies there, whatever is tried.
         """
-        began = time.monotonic()
+        began = time.thread_time()
         try:
             found = solve(problem, guess=last, level=0, watch=_shortly(watch, limit))
         except (PeriluneError, _TooLong) as error:
@@ -250,7 +251,7 @@ class Answering:
             return None
         if not keeps(found):
             return None
-        self.patience = max(_PATIENT[0], _PATIENT[1] * (time.monotonic() - began))
+        self.patience = max(_PATIENT[0], _PATIENT[1] * (time.thread_time() - began))
         return found
 
 
@@ -269,12 +270,12 @@ class _TooLong(BaseException):
 
 
 def _shortly(watch: Watch, seconds: float) -> Watch:
-    """The same for so long, then `_TooLong`."""
-    end = time.monotonic() + seconds
+    """The same for so long [s of CPU], then `_TooLong`."""
+    end = time.thread_time() + seconds
 
     def seen(event: Iteration | str) -> None:
         watch(event)
-        if time.monotonic() > end:
+        if time.thread_time() > end:
             raise _TooLong
 
     return seen
