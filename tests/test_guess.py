@@ -79,3 +79,12 @@ def test_phases_are_given_one_by_one() -> None:
     problem = load_file("examples/precision_landing.toml", ("approach.longest_coast=20 s",)).problem
     with pytest.raises(pl.PeriluneError, match="list of 2 arrays"):
         pl.guess(problem, TIMES, [])
+
+
+def test_a_guess_of_far_other_values_is_followed_where_newton_fails_from_it() -> None:
+    """From 440 to 2000 N: each extremal is predicted by the sensitivity of the one before."""
+    problem, said = load_file("examples/ordinary_lander.toml").problem, list[str]()
+    strong = problem.with_given(vehicle_thrust=2000.0)
+    near = pl.solve(strong, guess=pl.solve(problem, level=0), level=0, watch=lambda event: said.append(str(event)))
+    assert "following the guess: 100% of the way" in said and not any("direct" in line for line in said)
+    assert near.objective == pytest.approx(pl.solve(strong, level=0).objective, rel=1e-10)

@@ -26,6 +26,7 @@ from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
 from perilune.methods.rungs import Met, Rungs
 from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import (
+    followed,
     held_in,
     known,
 )
@@ -297,6 +298,8 @@ class Search:
         """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
         trials = self.trials
         root = trials.settled(y[None], choice, limits=trials.limits)[0]
+        if not root.converged and guess is not None and (there := followed(trials, guess, y)) is not None:
+            root = trials.settled(there[0][None], there[1], limits=trials.limits)[0]
         if not root.converged and guess is not None and (not is_neighbour(self.problem) or self._lost(root)):
             root = self._in_pieces(root, guess, y, choice)
         elif root.converged and not is_neighbour(self.problem) and not may_be_cut(trials.conditions):

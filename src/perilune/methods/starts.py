@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from perilune.conditions.canonical import extremal_parameters
 from perilune.methods.assemble import unknowns_from
 from perilune.methods.ladder import Ladder
 from perilune.methods.trials import Trials
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.solution import Solution
 from perilune.problem.symbolic import canonical_free
+from perilune.shooting.active import Limits, limits_of
+from perilune.shooting.continuation import Member, follow
+from perilune.shooting.function import Root
 from perilune.words.types import Matrix, Vector
 
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
+_BESIDE, _CORRECTIONS = 1e-6, 12  # of the numbers: where sensitivities are differences; steps of Newton's method
 _ON_BOUND = 1e-5  # canonical distance at which a guess means a bound, as the direct method stays up to that far inside
 _VANISHING = 1e-3  # of the longest that a phase may last
 SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
@@ -74,9 +81,9 @@ def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
     return unknowns_from(problem, trials.conditions, guess)
 
 
-def held_in(trials: Trials, guess: Solution, y: Vector) -> Vector:
+def held_in(trials: Trials, guess: Solution, y: Vector, limits: Limits | None = None) -> Vector:
     """What a guess holds: free parameters on a bound, and ranges whose multiplier says so."""
-    limits, free = trials.limits, y[trials.conditions.free_at]
+    limits, free = limits or trials.limits, y[trials.conditions.free_at]
     held = {
         i: limit
         for i, value in enumerate(free.tolist())
@@ -90,3 +97,51 @@ def held_in(trials: Trials, guess: Solution, y: Vector) -> Vector:
         if abs(nu) > SIGNED and np.isfinite(limit):
             ranges[i] = float(limit)
     return trials.shooting.holding(held, ranges)
+
+
+def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector] | None:
+    """From an extremal at other values of the parameters to one at those of the problem, and what it holds.
+
+    None where it ends on the way, or the guess is none of this form.
+
+    Extremal by extremal on a straight way, each predicted by the sensitivity of the one before: a fall that climbs
+    again multiplies what the flight before it is off by so much that Newton's method at the end of the way is lost.
+
+    Parameters
+    ----------
+    trials
+        Of the problem.
+    guess, y
+        The extremal, and its unknowns.
+    """
+    problem, before, shooting = trials.problem, guess.problem, trials.shooting
+    alike = (before.structure, before.scales) == (problem.structure, problem.scales)
+    if is_neighbour(problem) or guess.unknowns is None or not alike or len(guess.unknowns) != len(y):
+        return None
+    limits = limits_of(before, trials.conditions)
+    first = extremal_parameters(before), held_in(trials, guess, y, limits)
+    last = trials.p, trials.limits.taken_over(first[1], limits)
+    way = last[0] - first[0], last[1] - first[1]
+    largest = max(float(np.max(np.abs(part) / (1.0 + np.abs(begin)))) for part, begin in zip(way, first, strict=True))
+    if largest == 0.0:
+        return None
+    step = min(_BESIDE / largest, 0.5)
+
+    def at(share: float) -> tuple[Vector, Vector]:
+        numbers, held = (begin + share * part for begin, part in zip(first, way, strict=True))
+        return numbers, held
+
+    def correct(predicted: Vector, share: float) -> Root:
+        trials.watch(f"following the guess: {share:.0%} of the way")
+        root = shooting.root(predicted, *at(share), limit=_CORRECTIONS)
+        return root if root.converged else replace(root, converged=shooting.rounding(root))
+
+    def tangent(root: Root, share: float) -> Vector:
+        (ahead, more), (behind, less) = at(share + step), at(share - step)
+        return shooting.shift(root, ahead, behind, np.stack([more, less])) / (2.0 * step)
+
+    begin = correct(y, 0.0)
+    if not begin.converged:
+        return None
+    reached = next(iter(follow(Member(value=0.0, root=begin), [1.0], correct, tangent)))
+    return None if reached is None else (reached.root.y, last[1])

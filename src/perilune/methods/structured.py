@@ -48,7 +48,7 @@ from perilune.structures.read import (
     rounding,
 )
 from perilune.structures.regimes import revised_stays, stays_of, wavering
-from perilune.structures.restate import part_name, refuse_unsaid, renumbered, restate, sums_of
+from perilune.structures.restate import part_name, refuse_unsaid, renumbered, restate
 from perilune.structures.structure import Condition, Structure, conditions_of, margins
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
@@ -59,7 +59,6 @@ _EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is 
 _BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
 _ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
 _FINE = 1e-3  # relative mesh error up to which a finer one tells no more
-_ENDS = 1e-9  # of a duration: what is nearer to an end of its range is at it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
@@ -112,26 +111,12 @@ class Polish:
         known = guess.trajectories
         if self.brief or not isinstance(known, Joined) or not self.problem.differs_in_values(guess.problem):
             return None
-        structure, before = known.structure, {f.name: (f.lower, f.upper) for f in guess.problem.free}
-        sums = sums_of(self.problem, structure)  # whose ranges are conditions of the problem restated
-        stated = {v.name: v for phase in known.restated.problem.phases for v in phase.end_conditions if v.ranged}
-        within = dict[str, tuple[float, float]]()  # where a range has moved, for the problem restated keeps its own
-        for f in (f for f in self.problem.free if f.name in sums):
-            low, high = (stated[f.name].lower, stated[f.name].upper) if f.name in stated else before[f.name]
-            if (max(f.lower, 0.0), f.upper) == (max(low, 0.0), high):
-                continue
-            if f.name not in stated:
-                return None
-            within[f.name] = max(f.lower, float(low)), min(f.upper, float(high))
+        structure = known.structure
         self.watch(f"structure: {structure.text}")
         try:
             refuse_unsaid(known.restated.problem, self.problem, structure)
             problem = renumbered(known.restated.problem, self.problem, structure)
             solved = Search(self.settings, problem, self.watch).solve(known.restated)
-            for name, (low, high) in within.items():
-                total = sum(solved.free[part] for part in sums[name])
-                if not low < (1.0 - _ENDS) * total < (1.0 + _ENDS) * total < high:
-                    return None
             return self._kept_to(structure, solved, joined(self.problem, solved, structure))[0]
         except PeriluneError as error:
             self.tried.append(f"structure {structure.text}: {error.what}")

@@ -244,9 +244,13 @@ class Shooting:
         tangent[self.plan.active] = root.inverse[:, self.plan.held_rows[index]]
         return tangent
 
-    def shift(self, root: Root, ahead: Vector, behind: Vector) -> Vector:
-        """First-order change of Y at a root when the parameters p change from `behind` to `ahead`."""
-        rows = self.at(np.tile(root.y, (2, 1)), np.stack([ahead, behind]), root.choice).rows
+    def shift(self, root: Root, ahead: Vector, behind: Vector, choices: Matrix | None = None) -> Vector:
+        """First-order change of Y at a root when the parameters p change from `behind` to `ahead`.
+
+        With `choices` what is held changes as well: the choice there, and behind, (2, k).
+        """
+        held = root.choice if choices is None else choices
+        rows = self.at(np.tile(root.y, (2, 1)), np.stack([ahead, behind]), held).rows
         change = rows[0, self.plan.columns.residual] - rows[1, self.plan.columns.residual]
         shift = np.zeros(self.plan.size)
         shift[self.plan.active] = -root.inverse @ change
