@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -60,46 +60,16 @@ def until(page: Any, expression: str, seconds: float = 30.0) -> None:
         time.sleep(0.03)
 
 
-class Left:
-    """Which share of the machine others have left since this was made: all of it where it is quiet.
-
-    What is said of so many frames a second is said of a machine that does nothing else. Where the system does not tell
-    how busy it is, all was left.
-    """
-
-    def __init__(self) -> None:
-        self._began, self._others = time.monotonic(), _others()
-
-    @property
-    def seconds(self) -> float:
-        """By the clock."""
-        return time.monotonic() - self._began
-
-    @property
-    def share(self) -> float:
-        """From 0 to 1."""
-        return 1.0 - (_others() - self._others) / (self.seconds * (os.cpu_count() or 1))
-
-
-def _others() -> float:
-    """What all cores did for other programs than this test and what it began, and for other machines [s]."""
-    try:
-        busy = [int(told) for told in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
-        idle, waiting = busy[3:5]
-        return (sum(busy) - idle - waiting - _own()) / os.sysconf("SC_CLK_TCK")
-    except OSError:
-        return 0.0
-
-
-def _own() -> int:
-    """What this process and all that it began have done [ticks]."""
-    begun, took = dict[int, list[int]](), dict[int, int]()
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):
-            told, process = stat.read_text().rpartition(")")[2].split(), int(stat.parent.name)
-            begun.setdefault(int(told[1]), []).append(process)
-            took[process] = int(told[11]) + int(told[12])
-    found = [os.getpid()]
-    for process in found:
-        found += begun.get(process, [])
-    return sum(took[process] for process in found)
+def drag(page: Any, slider: str, begin: float, end: float, seconds: float) -> int:
+    """Drag a slider between two shares of its range; how many frames the page showed meanwhile."""
+    box = page.locator(slider).bounding_box()
+    x, y, first, began = box["x"] + 8, box["y"] + box["height"] / 2, page.evaluate("perilune.frames"), time.monotonic()
+    width = box["width"] - 16
+    page.mouse.move(x + begin * width, y)
+    page.mouse.down()
+    while (gone := time.monotonic() - began) < seconds:
+        page.mouse.move(x + (begin + (end - begin) * gone / seconds) * width, y)
+        time.sleep(0.008)  # as a mouse tells its place
+    page.mouse.move(x + end * width, y)
+    page.mouse.up()
+    return int(page.evaluate("perilune.frames") - first)

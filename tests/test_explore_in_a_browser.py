@@ -13,7 +13,7 @@ import pytest
 playwright = pytest.importorskip("playwright.sync_api", reason="these tests need pip install 'perilune[test]'")
 pytest.importorskip("starlette", reason="the explorer needs starlette: pip install 'perilune[explore]'")
 
-from explored import CHROMIUM, QUIET, ROOT, Left, atlas_of_the_jump, served, until  # noqa: E402
+from explored import CHROMIUM, QUIET, ROOT, atlas_of_the_jump, drag, served, until  # noqa: E402
 from perilune.app.frozen import frozen_page  # noqa: E402
 from perilune.app.subject import subject_of  # noqa: E402
 
@@ -56,30 +56,23 @@ def page(browser: Any) -> Iterator[Any]:
     assert not [url for url in asked if not url.startswith(("http://127.0.0.1:", "file:", "blob:", "data:"))]
 
 
-def _drag(page: Any, begin: float, end: float, seconds: float) -> float:
-    """Drag the slider of the impulsive Isp between two shares of its range; frames a second of a quiet machine."""
-    box = page.locator(ISP).bounding_box()
-    x, y, first = box["x"] + 8, box["y"] + box["height"] / 2, page.evaluate("perilune.frames")
-    width, left = box["width"] - 16, Left()
-    page.mouse.move(x + begin * width, y)
-    page.mouse.down()
-    while (gone := left.seconds) < seconds:
-        page.mouse.move(x + (begin + (end - begin) * gone / seconds) * width, y)
-        time.sleep(0.008)  # as a mouse tells its place
-    page.mouse.move(x + end * width, y)
-    page.mouse.up()
-    return (page.evaluate("perilune.frames") - first) / seconds / left.share
+def _follows(page: Any, begin: float, end: float) -> bool:
+    """Whether 40 frames are shown while the impulsive Isp is dragged: in two seconds, or in more of a slow machine."""
+    return any(drag(page, ISP, begin, end, seconds) >= 40 for seconds in (2.0, 4.0, 8.0))
 
 
 def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(page: Any, atlas: Path) -> None:
-    """Two seconds across 277.867 s: 20 frames a second, no retro burn before, hundreds of m/s behind; then proved."""
+    """Across 277.867 s: no retro burn before, hundreds of m/s behind; then proved.
+
+    How many frames a second these are is measured by ``benchmarks/explorer.py``.
+    """
     with served(str(atlas)) as address:
         page.goto(address)
         until(page, "perilune.frames > 0")
-        assert any(_drag(page, 0.95, 0.05, 2.0) >= 20.0 for _ in range(2))
+        assert _follows(page, 0.95, 0.05)
         until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v === 0")
         assert page.evaluate("perilune.values.retro_specific_impulse") < 277.0
-        _drag(page, 0.05, 0.95, 0.5)
+        drag(page, ISP, 0.05, 0.95, 0.5)
         until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v > 500")
         until(page, "!!perilune.flight.proved")
         assert "PROVED, level 3" in page.inner_text("#source")
@@ -123,9 +116,9 @@ def test_without_an_atlas_the_flight_follows_as_fast_and_jumps_at_rest(page: Any
     with served() as address:
         page.goto(address)
         until(page, "perilune.frames > 0")
-        assert any(_drag(page, 0.5, 0.05, 2.0) >= 20.0 for _ in range(2))
+        assert _follows(page, 0.5, 0.05)
         until(page, "perilune.shown === perilune.number && perilune.flight.free.retro_delta_v === 0")
-        _drag(page, 0.05, 0.5, 0.3)
+        drag(page, ISP, 0.05, 0.5, 0.3)
         until(page, "perilune.flight.source === 'jumped' && perilune.flight.free.retro_delta_v > 500")
         until(page, "!!perilune.flight.proved")
         assert "PROVED, level 3" in page.inner_text("#source") and "has jumped" in page.inner_text("#source")
@@ -254,7 +247,7 @@ def test_every_view_draws_two_pinned_flights_beside_the_one_that_moves(
     page.goto(alone.as_uri())
     until(page, "perilune.frames > 0")
     for share in (0.05, 0.95, 0.5):
-        _drag(page, share, share, 0.1)
+        drag(page, ISP, share, share, 0.1)
         until(page, "perilune.shown === perilune.number")
         if share != 0.5:
             page.click("#pin")
@@ -284,7 +277,7 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     assert page.locator("#undo").is_disabled()  # as nothing has moved
     page.locator(ISP).scroll_into_view_if_needed()
     for share, burn in ((0.05, "=== 0"), (0.95, "> 500")):
-        _drag(page, share, share, 0.1)
+        drag(page, ISP, share, share, 0.1)
         until(page, f"perilune.flight.free.retro_delta_v {burn}")
     assert "stored" in page.inner_text("#source") and "a flight at each of 225 points" in page.inner_text("#stored")
     said = page.evaluate(
@@ -309,7 +302,7 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
     ):  # a link of another page, or mistyped
         page.goto(f"{alone.as_uri()}#{said}")
         until(page, f"document.getElementById('source').innerText.includes('not as the link says: {said}')")
-    _drag(page, 0.95, 0.95, 0.1)
+    drag(page, ISP, 0.95, 0.95, 0.1)
     until(page, "!document.getElementById('source').innerText.includes('link')")
     if width > 900:  # beside the views the parameters stay in sight, and below the head of the page
         page.evaluate("scrollTo(0, 500)")

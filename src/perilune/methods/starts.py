@@ -122,7 +122,8 @@ def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector
     first = extremal_parameters(before), held_in(trials, guess, y, limits)
     last = trials.p, trials.limits.taken_over(first[1], limits)
     way = last[0] - first[0], last[1] - first[1]
-    largest = max(float(np.max(np.abs(part) / (1.0 + np.abs(begin)))) for part, begin in zip(way, first, strict=True))
+    parts = [np.abs(part) / (1.0 + np.abs(begin)) for part, begin in zip(way, first, strict=True)]
+    largest = float(np.concatenate(parts).max(initial=0.0))
     if largest == 0.0:
         return None
     step = min(_BESIDE / largest, 0.5)
