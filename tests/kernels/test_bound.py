@@ -135,6 +135,15 @@ def test_the_code_outlives_its_engine(backend: str) -> None:
     assert fly(flight, start()[0], PARAMETERS, DURATION) == ArcStatus.REACHED
 
 
+def test_the_code_outlives_its_map(backend: str) -> None:
+    """Of two threads that compile the same map one is let go, though it may be bound: queries of an atlas crashed."""
+    a = ca.SX.sym("a", 2)
+    flight = compile_map(ca.Function("f", [a], [2 * a]), backend=backend).bind(np.ones((1, 2)))
+    gc.collect()
+    flight()
+    np.testing.assert_array_equal(flight.outputs[0], [[2.0, 2.0]])
+
+
 def test_an_evaluation_keeps_all_outputs_apart(backend: str) -> None:
     """Dense, row by row; an argument without entries, and one of one row for all lanes."""
     a, none, b = ca.SX.sym("a", 2), ca.SX.sym("none", 0), ca.SX.sym("b", 3)

@@ -159,6 +159,7 @@ def _evaluation(kernel: _Kernel, bound: BoundMap) -> Callable[[], Any]:
         place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
         entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0, a.shape[1]]
     call, table, groups = _rows_of_groups(), native.table(entries), -(-bound.lanes // _WIDTH)
+    table.of = kernel  # which lives as long as what points to it: of two threads that compile the same one is let go
     most = bound.lanes // _LANES_PER_THREAD
     if most <= 1 or (threads := min(os.cpu_count() or 1, most)) == 1:
         return partial(call, 0, groups, table)
