@@ -413,6 +413,8 @@ def test_a_model_of_which_physics_is_asked_nothing_stays_so_in_an_atlas() -> Non
         ({"vehicle_thrust": 440.0, "retro_specific_impulse": 310.0000000001}, r"310\.0{5,}\d+ s, which is mapped"),
         ({"vehicle_thrust": 440.0, "retro_specific_impulse": float("nan")}, "finite"),
         ({"vehicle_thrust": "much", "retro_specific_impulse": 300.0}, "numbers"),
+        ({"vehicle_thrust": 10**400, "retro_specific_impulse": 300.0}, "numbers"),
+        ({"vehicle.thrust": 440.0, "vehicle_thrust": 430.0, "retro_specific_impulse": 300.0}, "twice"),
         ({"vehicle_thurst": 440.0, "retro_specific_impulse": 300.0}, "no axis"),
     ],
 )
@@ -428,6 +430,7 @@ def test_points_that_are_none_are_refused(atlas: Atlas, values: dict[str, float]
         ({"vehicle.thrst": (1.0, 2.0)}, "no parameter"),
         ({"vehicle.thrust": (500.0, 400.0)}, "empty"),
         ({"vehicle.thrust": (400.0, float("inf"))}, "empty"),
+        ({"vehicle.thrust": (400.0, 10**400)}, "range of"),
         ({"vehicle.thrust": 400.0}, "range of"),
         ({"vehicle.thrust": (400.0, 500.0), "vehicle_thrust": (400.0, 500.0)}, "twice"),
         ({"vehicle.thrust": (-400.0, 500.0)}, "thrust"),

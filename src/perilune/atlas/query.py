@@ -130,11 +130,13 @@ class Atlas(Reader):
     # -- where it is ----------------------------------------------------------------------------------------------
 
     def _point(self, values: Mapping[str, float]) -> Vector:
-        told = {parameter_name(name): value for name, value in values.items()}
-        names = self.region.names
-        for name in told:
-            if name not in names:
+        told, names = dict[str, float](), self.region.names
+        for key, value in values.items():
+            if (name := parameter_name(key)) not in names:
                 raise unknown_name("axis", name, [axis.key for axis in self.region.axes])
+            if name in told:
+                raise PeriluneError("an axis is given twice", got=f"{key} = {told[name]!s:.40} and {value!s:.40}")
+            told[name] = value
         if missing := [axis.key for axis in self.region.axes if axis.name not in told]:
             raise PeriluneError(
                 "a value of every axis is needed", got=f"none of {', '.join(missing)}",
@@ -142,7 +144,7 @@ class Atlas(Reader):
             )  # fmt: skip
         try:
             at = np.array([float(told[name]) for name in names])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise PeriluneError("the values of axes are numbers in SI", got=str(told)[:80]) from None
         if not np.isfinite(at).all():
             raise PeriluneError("the values of axes are finite", got=str(told)[:80])

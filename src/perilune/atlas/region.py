@@ -204,7 +204,7 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
             raise PeriluneError(f"{key_of(name)} is an axis twice", expected="each parameter once")
         try:
             low, high = (float(v) for v in bounds)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise refused(bounds, "(low, high), two numbers in SI", f"the range of {key_of(name)}") from None
         if not (math.isfinite(high - low) and low < high):
             raise PeriluneError(

@@ -157,7 +157,7 @@ def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
             raise unknown_name("axis", stated, [axis.key for axis in region.axes])
         try:
             held[name] = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise PeriluneError("the values of axes are numbers in SI", got=str(value)[:80]) from None
     middle = [held.get(axis.name, 0.5 * (axis.low + axis.high)) for axis in region.axes]
     if (outside := region.outside(middle)) is not None:

@@ -149,7 +149,7 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
         )
     try:
         members = [tuple(float(v) for v in row) for row in rows]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         members = []
     if not members or not np.all(np.isfinite(members)):
         raise PeriluneError(f"the values of {' and '.join(names)} must be finite numbers", got=str(rows[:3])[:80])

@@ -96,7 +96,7 @@ def _flown(problem: Problem, phase: Phase, times: Any, states: Any, controls: An
 def _numbers(given: Any, shape: tuple[int | None, ...], what: str) -> Any:
     try:
         found = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         found = np.array(np.nan)
     expected = str(tuple("n" if size is None else size for size in shape)).replace("'", "")
     if found.ndim != len(shape) or any(size not in (None, got) for size, got in zip(shape, found.shape, strict=True)):

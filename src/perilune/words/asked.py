@@ -213,7 +213,7 @@ def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
     expected = f"a number, or {'a list' if most == 1 else 'an array'} of numbers"
     try:
         found = np.asarray(values, dtype=float)[()]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise refused(values, expected, what) from None
     if found.ndim > most:
         raise refused(values, expected, what)
