@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune.atlas.physics import allowed
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.families.sweep import sweep
@@ -21,6 +22,7 @@ from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.controls import Bounded
 from perilune.problem.extremal import Nature
 from perilune.problem.phase import Phase
+from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check
@@ -29,7 +31,7 @@ from perilune.proof.extremal import _signs
 from perilune.scenario import load_text
 from perilune.shooting.function import Shooting
 from perilune.solve import solve, verify
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 
 Method = Indirect | Pseudospectral
 METHODS: list[Method] = [Indirect(), Pseudospectral()]
@@ -151,6 +153,34 @@ def test_the_proof_sees_a_range_that_is_left_and_a_wrong_sign() -> None:
 def test_an_empty_range_is_refused() -> None:
     with pytest.raises(PeriluneError, match="bounds of speed are empty"):
         push(2.0, 1.0)
+
+
+def between(slowest: float, fastest: float) -> Problem:
+    """The end speed between two parameters."""
+    base = push()
+    place, speed = base.phases[0].end_conditions
+    phase = replace(base.phases[0], end_conditions=(place, replace(speed, lower="slowest", upper="fastest")))
+    bounds = {"slowest": Given(value=slowest, unit="m/s"), "fastest": Given(value=fastest, unit="m/s")}
+    return replace(base, phases=(phase,), given={**base.given, **bounds})
+
+
+def test_an_empty_range_between_parameters_is_refused_in_an_atlas_too() -> None:
+    """Along it two extremals were found, each at one of the bounds: it was solved, not proved, and mapped."""
+    problem = between(1.2, 1.0)
+    with pytest.raises(InfeasibleError, match="bounds of speed are empty") as refused:
+        solve(problem)
+    assert refused.value.got == "the upper bound of speed 1 m/s" and refused.value.expected == "at least 1.2 m/s"
+    points = np.array([[1.2, 1.0], [1.2, 1.3], [1.2, 1.2]])
+    assert allowed(problem, ["slowest", "fastest"])(points).tolist() == [False, True, True]
+    assert preflight(problem.with_given(fastest=1.3)) == ()  # and of what is in order nothing is said
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+def test_a_range_of_one_value_is_an_equality_to_the_proof(speed: float) -> None:
+    """Whichever way the speed pulls."""
+    solution = solve(between(speed, speed))
+    assert solution.outcome is Outcome.PROVED
+    assert solution.objective == pytest.approx(energy(1.0, 0.0, speed), rel=1e-9)
 
 
 def test_a_population_knows_ranges() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.kernels import compile_map
-from perilune.problem.preflight import possible, preflight
+from perilune.problem.preflight import between_bounds, possible, preflight
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import SYMBOLIC
 from perilune.problem.tape import Expression, Recorder
@@ -29,7 +29,7 @@ def allowed(problem: Problem, names: Sequence[str]) -> Allowed:
 
     There may be extremals of others all the same: of a parking orbit below its perilune equations know nothing.
     """
-    if problem.preflight is None:
+    if problem.preflight is None and not between_bounds(problem, problem.parameters({})):
         return lambda points: np.ones(len(points), dtype=bool)
     try:
         traced = _traced(problem, names)
@@ -57,11 +57,11 @@ def _traced(problem: Problem, names: Sequence[str]) -> ca.Function:
     says NaN and allows nothing. So it is sure where no function on the way leaves the numbers and nothing is divided by
     0; what does not vary is a symbol too.
     """
-    assert problem.preflight is not None
     recorder = Recorder()
     symbols = SimpleNamespace(**{name: recorder.input("p", name) for name in problem.given})
     symbols.__dict__.update({name: recorder.input("p", name) for name in names})
-    found = [f for f in problem.preflight(symbols, recorder.namespace) if f.binding]
+    stated = () if problem.preflight is None else problem.preflight(symbols, recorder.namespace)
+    found = [f for f in (*stated, *between_bounds(problem, symbols)) if f.binding]
     tape = recorder.tape([side for f in found for side in (f.value, f.limit)])
     point, given = ca.SX.sym("point", len(names)), ca.SX.sym("given", len(problem.given))
     values = {name: given[i] for i, name in enumerate(problem.given)}

@@ -176,7 +176,7 @@ def _reasons(
         texts.append(text)
     why[~answers.good] = of_status[~answers.good]
     decided = answers.good.copy()
-    for finding in preflight(problem, over) if problem.preflight is not None else ():
+    for finding in preflight(problem, over):
         missed = np.broadcast_to(~np.asarray(finding.passed), decided.shape) & ~decided
         if finding.binding and missed.any():
             why[missed], decided = len(texts), decided | missed

@@ -2,11 +2,13 @@
 
 A model states *comparisons*, each a value against a limit (`Problem.preflight`). A **binding** one that is missed is a
 proof that there is no flight; the others warn. They are formulas of the given parameters without branches on values,
-so that one call judges one problem or, with arrays of values, a whole sweep.
+so that one call judges one problem or, with arrays of values, a whole sweep. Bounds that are parameters are compared as
+well: where they lie the wrong way round there is no flight.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -14,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.maths import NUMERIC
@@ -65,7 +68,7 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     Parameters
     ----------
     problem
-        Any problem; one whose model states no comparisons has none.
+        Any problem; one whose model states no comparisons has none, but of bounds that lie the wrong way round.
     over
         Other values of parameters in SI, numbers or arrays of one shape: ``{"vehicle_thrust": [300.0, 440.0]}``
         judges two problems at once. A free parameter named here counts as given.
@@ -81,14 +84,33 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     for name in over or ():
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
-    if problem.preflight is None:
-        return ()
     # NumPy's numbers, for which a division by zero is a limit that is none and not an error.
     values = {name: np.float64(g.value) for name, g in problem.given.items()}
     values |= {name: np.asarray(value, dtype=float)[()] for name, value in (over or {}).items()}
     p = SimpleNamespace(**values)
     with np.errstate(all="ignore"):
-        return tuple(problem.preflight(p, NUMERIC))
+        stated = () if problem.preflight is None else problem.preflight(p, NUMERIC)
+        return (*stated, *(f for f in between_bounds(problem, p) if not np.all(f.passed)))
+
+
+def between_bounds(problem: Problem, p: Any) -> tuple[Finding, ...]:
+    """That no lower bound of a control, a state or an end lies above its upper one, where p has parameters of these."""
+    bounded = [
+        one
+        for phase in problem.phases
+        for one in (*(control for _, control in scalars(phase.controls)), *phase.states, *phase.end_conditions)
+        if (names := [limit for limit in (one.lower, one.upper) if isinstance(limit, str)])
+        and all(hasattr(p, name) for name in names)  # and are not free to be chosen
+        and one.lower != -math.inf and one.upper != math.inf
+    ]  # fmt: skip
+    both = [(one, *one.limits(p)) for one in bounded]
+    return tuple(
+        Finding(
+            name=f"the upper bound of {one.name}", value=upper, limit=lower, at_least=True, unit=one.unit, binding=True,
+            meaning=f"bounds of {one.name} are empty",
+        )
+        for one, lower, upper in both
+    )  # fmt: skip
 
 
 def possible(found: Sequence[Finding]) -> Any:

@@ -186,13 +186,16 @@ def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
 
 
 def end_sides(arc: Arc) -> Vector:
-    """For each end condition 0 if it is an equality, -1 or 1 at the lower or upper bound of a range, INSIDE between."""
+    """For each end condition 0 if it is an equality, -1 or 1 at the lower or upper bound of a range, INSIDE between.
+
+    A range of one value is an equality.
+    """
     end = arc.state(np.array([arc.duration]))[:, 0].tolist()
     sides, values = [], arc.phase.evaluate("end", end, (), arc.p)
     for condition, size, value in zip(arc.phase.end_conditions, arc.end_scale, values, strict=True):
         near, (lower, upper) = ACTIVE * size, condition.limits(arc.p)
         low, high = value <= lower + near, value >= upper - near
-        sides.append((-1 if low else 1 if high else INSIDE) if condition.ranged else 0)
+        sides.append((-1 if low else 1 if high else INSIDE) if condition.ranged and lower < upper else 0)
     return np.array(sides)
 
 
