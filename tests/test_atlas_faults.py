@@ -20,7 +20,7 @@ import pytest
 
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
-from perilune.atlas import building, extending, read
+from perilune.atlas import building, extending, merging, read
 from perilune.atlas.extending import extend
 from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
@@ -202,6 +202,31 @@ def test_ctrl_c_says_how_to_go_on_where_something_is_there(
         assert run([*typed, "--json"]) == 130
         told = capsys.readouterr()
         assert read_json(told.out)["error"]["try"] == advice and ("try:" in told.err) == bool(advice)
+
+
+def test_ctrl_c_of_a_merge_and_an_export_says_what_is_there(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    half, file, there = tmp_path / "half", str(tmp_path / "nodes.nc"), str(built)
+    half.mkdir()
+    (half / "brick-0.nodes.npy").touch()
+    monkeypatch.setattr(merging, "merge", stopped)
+    monkeypatch.setattr(os, "replace", stopped)
+    for order, advice in (
+        (
+            ["merge", there, there, "--out", str(half)],
+            f"{half} is no atlas yet; the same command merges again",
+        ),
+        (["merge", there, there, "--out", str(tmp_path / "new")], ""),
+        (["merge", there, there, "--out", there, "--force"], ""),
+        (["export", there, "--out", file], f"nothing was written to {file}"),
+    ):
+        assert run(["atlas", *order, "--json"]) == 130
+        assert read_json(capsys.readouterr().out)["error"]["try"] == advice
+    assert list(tmp_path.iterdir()) == [half]
 
 
 # -- no space left -----------------------------------------------------------------------------------------------------

@@ -13,11 +13,13 @@ from typing import Any
 import pytest
 
 from command_line import HYBRID, ORDINARY, ROOT, read_json, snapshot
-from perilune.cli import run
+from perilune.cli import options, run
+from perilune.cli.arguments import parsed
 from perilune.families.continued import Continuation
 from perilune.families.family import Family, FamilyPoint
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.verification import LEVELS
 from perilune.solve import prove
 from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome
 from perilune.words.watch import Iteration
@@ -65,6 +67,9 @@ def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution
         (["solve", HYBRID, "--set", "orbit.perilune_altitude=-1 km"], 3, "INFEASIBLE"),
         (["solve", HYBRID, "--set", "vehicle.thrust=4 N"], 3, "INFEASIBLE"),
         (["check", HYBRID, "--set", "vehicle.thrust=4 N"], 3, "INFEASIBLE"),
+        (["solve", HYBRID, "--out", "flight.json"], 2, "REFUSED"),  # else a folder of that name
+        (["sweep", HYBRID, "--vary", "vehicle.thrust=430:450:10 N", "--out", "family.PNG"], 2, "REFUSED"),
+        (["atlas", "build", HYBRID, "--vary", "vehicle.thrust=430:450 N", "--out", "map.nc"], 2, "REFUSED"),
         (["sweep", HYBRID, "--vary", "vehicle.thrust=4 N"], 2, "REFUSED"),
         (["sweep", HYBRID, "--vary", "vehicle.thrust=1:4:1 N"], 3, "INFEASIBLE"),
         (["sweep", HYBRID], 2, "REFUSED"),
@@ -95,6 +100,14 @@ def test_a_refusal_has_its_code_and_its_parts(
     assert told.out == "" or arguments[0] == "check"
     assert "Traceback" not in told.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_every_level_of_the_library_may_be_asked_for() -> None:
+    assert options.THEOREM == LEVELS[-1]
+    for words in (["solve", HYBRID], ["sweep", HYBRID, "--vary", "a=1:2:1 N"], ["verify", "there"]):
+        assert parsed([*words, "--level", str(LEVELS[-1])]).level == LEVELS[-1]
+    for words in (["export", "there", "--out", "x.nc"], ["atlas", "query", "there"]):
+        assert parsed([*words, "--prove", str(LEVELS[-1])]).prove == LEVELS[-1]
 
 
 def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:

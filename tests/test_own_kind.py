@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from perilune.cli import run
 from perilune.io.made import made_document, read_made
 from perilune.models.kinds import KINDS
 from perilune.scenario import load_file
@@ -97,6 +98,24 @@ def test_a_fault_of_a_package_is_named_as_its_own(
     try:
         with pytest.raises(PeriluneError, match=f"(?s){words}"):
             load_file(PLACE / "hop.toml")
+    finally:
+        KINDS.pop("lunar_hop", None)
+
+
+def test_its_author_is_shown_where_it_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    installed(tmp_path, "bad_kind:K")
+    (tmp_path / "bad_kind.py").write_text(_DECLARED + "K = replace(LUNAR_HOP, make=lambda **records: 1 / 0)")
+    for place in (tmp_path, PLACE):
+        monkeypatch.syspath_prepend(place)
+    monkeypatch.delitem(sys.modules, "bad_kind", raising=False)
+    try:
+        assert run(["check", str(PLACE / "hop.toml")]) == 2
+        assert "PERILUNE_TRACEBACK=1" in (said := capsys.readouterr().err) and "Traceback" not in said
+        monkeypatch.setenv("PERILUNE_TRACEBACK", "1")
+        assert run(["check", str(PLACE / "hop.toml")]) == 2
+        assert "1 / 0" in (said := capsys.readouterr().err) and "perilune: the kind of problem lunar_hop fails" in said
     finally:
         KINDS.pop("lunar_hop", None)
 

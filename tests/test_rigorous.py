@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -57,3 +59,6 @@ def test_without_ball_arithmetic_it_says_how_to_get_it(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "flint", None)
     with pytest.raises(pl.PeriluneError, match=r"pip install 'perilune\[rigorous\]'"):
         pl.verify(solution, level=5)
+    never = SimpleNamespace(run=lambda *_: pytest.fail("solved, where the proof was to be refused first"))
+    with pytest.raises(pl.PeriluneError, match="python-flint"):
+        pl.solve(solution.problem, cast("Any", never), level=5)

@@ -69,6 +69,8 @@ def solve(
         problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
     )
     demand_level(level, (0, *LEVELS))
+    if level == THEOREM:
+        _theorem()  # what is not installed is said before the work
     demand_callable(watch, "a watch")
     demand_tolerance(tolerance)
     refuse_impossible(preflight(problem))

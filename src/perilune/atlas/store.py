@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.lines import read_line, refuse_no_brick, refuse_no_survey, told_of_damage
-from perilune.io.files import finite, json_text
+from perilune.io.files import finite, json_text, refuse_name_of_file
 from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import tree
 from perilune.words.bounded import bounded_text
@@ -68,6 +68,7 @@ class Store:
         PeriluneError
             If there is something else, or it cannot be written.
         """
+        refuse_name_of_file(self.directory)
         try:
             self._made = self._made or not self.directory.exists()
             self.directory.mkdir(parents=True, exist_ok=True)

@@ -40,7 +40,12 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> int:
 
 def _failed(error: Exception) -> Answer:
     """What is said where a command cannot go on."""
+    tracing = os.environ.get("PERILUNE_TRACEBACK")
     if isinstance(error, PeriluneError):
+        if tracing and (behind := error.__cause__ or error.__context__) is not None:  # for who wrote what failed
+            from traceback import format_exception
+
+            aside("".join(format_exception(behind)))
         return refusal(error, error.exit_code)
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
@@ -50,7 +55,7 @@ def _failed(error: Exception) -> Answer:
             advice="choose another place; look at its rights and at the space that is left",
         )
         return refusal(fault, 2)
-    if os.environ.get("PERILUNE_TRACEBACK"):
+    if tracing:
         raise error
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("perilune"):
         missing = PeriluneError(f"perilune needs {error.name}, which is not installed", advice="pip install perilune")

@@ -97,8 +97,14 @@ def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[flo
 
 def _merge(typed: Namespace) -> Answer:
     from perilune.atlas.merging import merge
+    from perilune.atlas.store import HEADER
 
-    with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
+    def going_on() -> str:
+        """Nothing where nothing was copied yet, or an atlas is there: the one that was to be replaced, or the new."""
+        copied = typed.out.is_dir() and any(typed.out.iterdir()) and not _written(typed.out / HEADER)
+        return f"{typed.out} is no atlas yet; the same command merges again" if copied else ""
+
+    with advised(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         merge(typed.directory, typed.other, typed.out, force=typed.force, watch=watch)
     typed.directory = typed.out
     return _described(_opened(typed), built=str(typed.out))
@@ -156,7 +162,9 @@ def _export(typed: Namespace) -> Answer:
     from perilune.io.exports.formats import format_of
 
     atlas, form = _opened(typed), format_of(typed.out, typed.format, list(FORMS))
-    export(atlas, typed.out, form, force=typed.force)
+    there = _written(typed.out)
+    with advised(lambda: "" if _written(typed.out) != there else f"nothing was written to {typed.out}"):
+        export(atlas, typed.out, form, force=typed.force)
     nodes, size = sum(line["nodes"]["rows"] for line in atlas.said.values()), typed.out.stat().st_size
     document = {"written": str(typed.out), "format": form, "nodes": nodes, "bytes": size}
     return Answer(text=f"written to {typed.out}: {nodes} nodes, {size / 2**20:.1f} MiB", document=document)

@@ -33,6 +33,8 @@ def _range(least: int, most: int | None) -> str:
     return f"at least {least}" if most is None else f"from {least} to {most}"
 
 
+THEOREM = 5  # of `perilune.problem.verification`, which help need not wait for
+
 Option = tuple[tuple[str, ...], dict[str, Any]]  # its flags, and what argparse is told of it
 
 
@@ -46,11 +48,17 @@ def switch(flag: str, about: str, **settings: Any) -> Option:
     return option(flag, action="store_true", help=about, **settings)
 
 
-def level(least: int, usual: int, most: int = 3) -> Option:
+def level(least: int, usual: int) -> Option:
     """The level of a proof."""
-    text = f"Verification level to prove, {_range(least, most)}" + ("; 0 for none" if not least else "")
-    help_ = f"{text}. Usually {usual}." + ("" if most == 5 else " Level 5 is of `perilune verify DIR`.")
-    return option("--level", metavar="LEVEL", type=whole(least, most), default=usual, help=help_)
+    text = f"Verification level to prove, {_range(least, THEOREM)}" + ("; 0 for none" if not least else "")
+    read = whole(least, THEOREM)
+    return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Usually {usual}.")
+
+
+def prove(what: str, otherwise: str = "") -> Option:
+    """The level to which something is proved on the way, usually not at all."""
+    help_ = f"{what}, to level 1 to {THEOREM}{otherwise}."
+    return option("--prove", metavar="LEVEL", type=whole(0, THEOREM), default=0, help=help_)
 
 
 FILE = option("file", metavar="FILE", type=Path, help="Scenario in TOML; `perilune new` writes one.")

@@ -32,6 +32,7 @@ except ImportError:  # Windows: what a killed process leaves there stays
 
 FAILURE_FILE = "failure.json"
 FIGURES, DRAWN_BY = "figures", "perilune"  # their folder, and the creator that an SVG names
+_OF_FILES = set(".csv .czml .gif .html .jpg .json .md .mp4 .nc .oem .parquet .pdf .png .svg .toml .txt .zip".split())
 # What runs write into their directory by name; where others may use the name too, by what is near its head.
 _RESULTS = re.compile(r"(solution|failure|family)\.json|family\.(csv|png|svg)|trajectory(_\d+_\w+)?\.csv")
 _DRAWING, _REPORT = f"<dc:title>{DRAWN_BY}</dc:title>".encode(), b"\n\n## Results\n\n| quantity | value | unit |"
@@ -52,9 +53,11 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
     Raises
     ------
     PeriluneError
-        If `target` is a file, cannot be written, or holds more than a failure already and `force` is false.
+        If `target` is a file, or called as one and not there, cannot be written, or holds more than a failure already
+        and `force` is false.
     """
     target = demand_path(target, "an output directory")
+    refuse_name_of_file(target)
     if target.exists() and not target.is_dir():
         raise PeriluneError(
             "the output directory is a file", got=str(target), expected="a directory", advice="choose another name"
@@ -91,6 +94,15 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
             os.close(lock)
 
 
+def refuse_name_of_file(target: Path) -> None:
+    """Refuse a directory that is not there and is called as a file: who says ``--out map.png`` wants no such folder."""
+    if target.suffix.lower() in _OF_FILES and not target.exists():
+        raise PeriluneError(
+            "the output directory is called as a file", got=str(target), expected="a directory, which holds all files",
+            advice=f"call it {target.stem}",
+        )  # fmt: skip
+
+
 def new_file(file: str | Path, what: str, force: bool = False) -> Path:
     """The path of a file to write; refuses a directory, and one that is there unless it may be replaced."""
     path = demand_path(file, f"the file of {what}")
@@ -120,6 +132,7 @@ def fresh_file(target: Path, what: str) -> Iterator[Path]:
         raise PeriluneError(
             f"{what} cannot be written", got=f"{target}: {error.strerror or error}",
             expected="a place that you may write, with space left",
+            advice="choose another, look at its rights, or make space; what was there is kept",
         ) from error  # fmt: skip
     finally:
         with suppress(OSError):

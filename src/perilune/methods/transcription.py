@@ -44,7 +44,10 @@ class Transcription:
         for name in ("tolerance", "nlp_tolerance"):
             demand_number(getattr(self, name), name)
             if not 0 < getattr(self, name) < 1:
-                raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))
+                raise PeriluneError(
+                    f"{name} must lie between 0 and 1", got=str(getattr(self, name)),
+                    expected="more than 0 and less than 1",
+                )  # fmt: skip
         if not isinstance(self.polish, bool):
             raise PeriluneError("polish is a yes or a no", got=repr(self.polish)[:60], expected="True or False")
 

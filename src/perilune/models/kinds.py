@@ -363,7 +363,7 @@ def _of_package(kind: Kind, package: str) -> Callable[..., Problem]:
         except Exception as error:
             raise PeriluneError(
                 f"the kind of problem {kind.name} fails", got=f"{package}: {_in_a_line(error)}",
-                advice="it is called with the record of each section by the section's name",
+                advice="it is called with the record of each section by its name; PERILUNE_TRACEBACK=1 shows where",
             ) from error  # fmt: skip
         if not isinstance(made, Problem):
             got = f"{package}: {type(made).__name__}"

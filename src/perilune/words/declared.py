@@ -146,8 +146,11 @@ class Quantity:
     def range(self) -> str:
         """The range in words; empty where there is none."""
         if math.isfinite(self.low) and math.isfinite(self.high):
-            low = f"{self.low / unit(self.spoken_unit)[0]:g}"
-            return f"between {low} and {self.shown(self.high)}"
+            low, high = f"{self.low / unit(self.spoken_unit)[0]:g}", self.shown(self.high)
+            if not (self.open_low or self.open_high):
+                return f"between {low} and {high}"
+            least, most = "more than" if self.open_low else "at least", "less than" if self.open_high else "at most"
+            return f"{least} {low} and {most} {high}"
         if math.isfinite(self.low):
             return f"{'>' if self.open_low else '>='} {self.shown(self.low)}"
         return f"{'<' if self.open_high else '<='} {self.shown(self.high)}" if math.isfinite(self.high) else ""
