@@ -48,8 +48,9 @@ def served(*arguments: str) -> Iterator[str]:
             yield found.group()
         finally:
             process.send_signal(2)
-            code = process.wait(20)
+            code, more = process.wait(20), process.stderr.read()
     assert code == 0, f"it ended with {code}"
+    assert more.splitlines()[1:] == [], "more than that Ctrl-C ends it"
 
 
 def until(page: Any, expression: str, seconds: float = 30.0) -> None:

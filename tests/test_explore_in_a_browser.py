@@ -289,6 +289,9 @@ def test_a_page_from_a_file_alone_shows_its_flights(page: Any, alone: Path, widt
         page.click("#picture")
     drawn = taken.value.path().read_text(encoding="utf-8")
     assert "300 kg lander from 15 km" in drawn and "stored without a proof to level 3" in drawn
+    page.evaluate("document.getElementById('path').replaceChildren()")  # as of a problem that states no path
+    page.click("#picture")
+    assert "there is no path to draw" in page.inner_text("#source")
     page.evaluate("perilune.flight.results.turn = { value: Math.PI, unit: 'rad' }")
     page.evaluate("perilune.flight.extremals = [{ objective: -957.0, nature: 'best' }]")  # where nothing is maximised
     page.click("#pin")

@@ -47,11 +47,14 @@ def _leave(code: int) -> NoReturn:
     """End the program; at once where a thread still computes, for which nobody waits.
 
     At an ordinary end C++ takes its globals away from below machine code that runs or is made, which crashes. All is
-    said by now, and written.
+    said by now, and written; what Python's own libraries do at the end, as to free semaphores, is done here.
     """
     import threading
 
     if any(thread.daemon for thread in threading.enumerate()):
+        import atexit
+
+        atexit._run_exitfuncs()
         os._exit(code)
     sys.exit(code)
 

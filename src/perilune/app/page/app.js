@@ -315,7 +315,7 @@
   };
   const verdict = (f) => f.proved ? `${f.proved.outcome}, level ${f.proved.level}` : f.source === "stored" ? UNPROVED : "not proved yet";
   $("picture").onclick = () => { // with what it shows and what is known of that, as it may go where nothing else tells
-    if (!$("path-svg")) { return; }
+    if (!$("path-svg")) { state.notice = "there is no path to draw: the problem states none"; show(); return; }
     const made = $("path-svg").cloneNode(true), [, , wide, high] = made.getAttribute("viewBox").split(" ").map(Number), more = 34;
     const put = (name, attributes, said = "") => { const node = document.createElementNS(made.namespaceURI, name); for (const [k, v] of Object.entries(attributes)) { node.setAttribute(k, v); } text(node, said); return node; };
     made.setAttribute("viewBox", `0 0 ${wide} ${high + more}`); made.prepend(put("rect", { width: wide, height: high + more, fill: Draw.css("--paper") }));
