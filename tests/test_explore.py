@@ -39,6 +39,7 @@ from perilune.app.client import MESSAGE, Client, asked
 from perilune.app.files import page_files
 from perilune.app.frames import flight, hello
 from perilune.app.frozen import frozen_page
+from perilune.app.resting import compared, proved
 from perilune.app.slices import Slices
 from perilune.app.subject import Subject, subject_of
 from perilune.cli.commands import obey
@@ -443,6 +444,22 @@ def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_follow
     assert found.solution is subject.known and found.words == "as it was saved" and not asked
     assert answering.at({**first, "vehicle_thrust": 441.0}, newer, silent).source == "neighbour"
     assert asked == [440.0, 441.0]
+
+
+def test_a_saved_flight_is_compared_and_proved_like_any_other(tmp_path: Path) -> None:
+    """Its file's word on what it is does not count: that of what is found from nothing does, where it is the same."""
+    save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, level=0), tmp_path / "run")
+    known = subject_of(tmp_path / "run").known
+    assert known is not None and not known.extremals
+    found = compared(known, silent)
+    assert not found.jumped and found.words == "best of 3 found" and found.family is not None
+    assert [one.nature.name for one in found.solution.extremals] == ["BEST", "LOCAL_OPTIMUM_AT_BOUND", "WORST"]
+    assert proved(found.solution, silent).outcome.name == "PROVED"
+    worse, better = (compared(replace(known, objective=known.objective + off), silent) for off in (1.0, -1.0))
+    assert worse.jumped and [one.nature.name for one in worse.solution.extremals][-1] == "UNPROVED"
+    assert not better.jumped and [one.nature.name for one in better.solution.extremals][:2] == [
+        "UNPROVED", "LOCAL_OPTIMUM"
+    ]  # fmt: skip
 
 
 def test_a_saved_solution_hands_out_the_scenario_that_it_keeps(tmp_path: Path) -> None:

@@ -238,8 +238,9 @@ class Client:
             self.answering.last = better.solution
             jump = Flown(solution=better.solution, source="jumped", words=better.words, latency=took)
             await self._show(request, jump)
-            if better.family is not None:
-                await self._send({"type": "family", "number": request["number"], **better.family})
+        if better.family is not None:
+            await self._send({"type": "family", "number": request["number"], **better.family})
+        if better.jumped:
             return better.solution
         assert isinstance(found, Flown), "what jumped was another"
         known = replace(found.solution, extremals=better.solution.extremals)  # as it was found, with its family

@@ -12,7 +12,7 @@ from typing import Any
 
 from perilune.app.answering import family
 from perilune.app.frames import proof
-from perilune.problem.extremal import Extremal
+from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Verification
@@ -38,7 +38,8 @@ class Compared:
     words
         The same for people.
     family
-        Of another one: J along its free parameter (`perilune.app.answering.family`), which needs it as it was found.
+        Of another one, and of one as it was saved: J along its free parameter (`perilune.app.answering.family`), which
+        needs it as it was found.
     """
 
     solution: Solution
@@ -76,7 +77,7 @@ def compared(followed: Solution, watch: Watch) -> Compared:
     """
     found = solve(followed.problem, level=0, watch=watch)
     room, best = _SAME * (1.0 + abs(found.objective)), found.extremals
-    own = replace(followed.extremals[0], nature=followed.extremals[0].nature.unguided)
+    own = _own(followed)
     if found.objective < followed.objective - room:
         if all(abs(own.objective - other.objective) > room for other in best):
             best = (*best, *_outdone([own]))
@@ -84,9 +85,11 @@ def compared(followed: Solution, watch: Watch) -> Compared:
         found = replace(found, extremals=best)
         return Compared(solution=found, jumped=True, words=words, family=family(found))
     same = abs(found.objective - followed.objective) <= room
-    best = (own, *(best[1:] if same else _outdone(best)))
+    saved = not followed.extremals  # of which nobody has looked yet what it is: what it was found to be
+    best = (*(best[:1] if same and saved else [own]), *(best[1:] if same else _outdone(best)))
     words = f"best of {len(best)} found" + ("" if same else ", the others from nothing")
-    return Compared(solution=replace(followed, extremals=best), jumped=False, words=words)
+    shown = replace(followed, extremals=best, listed=())
+    return Compared(solution=shown, jumped=False, words=words, family=family(found) if same and saved else None)
 
 
 def from_nothing(problem: Problem, watch: Watch) -> Compared:
@@ -114,6 +117,13 @@ def cost(solution: Solution) -> str:
     problem = solution.problem
     name, value = (problem.maximised, -solution.objective) if problem.maximised else ("J", solution.objective)
     return f"{name.replace('_', ' ')} {told(value, problem.objective_unit)}"
+
+
+def _own(followed: Solution) -> Extremal:
+    """What is known of the extremal itself: nothing of one as it was saved."""
+    if not followed.extremals:
+        return Extremal(free=followed.free, objective=followed.objective, nature=Nature.UNPROVED)
+    return replace(followed.extremals[0], nature=followed.extremals[0].nature.unguided)
 
 
 def _outdone(extremals: Iterable[Extremal]) -> list[Extremal]:

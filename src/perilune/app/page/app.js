@@ -32,7 +32,7 @@
       if (again) { waiting = waiting.slice(0, 1); }
     }
     if (said.type === "notice") { state.notice = said.words; dirty = true; }
-    if (["flight", "refusal", "fault", "slice", "family", "compared", "proof"].includes(said.type)) { state.doing = null; }
+    if (["flight", "refusal", "fault", "slice", "family", "compared", "proof", "notice"].includes(said.type)) { state.doing = null; }
     if (said.type === "flight" || said.type === "refusal" || said.type === "fault") { waiting = waiting.filter((number) => number > said.number); }
     if (said.number < state.shown) { if (again) { ask(); } return; } // of before what was refused as no request at all
     if (said.type === "flight") { state.flight = said; state.shown = said.number; state.frames += 1; state.family = null; state.refused = null; state.notice = ""; dirty = true; }
