@@ -93,6 +93,10 @@ def test_the_flight_follows_a_slider_and_jumps_where_a_retro_burn_begins_to_pay(
         assert page.evaluate("perilune.values") == before
         page.goto(address + "#retro.specific_impulse=273")  # a link into the page that is open
         until(page, "perilune.values.retro_specific_impulse === 273")
+        steps = page.evaluate("perilune.past.length")
+        page.goto(address + "#retro.specific_impulse=2.73e2")  # in other words
+        until(page, "location.hash === '#retro.specific_impulse=273'")
+        assert page.evaluate("perilune.past.length") == steps
         page.locator(".skip").focus()
         page.keyboard.press("Enter")
         assert (

@@ -74,7 +74,7 @@
     const values = Object.fromEntries(state.knobs.map((k) => {
       const said = from.get(k.key), v = said && DECIMAL.test(said.trim()) ? Number(said) : NaN;
       if (!Number.isFinite(v)) { return [k.name, state.first[k.name]]; }
-      const at = placed(k, v * k.size); if (at === v * k.size) { lost.delete(k.key); }
+      const at = placed(k, v * k.size); if (at === v * k.size && from.getAll(k.key).length === 1) { lost.delete(k.key); }
       return [k.name, at];
     }));
     state.unlinked = lost.size ? `not as the link says: ${[...lost].map((key) => `${key}=${from.get(key)}`.slice(0, 60)).join(", ")}` : "";
@@ -335,7 +335,12 @@
     const key = event.key.toLowerCase(); // with Shift it is a capital
     if (key === "z") { event.preventDefault(); event.shiftKey ? redo() : undo(); } else if (key === "y") { event.preventDefault(); redo(); }
   });
-  addEventListener("hashchange", () => { if (location.hash.slice(1) !== hash()) { remember(); restore(linked()); } }); // a link into an open page
+  addEventListener("hashchange", () => { // a link into an open page
+    if (location.hash.slice(1) === hash()) { return; }
+    const to = linked(), lost = state.unlinked;
+    if (state.knobs.some((k) => to[k.name] !== state.values[k.name])) { remember(); }
+    state.unlinked = lost; restore(to);
+  });
   document.querySelector(".skip").onclick = (event) => { event.preventDefault(); $("knobs").focus(); $("knobs").scrollIntoView(); }; // the address holds values
   new ResizeObserver(([head]) => document.documentElement.style.setProperty("--head", `${head.target.offsetHeight}px`)).observe(document.querySelector("header"));
   const whole = () => { show(); if (state.refused && state.flight) { numbers(state.flight); drawn(state.flight); } }; // the flight before, behind a refusal, too
