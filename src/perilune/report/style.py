@@ -57,10 +57,17 @@ def time_text(problem: Problem) -> str:
 
 
 def save(figure: Figure, directory: Path, name: str) -> None:
-    """Write ``name.png`` and ``name.svg``; equal figures give equal files."""
+    """Write ``name.png`` and ``name.svg``; equal figures give equal files.
+
+    Both have the layout of the first: to lay a figure out takes two thirds of the time of drawing it.
+    """
     with matplotlib.rc_context(STYLE):
         FigureCanvasAgg(figure).print_figure(directory / f"{name}.png", metadata={"Software": None})
+        engine = figure.get_layout_engine()
+        with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+            figure.set_layout_engine(None)
         FigureCanvasSVG(figure).print_figure(directory / f"{name}.svg", metadata={"Date": None, "Creator": DRAWN_BY})
+        figure.set_layout_engine(engine)
 
 
 def new_figure(height: float = 2.3, rows: int = 1, cols: int = 1, width: float = COLUMN_WIDTH) -> tuple[Figure, Any]:
