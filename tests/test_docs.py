@@ -12,12 +12,9 @@ import doctest
 import fnmatch
 import importlib.util
 import io
-import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -25,6 +22,7 @@ from types import ModuleType
 import pytest
 
 from cho import cho_landing
+from perilune.cli import run
 from perilune.problem.solution import Solution
 from perilune.solve import prove, solve
 from perilune.words.outcome import Outcome
@@ -79,12 +77,21 @@ def run_python(page: Path) -> None:
             assert_shown(page, shown, printed.getvalue())
 
 
-def run_console(page: Path, directory: Path) -> None:
+def said(arguments: list[str]) -> tuple[int, str]:
+    """Exit code of a command, and what it prints. In this process: one of its own loads everything anew."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+        code = run(arguments)
+    return code, printed.getvalue()
+
+
+def run_console(page: Path, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a page's console blocks; the exit code must be 0 unless ``$ echo $?`` below shows another."""
     consoles = [text for language, text in blocks(page) if language == "console"]
     if not any("$ perilune new examples\n" in text for text in consoles):
         shutil.copytree(ROOT / "examples", directory / "examples")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "120"}
+    monkeypatch.chdir(directory)
+    monkeypatch.setenv("COLUMNS", "120")
     for text in consoles:
         pairs = list(commands(text))
         for (command, shown), (after, code) in zip(pairs, [*pairs[1:], ("", "")], strict=True):
@@ -92,12 +99,9 @@ def run_console(page: Path, directory: Path) -> None:
                 continue
             program, *arguments = shlex.split(command)
             assert program == "perilune", f"{page.name}: only perilune is run here, not {program}"
-            done = subprocess.run(
-                [sys.executable, "-m", "perilune", *arguments], cwd=directory, env=environment, timeout=120,
-                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8", check=False,
-            )  # fmt: skip
-            assert done.returncode == (int(code) if after == "echo $?" else 0), f"{command}\n{done.stdout}"
-            assert_shown(page, shown, done.stdout)
+            exit_code, printed = said(arguments)
+            assert exit_code == (int(code) if after == "echo $?" else 0), f"{command}\n{printed}"
+            assert_shown(page, shown, printed)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if "python" in languages(p)], ids=lambda p: p.stem)
@@ -107,12 +111,12 @@ def test_python_examples(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if "console" in languages(p)], ids=lambda p: p.stem)
-def test_console_examples(page: Path, tmp_path: Path) -> None:
+def test_console_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run, leave with the exit code shown, and print what the page shows."""
-    run_console(page, tmp_path)
+    run_console(page, tmp_path, monkeypatch)
 
 
-def test_a_wrong_example_is_seen(tmp_path: Path) -> None:
+def test_a_wrong_example_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The tests above can fail: on an output, on an exit code, on an exception."""
     page = tmp_path / "page.md"
     page.write_text("```python\nprint(2 + 2)\n```\n\n```output\n5\n```\n", encoding="utf-8")
@@ -120,7 +124,7 @@ def test_a_wrong_example_is_seen(tmp_path: Path) -> None:
         run_python(page)
     page.write_text("```console\n$ perilune check examples/nowhere.toml\n...\n```\n", encoding="utf-8")
     with pytest.raises(AssertionError, match="no scenario file"):
-        run_console(page, tmp_path / "there")
+        run_console(page, tmp_path / "there", monkeypatch)
     page.write_text("```python\nimport perilune\nperilune.nothing\n```\n", encoding="utf-8")
     with pytest.raises(AttributeError):
         run_python(page)
@@ -130,12 +134,12 @@ def test_no_block_is_left_out() -> None:
     """Every block is of a kind that is known here, and what README has people run is run on another page."""
     known = {"python", "output", "console", "sh", ""}
     consoles = [text for page in PAGES for language, text in blocks(page) if language == "console"]
-    run = {command for text in consoles for command, _ in commands(text)}
+    shown = {command for text in consoles for command, _ in commands(text)}
     for page in PAGES:
         assert languages(page) <= known, page.name
         for language, text in blocks(page):
             for command in re.findall(r"\bperilune [a-z].*", text) if language == "sh" else []:
-                assert command in run, f"{page.name} shows {command!r}, which no page runs"
+                assert command in shown, f"{page.name} shows {command!r}, which no page runs"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Mapping, Set
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -34,18 +35,28 @@ def modules() -> frozenset[str]:
     return frozenset(module_of(path) for path in FILES)
 
 
-def imported(path: Path) -> set[str]:
-    """Modules below perilune that a file imports anywhere in it; of a package, the submodule where one is named."""
-    found = set()
+@cache
+def imported_and_named(path: Path) -> tuple[frozenset[str], frozenset[str]]:
+    """Modules below perilune that a file imports anywhere in it, and all names that it uses.
+
+    Of a package, the submodule where one is named.
+    """
+    found, names = set(), set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
+        if isinstance(node, ast.Name):
+            names.add(node.id)
+        elif isinstance(node, ast.Import):
             found |= {a.name.removeprefix("perilune.") for a in node.names if a.name.startswith("perilune.")}
         elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "perilune":
             base = node.module.removeprefix("perilune").removeprefix(".")
             for alias in node.names:
                 inner = f"{base}.{alias.name}".removeprefix(".")
                 found.add(inner if inner in modules() else base or FACE)
-    return found
+    return frozenset(found), frozenset(names)
+
+
+def imported(path: Path) -> frozenset[str]:
+    return imported_and_named(path)[0]
 
 
 @pytest.mark.parametrize("path", FILES, ids=module_of)
@@ -59,7 +70,7 @@ def test_rooms_are_built_upwards(path: Path) -> None:
     assert not above, f"{module_of(path)} imports from above: {sorted(above)}"
 
 
-def circle(graph: dict[str, set[str]]) -> list[str]:
+def circle(graph: Mapping[str, Set[str]]) -> list[str]:
     """The files of a circle of imports, or none."""
     try:
         TopologicalSorter(graph).prepare()
@@ -85,5 +96,5 @@ def test_mathematics_knows_no_rockets() -> None:
     """Words of the subject do not appear in the code of the rooms below it."""
     for path in FILES:
         if room_of(module_of(path)) in MATHEMATICS:
-            names = {n.id for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Name)}
+            names = imported_and_named(path)[1]
             assert not names & {"thrust", "specific_impulse", "perilune_altitude", "landed_mass"}, path
