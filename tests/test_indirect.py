@@ -13,6 +13,7 @@ from cho import cho_landing
 from newton_toys import toy
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
+from perilune.methods.assemble import _agreed
 from perilune.methods.indirect import Indirect
 from perilune.problem.nodes import hermite_nodes
 from perilune.problem.problem import Problem
@@ -188,6 +189,21 @@ def test_curves_interpolate_what_they_promise() -> None:
     dense = np.linspace(0, 2, 5001)
     assert np.abs(curve(dense) - fast(dense)[0]).max() < 2e-9
     assert np.diff(nodes)[0] > 4 * np.diff(nodes).min()
+
+
+def test_a_control_that_goes_on_through_a_switch_is_told_by_the_side_that_turns_less() -> None:
+    """Rounding of the switch moves what turns at once; a jump stays one, and so does what has no common time."""
+
+    def piece(time: float, control: float, rate: float) -> list[np.ndarray]:
+        return [np.full(1, time), np.array([[7.0, control]]), np.array([[1.0, rate]])]
+
+    for step, gone, told in ((3e-10, 0.0, 0.5), (1e-3, 0.0, None), (3e-10, 0.1, None)):
+        for slow, fast in ((0, 1), (1, 0)):
+            pieces = [piece(2.0, 0.5, 0.1), piece(2.0 + gone, 0.5 + step, -600.0)][:: 1 if slow == 0 else -1]
+            pieces[1][0], pieces[0][0] = np.full(1, 2.0 + gone), np.full(1, 2.0)
+            _agreed(pieces, slice(1, None))
+            assert pieces[fast][1][0, 1] == (told or 0.5 + step)
+            assert pieces[slow][1][0].tolist() == [7.0, 0.5] and pieces[fast][2][0, 1] == -600.0
 
 
 def test_a_piece_without_length_is_its_end() -> None:

@@ -30,6 +30,7 @@ _PLAIN = 3.0  # times their sizes a control moves the states on a plain landing,
 _CHANGED = 6e-10  # of H, by all errors together, where the proof allows 1e-9
 _LOOKS, _DIFFERENCE = 16, 1e-6  # nodes of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
+_GOES_ON = 1e-7  # of a control: a smaller step at a switch is none
 _CLEAR, _DECADES = 1e-6, 8  # a control that changes by less in that is told; how much longer a moment is looked at
 
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
@@ -168,8 +169,22 @@ def _nodes(
         # The last node is the switch itself, not a sum that may miss it by one rounding; a joint is the next piece's.
         piece = np.append(left + nodes[:-1], right), *evaluate(nodes)
         pieces.append([part[:-1] for part in piece] if right in joints else piece)
+    _agreed(pieces, slice(2 * n, None))
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     return nodes, values, rates
+
+
+def _agreed(pieces: Sequence[Sequence[Any]], controls: slice) -> None:
+    """Where a control goes on through a switch, both sides of it tell what the one tells that turns less.
+
+    Behind a limit on its tilt a thrust may turn over at once. What the rounding of the switch, or of a costate near
+    zero, makes of it there is beyond the limit.
+    """
+    for (time, values, rates), (later, ahead, slopes) in pairwise(pieces):
+        before, after = values[-1, controls], ahead[0, controls]
+        if time[-1] == later[0] and np.abs(before - after).max(initial=0.0) <= _GOES_ON:
+            slower = np.abs(rates[-1, controls]).max(initial=0.0) <= np.abs(slopes[0, controls]).max(initial=0.0)
+            (after if slower else before)[:] = before if slower else after
 
 
 def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> float:
