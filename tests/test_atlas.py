@@ -31,7 +31,7 @@ from hypothesis import given, settings, strategies as st
 import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
-from perilune.atlas import building
+from perilune.atlas import building, polish
 from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.columns import cell_type, node_type
@@ -226,6 +226,20 @@ def test_one_lane_is_polished_as_it_is_among_many_and_stays_as_it_was_found(atla
             np.vstack([getattr(one, name) for one in alone]).squeeze(), np.vstack(getattr(together, name)).squeeze()
         )
     np.testing.assert_array_equal(np.vstack([one.flown.shown for one in alone]), together.flown.shown)
+
+
+def test_where_newton_stops_near_an_extremal_it_goes_on_from_there(
+    atlas: Atlas, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From 3 % away its steps shrink too slowly in 5 of 8 lanes: such points were refused."""
+    charted, points = atlas.charted[0], RNG(2).uniform([430.0, 270.0], [450.0, 310.0], (12, 2))
+    guess, which, values = atlas.begins(points)[0][:, 2:], np.zeros(12, dtype=np.int64), points / charted.chart.scale
+    near, far = (charted.polish(values, which, guess * by) for by in (1.0, 1.03))
+    monkeypatch.setattr(polish, "_AGAIN", 0)
+    assert charted.polish(values, which, guess * 1.03).reached.sum() < far.reached.sum() == 8
+    np.testing.assert_array_equal(far.reached, near.reached)
+    np.testing.assert_allclose(far.y[far.reached], near.y[near.reached], rtol=1e-9, atol=1e-9)
+    assert far.steps[far.reached].sum() > near.steps[near.reached].sum() and (far.away[far.reached] > 0.005).all()
 
 
 def test_the_answer_jumps_where_the_retro_burn_stops_paying(atlas: Atlas) -> None:
@@ -804,12 +818,22 @@ def test_answers_that_touch_a_condition_are_mapped_beside_those_that_do_not(tmp_
     assert pl.prove(touching).outcome is Outcome.PROVED
 
 
-def test_an_answer_that_breaks_the_path_is_none_where_nothing_that_keeps_it_is_known(tmp_path: Path) -> None:
+def test_an_answer_that_breaks_the_path_is_none_where_nothing_that_keeps_it_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what breaks it casts doubt by the J that it has, whatever the corners of its cell promise."""
     atlas = open_atlas(build(bryson_denham(0.3), {"ceiling": (0.2, 0.3)}, tmp_path / "ceilings"))
     assert atlas.charted.pop().of_arcs and len(atlas.charted) == 1
     with pytest.raises(NotConvergedError, match="no answer here"):
         atlas.query(ceiling=0.22)
     assert atlas.query_many(np.array([[0.22], [0.29]])).answered.tolist() == [Answered.ENDS, Answered.YES]
+    monkeypatch.setattr(Brick, "least", lambda brick, numbers, places, step: np.ones(len(numbers)))
+    again = open_atlas(tmp_path / "ceilings")
+    touching = again.brick(1, again.region.brick_of(np.array([0.29])))
+    assert touching is not None
+    touching.status[:] = [int(Status.BREAKS)] * len(touching.status)
+    assert again.query(ceiling=0.29).objective == pytest.approx(2.0, rel=1e-12)
+    assert again.query_many(np.array([[0.29]])).good.all()
 
 
 def test_the_maps_of_the_examples_are_stated_rightly() -> None:

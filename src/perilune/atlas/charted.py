@@ -26,7 +26,7 @@ from perilune.shooting.function import Root
 from perilune.structures.carry import joined
 from perilune.structures.restate import renumbered, sums_of
 from perilune.structures.structure import margins
-from perilune.words.types import Matrix
+from perilune.words.types import Matrix, Vector
 
 
 class Charted:
@@ -88,6 +88,16 @@ class Charted:
         at = np.full((len(y), self.chart.shooting.plan.held), np.nan)
         at[:, : self.chart.shooting.plan.free] = whole[:, self.chart.conditions.free_at]
         return self.borders.short(whole, at, limits)
+
+    def met(self, number: int, values: Matrix, y: Matrix, cost: Vector) -> Vector:
+        """J of extremals of a sheet as Newton's method meets them from what cells give, and as told where it does not.
+
+        Cells in which extremals break the path are not cut: what their corners promise is rough.
+        """
+        if not len(y):
+            return cost
+        polished = self.polish(values, np.full(len(y), number), y)
+        return np.where(polished.reached & np.isfinite(polished.cost), polished.cost, cost)
 
     def free(self, y: Matrix) -> Matrix:
         """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""

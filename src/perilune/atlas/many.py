@@ -227,8 +227,8 @@ class _Work:
 
         Of the latter it is told which cast doubt in any case.
         """
-        known, doubt, of = self.cost[self.some], np.full(len(self.some), np.inf), [offer.charted for offer in offers]
-        better = [one.of(outdoing(of[one.number], one.cost, known[one.lanes])) for one in breaking]
+        doubt, of = np.full(len(self.some), np.inf), [offer.charted for offer in offers]
+        better = [self._outdoing(one, offers[one.number]) for one in breaking]
         told, answers = [(of[one.number], one.lanes, one.short) for one in better], list(zip(of, vouching, strict=True))
         followed, follows = list[tuple[_Breaking, NDArray[np.bool_]]](), bool(self.atlas.descents.names)
         for one, left in zip(better, unanswered(told, answers, self.of_arcs[self.some]), strict=True):
@@ -237,16 +237,17 @@ class _Work:
             followed.append((one.of(its), which[its]))
         return doubt, followed
 
+    def _outdoing(self, one: _Breaking, offer: _Offered) -> _Breaking:
+        """Those that outdo what is known, by J as Newton's method meets it."""
+        known, charted = self.cost[self.some], offer.charted
+        one = one.of(outdoing(charted, one.cost, known[one.lanes]))
+        its = np.nonzero(~one.short)[0]
+        values = self.points[self.some[one.lanes[its]]] / charted.chart.scale
+        one.cost[its] = charted.met(offer.sheet, values, one.y[its], one.cost[its])
+        return one.of(outdoing(charted, one.cost, known[one.lanes]))
+
     def _become(
-        self,
-        doubt: Vector,
-        offer: _Offered,
-        lanes: NDArray[np.int64],
-        cost: Vector,
-        y: Matrix,
-        best: Known,
-        *,
-        turns: bool,
+        self, doubt: Vector, offer: _Offered, lanes: Lanes, cost: Vector, y: Matrix, best: Known, *, turns: bool
     ) -> NDArray[np.bool_]:
         """Let extremals that are no answers cast doubt, or what they become answer; which doubt is left of."""
         if not len(lanes):

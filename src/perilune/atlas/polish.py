@@ -38,6 +38,7 @@ _LENGTH, _SHRINKING, _GOING, _STEPS = range(4)
 # What is told of an extremal: see `Polished`; whether to fly once more.
 _ANSWERS, _DOUBTFUL, _BREAKING, _SHORT, _GAINS, _POOR, _BOUND, _AWAY = range(8)
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
+_AGAIN, _NEAR = 2, 1e-2  # times that it is tried from where it stopped, and relative steps up to which it is near
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +73,24 @@ class Polished:
     slopes: Matrix
     reached: NDArray[np.bool_]
     flown: Reflown
+
+    @property
+    def rough(self) -> NDArray[np.int64]:
+        """Lanes in which Newton's method stopped near an extremal.
+
+        Where what it squares is large, as where a switch is about to appear, its steps shrink less at first, or the
+        last one leaves more.
+        """
+        stopped = ~self.reached & (self.course[:, _LENGTH] <= _NEAR)
+        missed = np.maximum(self.flown.seen.residual, self.bound) > SLACK
+        return np.nonzero(stopped | self.reached & missed)[0]
+
+    def put(self, lanes: NDArray[np.int64], by: Polished) -> None:
+        """Put others, which begin where some lanes stopped, in their place."""
+        by.course[:, _STEPS] += self.course[lanes, _STEPS]
+        for name in ("y", "choice", "course", "told", "passed", "slopes", "reached"):
+            getattr(self, name)[lanes] = getattr(by, name)
+        self.flown.replace(lanes, by.flown)
 
     def copy(self) -> Polished:
         """In arrays of its own."""
@@ -163,6 +182,18 @@ class Polisher:
         guess
             Unknowns, (lanes, n).
         """
+        polished = self._polished(values, which, guess)
+        for _ in range(_AGAIN):
+            if not (rough := polished.rough).size:
+                break
+            active = self.chart.active
+            begins, lanes = polished.y[rough][:, active], which[rough]
+            polished.put(rough, again := self._polished(values[rough], lanes, begins))
+            away = np.linalg.norm(again.y[:, active] - guess[rough], axis=1)
+            polished.told[rough, _AWAY] = away / (1.0 + np.linalg.norm(again.y[:, active], axis=1))
+        return polished
+
+    def _polished(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
         if len(values) != 1:
             return _Polish(self, len(values))(values, which, guess)
         try:

@@ -95,7 +95,7 @@ class Atlas(Reader):
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
         outdoes = np.inf if best is None else best.cost
-        breaking = [one for one in breaking if outdoing(one.charted, one.cost, outdoes)]
+        breaking = [one for one in breaking if outdoing(one.charted, self._met(at, one), outdoes)]
         left, followed = doubted_of(breaking, alike, offers, follows=bool(self.descents.names))
         turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
         doubts += self._become(at, best, turns, [], tried)
@@ -193,6 +193,13 @@ class Atlas(Reader):
             low, high = self.region.box(place)
             self._boxes[place] = low, high - low, (high - low) / (self.region.high - self.region.low) / WHOLE
         return self._boxes[place]
+
+    def _met(self, at: Vector, one: Offer) -> float:
+        """J of what breaks the path all over its cell, as Newton's method meets it."""
+        if one.breaks and not one.short and one.y is not None:
+            values = (at / one.charted.chart.scale)[None]
+            one.cost = float(one.charted.met(one.number, values, one.y[None], np.array([one.cost]))[0])
+        return one.cost
 
     def _become(
         self, at: Vector, best: Offer | None, turns: Sequence[Offer], breaking: Sequence[Offer], tried: list[Offer]
