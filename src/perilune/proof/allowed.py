@@ -211,12 +211,16 @@ def _least(C: Any, g: Matrix, equal: Any) -> Matrix:
     else:
         mu = (np.linalg.pinv(C.transpose(2, 1, 0), rcond=_DEPENDENT) @ g.T[:, :, None])[:, :, 0].T
     count = (C != 0).any(axis=1).sum(axis=0)
-    for i in np.nonzero((mu[~equal] < 0).any(axis=0) & (count > 1))[0]:
-        A = C[:, :, i].T
-        if np.linalg.matrix_rank(A, tol=_DEPENDENT * np.abs(A).max()) < count[i]:
-            from scipy.optimize import nnls
+    at = np.nonzero((mu[~equal] < 0).any(axis=0) & (count > 1))[0]
+    if len(at):
+        A = C[:, :, at].transpose(2, 1, 0)
+        dependent = np.linalg.matrix_rank(A, tol=_DEPENDENT * np.abs(A).max(axis=(1, 2))) < count[at]
+        at, A = at[dependent], A[dependent]
+    if len(at):
+        from scipy.optimize import nnls
 
-            found = nnls(np.hstack([A, -A[:, equal]]), g[:, i])[0]
-            mu[:, i] = found[: len(C)]
-            mu[equal, i] -= found[len(C) :]
+        A = np.concatenate([A, -A[:, :, equal]], axis=2)
+        found = np.array([nnls(*each)[0] for each in zip(A, g.T[at], strict=True)]).T
+        mu[:, at] = found[: len(C)]
+        mu[np.ix_(equal, at)] -= found[len(C) :]
     return mu
