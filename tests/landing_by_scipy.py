@@ -137,8 +137,7 @@ def solution_of(problem: Problem, z: np.ndarray) -> Solution:
         return np.vstack([y, along]).T * scale, np.vstack([dy, turn]).T * scale / s.time
 
     tolerance = 1e-11 * scale
-    time = hermite_nodes(evaluate, duration, tolerance)
-    values, rates = evaluate(time)
+    time, values, rates = hermite_nodes(evaluate, duration, tolerance)
     curve = [Curve(time=time, values=values[:, k], rates=rates[:, k]) for k in (slice(5), slice(5, 10), slice(10, 12))]
     trajectory = Trajectory(phase="descent", state=curve[0], costate=curve[1], control=curve[2])
     return Solution(

@@ -23,6 +23,7 @@ from threading import Event
 from typing import Any, cast
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette", reason="the explorer needs starlette: pip install 'perilune[explore]'")
@@ -37,7 +38,7 @@ from perilune.app.answering import Answering, keeps
 from perilune.app.beside import Beside, Dropped, Killed, in_thread
 from perilune.app.client import MESSAGE, Client, asked
 from perilune.app.files import page_files
-from perilune.app.frames import flight, hello
+from perilune.app.frames import ALL_DIGITS, flight, hello, rounded
 from perilune.app.frozen import frozen_page
 from perilune.app.resting import compared, proved
 from perilune.app.slices import Slices
@@ -488,6 +489,16 @@ def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:
     assert len(set(flat)) == len(set(times))
     called = flight(flown)["labels"]
     assert "v_east" not in called and called["thrust_tilt"] == "tilt"  # beside the panel of "east" it is no "east" too
+
+
+def test_numbers_are_as_short_as_they_may_be() -> None:
+    """To the last bit as printf rounds them, and what is none is none."""
+    numbers = np.random.default_rng(1).normal(size=3000) * 10.0 ** np.random.default_rng(2).uniform(-8, 20, 3000)
+    numbers[:5] = 0.0, -0.0, 999999.5, -123456789.0, 0.1
+    for digits in (3, 6, 9):
+        assert rounded(numbers, digits) == [float(f"{number:.{digits}g}") for number in numbers.tolist()]
+    assert rounded(numbers, ALL_DIGITS) == numbers.tolist()
+    assert rounded([math.nan, 2.0000001, -math.inf]) == [None, 2.0, None]
 
 
 def test_quantities_are_called_as_on_the_axes_of_figures(subject: Subject) -> None:

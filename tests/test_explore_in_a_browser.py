@@ -144,7 +144,7 @@ def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page:
         assert "glide slope" in page.inner_text("#refusal")
         page.set_viewport_size({"width": 1200, "height": 3000})  # as a phone that is turned: plots are drawn anew
         page.evaluate("dispatchEvent(new Event('resize'))")
-        assert page.evaluate("document.querySelectorAll('#states canvas').length > 3")
+        until(page, "document.querySelectorAll('#states canvas').length > 3")
         page.click("#undo")
         until(page, "document.getElementById('refusal').hidden", 60.0)
         page.fill("input[aria-label='approach.up in m']", "1234.5678912345")  # outside of the slider's range

@@ -184,8 +184,8 @@ def test_curves_interpolate_what_they_promise() -> None:
     def fast(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.tanh(50 * (t - 1))[:, None], (50 / np.cosh(50 * (t - 1)) ** 2)[:, None]
 
-    nodes = hermite_nodes(fast, 2.0, np.array([1e-9]))
-    curve = Curve(time=nodes, values=fast(nodes)[0], rates=fast(nodes)[1])
+    nodes, values, rates = hermite_nodes(fast, 2.0, np.array([1e-9]))
+    curve = Curve(time=nodes, values=values, rates=rates)
     dense = np.linspace(0, 2, 5001)
     assert np.abs(curve(dense) - fast(dense)[0]).max() < 2e-9
     assert np.diff(nodes)[0] > 4 * np.diff(nodes).min()
@@ -218,6 +218,6 @@ def test_nodes_about_a_jump_come_to_an_end() -> None:
     def jump(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.where(t < 2.0 - 1e-15, 1.0, -1.0)[:, None], np.zeros((len(t), 1))
 
-    nodes = hermite_nodes(jump, 2.0, np.array([1e-9]), shortest=1e-12)
+    nodes, *_ = hermite_nodes(jump, 2.0, np.array([1e-9]), shortest=1e-12)
     assert len(nodes) < 200
     assert 2e-13 < np.diff(nodes).min() <= 1e-12

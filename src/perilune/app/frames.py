@@ -11,7 +11,7 @@ import numpy as np
 
 from perilune.app.subject import Subject
 from perilune.io.columns import columns, seen_at
-from perilune.io.export import extremals_document, solution_document
+from perilune.io.export import extremals_document, results
 from perilune.io.files import finite
 from perilune.problem.solution import Solution, full
 from perilune.problem.verification import Verification
@@ -23,6 +23,8 @@ POINTS = 96  # of a flight, shared among its phases by their durations
 _LEAST = 25  # of a phase, however short it is
 _DIGITS = 6  # significant, more than a screen has
 ALL_DIGITS = 17  # with which a number is read back as it was
+_MOST_PLACES = 300
+_TENS = np.array([float(f"1e{k}") for k in range(_MOST_PLACES + 1)])
 _FLAT = 1e-9  # of its size: what spans less is rounding
 
 
@@ -73,16 +75,14 @@ def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> d
             }
         )
         begin += duration
-    document = solution_document(solution)
     return {
         "title": solution.problem.heading,
         "objective": float(solution.objective),
         "unit": solution.problem.objective_unit,
-        "results": document["results"],
+        "results": finite(results(solution)),
         "labels": _labels(solution),
         "free": dict(solution.free),
         **extremals(solution),
-        "structure": document.get("structure", []),
         "phases": phases,
         "proof": proof(solution.verification),
         "views": _views(solution),
@@ -153,8 +153,16 @@ def refusal(error: PeriluneError) -> dict[str, Any]:
 
 
 def rounded(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[float | None]:
-    """Numbers as short as they may be; None for what is none."""
-    return [_short(value, digits) for value in np.asarray(values, dtype=float).tolist()]
+    """Numbers as short as they may be; None for what is none. With all digits they stay as they are."""
+    told = np.asarray(values, dtype=float)
+    good = np.isfinite(told)
+    if digits < ALL_DIGITS:
+        size = np.abs(told, out=np.ones(told.shape), where=good & (told != 0.0))
+        places = np.clip(digits - 1 - np.floor(np.log10(size)), -_MOST_PLACES, _MOST_PLACES).astype(int)
+        up, down = _TENS[np.maximum(places, 0)], _TENS[np.maximum(-places, 0)]
+        told = np.rint(told * up / down) * down / up  # the double nearest to a short decimal, as powers are exact
+    numbers = told.tolist()
+    return numbers if good.all() else [v if there else None for v, there in zip(numbers, good, strict=True)]
 
 
 def drawn(values: Vector, digits: int = _DIGITS) -> list[float | None]:

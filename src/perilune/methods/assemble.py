@@ -76,25 +76,41 @@ def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matri
     for mode in np.unique(modes):
         here = modes == mode
         points = z[here]
-        law = _mapped(extremal.reports[int(mode)], len(points), True)
-        out[here] = np.array(law(points.T, np.repeat(p[:, None], len(points), axis=1))).T
+        out[here] = _law(extremal, int(mode), points, p)
     return out
 
 
+def _law(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> Matrix:
+    """The control in one mode at points z (n, nz)."""
+    told = _mapped(_first(extremal.reports[mode]), len(z))(z.T, np.repeat(p[:, None], len(z), axis=1))
+    return told.full().T
+
+
 @lru_cache(maxsize=256)
-def _mapped(function: ca.Function, count: int, first: bool = False) -> ca.Function:
-    """The function at so many points, all outputs or the first alone."""
-    if first:
-        symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
-        function = ca.Function("first", symbols, function.call(symbols)[:1])
+def _mapped(function: ca.Function, count: int) -> ca.Function:
+    """The function at so many points."""
     return function.map(count)
+
+
+@lru_cache(maxsize=64)
+def _first(report: ca.Function) -> ca.Function:
+    """Its first output alone."""
+    z, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in enumerate("zp"))
+    return ca.Function("first", [z, p], [report(z, p)[0]])
+
+
+@lru_cache(maxsize=64)
+def _together(rate: ca.Function, report: ca.Function) -> ca.Function:
+    """Both in one: (z, the z that decides the control, numbers) -> (z', u, u')."""
+    z, decides, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in ((0, "z"), (0, "d"), (1, "p")))
+    return ca.Function("together", [z, decides, p], [rate(z, p), *report(decides, p)[:2]])
 
 
 def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
     """(z', u, u') in one mode: z' at points z (n, nz), the control at those that decide it."""
     count, numbers = len(z), np.repeat(p[:, None], len(z), axis=1)
-    rate = np.array(_mapped(extremal.modes[mode], count)(z.T, numbers)).T
-    u, u_rate, _ = (np.array(out).T for out in _mapped(extremal.reports[mode], count)(decides.T, numbers))
+    told = _mapped(_together(extremal.modes[mode], extremal.reports[mode]), count)(z.T, decides.T, numbers)
+    rate, u, u_rate = (out.full().T for out in told)
     return rate, u, u_rate
 
 
@@ -165,9 +181,9 @@ def _nodes(
             values = np.hstack([z[:, :n], z[:, half : half + n], u])
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
-        nodes = hermite_nodes(evaluate, right - left, tolerance, shortest=nothing, together=changed)
+        nodes, *there = hermite_nodes(evaluate, right - left, tolerance, shortest=nothing, together=changed)
         # The last node is the switch itself, not a sum that may miss it by one rounding; a joint is the next piece's.
-        piece = np.append(left + nodes[:-1], right), *evaluate(nodes)
+        piece = np.append(left + nodes[:-1], right), *there
         pieces.append([part[:-1] for part in piece] if right in joints else piece)
     _agreed(pieces, slice(2 * n, None))
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
@@ -197,8 +213,7 @@ def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> fl
 
     def control(share: float) -> Vector:
         t = np.array([end + inwards * share * duration])
-        z = arc(t)
-        return _report(extremal, int(arc.modes(t)[0]), z, z, p)[1][0]
+        return _law(extremal, int(arc.modes(t)[0]), arc(t), p)[0]
 
     def change(share: float) -> float:
         return float(np.nan_to_num(np.abs(control(2 * share) - control(share)), nan=np.inf).max(initial=0.0))

@@ -16,8 +16,8 @@ def hermite_nodes(
     limit: int = 6401,
     shortest: float = 0.0,
     together: Callable[[Matrix, Matrix], Vector] | None = None,
-) -> Vector:
-    """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point.
+) -> tuple[Vector, Matrix, Matrix]:
+    """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point; what is there.
 
     Parameters
     ----------
@@ -33,11 +33,16 @@ def hermite_nodes(
         Width of pieces that are not halved any more [s]: about a jump there would be no end to it.
     together
         What the errors of all components do together, of errors and rates (n, k) at mid-points, (n,): at most 1.
+
+    Returns
+    -------
+    tuple
+        The nodes (n,), values and rates there (n, k).
     """
     time = np.linspace(0.0, duration, 101)
-    values, rates = evaluate(time)
-    found, count = [time], len(time)
-    left, right = (time[:-1], values[:-1], rates[:-1]), (time[1:], values[1:], rates[1:])
+    first = time, *evaluate(time)
+    found, count = [first], len(time)
+    left, right = tuple(part[:-1] for part in first), tuple(part[1:] for part in first)
     while count < limit:
         width = right[0] - left[0]
         middle = 0.5 * (right[0] + left[0])
@@ -53,6 +58,8 @@ def hermite_nodes(
         new = middle[bad], exact[bad], slopes[bad]
         left = tuple(np.concatenate([a[bad], b]) for a, b in zip(left, new, strict=True))
         right = tuple(np.concatenate([b, a[bad]]) for a, b in zip(right, new, strict=True))
-        found.append(new[0])
+        found.append(new)
         count += len(new[0])
-    return np.sort(np.concatenate(found))
+    time, values, rates = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.argsort(time, kind="stable")
+    return time[order], values[order], rates[order]

@@ -154,7 +154,6 @@
     $("ground-box").hidden = !flight.views.ground && !flat;
     if (!$("ground-box").hidden) { Draw.whenSeen($("ground"), () => from_above(flights, flat)); }
     histories(flight); extremals(flight); lights(flight); map();
-    requestAnimationFrame(Draw.look); // what came last may have moved others into sight
   }
   function source(flight) {
     const proof = flight.proved, took = flight.latency < 1 ? `${(1000 * flight.latency).toFixed(1)} ms` : `${flight.latency.toFixed(1)} s`, parts = [];

@@ -1,19 +1,30 @@
 // Drawing: plots against time, the path, the ground track, a slice of the map. Nothing here asks for anything.
 "use strict";
 const Draw = (() => {
-  const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const colours = new Map(); // until the scheme changes
+  function css(name) {
+    if (!colours.has(name)) { colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim()); }
+    return colours.get(name);
+  }
   const PINS = [{ colour: "--pin1", dash: [7, 4] }, { colour: "--pin2", dash: [2, 3] }]; // of flights that are kept beside the one that moves
   const fine = (v) => v === null || v === undefined ? "none" : Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(3) : String(+v.toPrecision(5));
   const plots = new Map();
 
   // One plot of several curves over a common x; kept and given new numbers as long as its curves are the same.
   // What is not on the screen waits until it is; a span below `least` is rounding, and looks like what it is: nothing.
-  const later = new Map();
-  const seen = (node) => { const box = node.getBoundingClientRect(); return box.bottom > -50 && box.top < innerHeight + 50; };
-  function whenSeen(node, work) { if (seen(node)) { later.delete(node); work(); } else { later.set(node, work); } }
-  const look = () => { for (const [node, work] of [...later]) { if (seen(node)) { later.delete(node); work(); } } };
-  addEventListener("scroll", look, { passive: true });
-  addEventListener("beforeprint", () => { for (const [node, work] of [...later]) { later.delete(node); work(); } });
+  // Places and sizes are told by observers: to ask for them lays the page out anew, each time that something was written.
+  const later = new Map(), near = new Set(), sizes = new WeakMap();
+  const due = (node) => { const work = later.get(node); later.delete(node); if (work) { work(); } };
+  const places = new IntersectionObserver((found) => {
+    for (const { target, isIntersecting } of found) { if (isIntersecting) { near.add(target); due(target); } else { near.delete(target); } }
+  }, { rootMargin: "50px" });
+  const measures = new ResizeObserver((found) => { for (const { target, contentRect } of found) { sizes.set(target, [contentRect.width, contentRect.height]); } });
+  function whenSeen(node, work) { later.set(node, work); places.observe(node); if (near.has(node)) { due(node); } }
+  function size(node) {
+    if (!sizes.has(node)) { sizes.set(node, [node.clientWidth, node.clientHeight]); measures.observe(node); }
+    return sizes.get(node);
+  }
+  addEventListener("beforeprint", () => { for (const node of [...later.keys()]) { due(node); } });
 
   // The range of a plot: a little more than what is drawn, and no less than says something.
   function room(low, high, least) {
@@ -44,7 +55,7 @@ const Draw = (() => {
     whenSeen(box, () => drawn(box, key, title, unit, curves, height, mark, least));
   }
   function drawn(box, key, title, unit, curves, height, mark, least) {
-    const known = plots.get(key), count = curves.length, width = box.clientWidth || 300, data = joined(curves);
+    const known = plots.get(key), count = curves.length, width = size(box)[0] || 300, data = joined(curves);
     if (known && known.count === count && known.box === box) {
       known.mark = mark; known.least = least; known.plot.setData(data);
       if (known.width !== width) { known.width = width; known.plot.setSize({ width, height }); }
@@ -69,7 +80,7 @@ const Draw = (() => {
     entry.plot.root.setAttribute("role", "img"); entry.plot.root.setAttribute("aria-label", title);
     plots.set(key, entry);
   }
-  function forget() { for (const entry of plots.values()) { entry.plot.destroy(); } plots.clear(); }
+  function forget() { for (const entry of plots.values()) { entry.plot.destroy(); } plots.clear(); colours.clear(); }
 
   const el = (name, attributes, inside = "") => `<${name} ${Object.entries(attributes).map(([k, v]) => `${k}="${v}"`).join(" ")}>${inside}</${name}>`;
   const polyline = (points, more) => el("polyline", { points: points.map((p) => `${p[0].toFixed(1)},${p[1].toFixed(1)}`).join(" "), fill: "none", ...more });
@@ -117,7 +128,7 @@ const Draw = (() => {
   }
 
   function canvas(node) {
-    const ratio = devicePixelRatio || 1, w = node.clientWidth, h = node.clientHeight;
+    const ratio = devicePixelRatio || 1, [w, h] = size(node);
     if (node.width !== Math.round(w * ratio)) { node.width = Math.round(w * ratio); node.height = Math.round(h * ratio); }
     const c = node.getContext("2d"); c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h); c.setLineDash([]);
     return [c, w, h];
@@ -210,5 +221,5 @@ const Draw = (() => {
     return { px: (v) => x[0] + (v - left) / W * (x[nx - 1] - x[0]), py: (v) => shown.axes.length > 1 ? shown.along[1][0] + (1 - (v - 10) / H) * (shown.along[1][shown.along[1].length - 1] - shown.along[1][0]) : null };
   }
 
-  return { lines, labels, path, ground, plan, series, slice, forget, whenSeen, look, fine, css };
+  return { lines, labels, path, ground, plan, series, slice, forget, whenSeen, fine, css };
 })();
