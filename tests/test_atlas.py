@@ -315,19 +315,6 @@ def test_switches_are_mapped_too(tmp_path: Path) -> None:
         assert found.objective == pytest.approx(alone.objective, rel=1e-10)
 
 
-def test_what_physics_refuses_is_said(tmp_path: Path) -> None:
-    """20 N hold up no mass that can be left at the end: there the map has no answer, and says why."""
-    problem = cho_landing().with_given(retro_delta_v=0.0)
-    atlas = open_atlas(build(problem, {"vehicle.thrust": (15.0, 500.0)}, tmp_path / "weak"))
-    with pytest.raises(InfeasibleError) as alone:
-        solve(problem.with_given(vehicle_thrust=20.0))
-    with pytest.raises(InfeasibleError) as mapped:
-        atlas.query(vehicle_thrust=20.0)
-    assert mapped.value.what == alone.value.what
-    found = atlas.query_many(np.array([[15.0], [17.5], [20.0], [440.0]]))
-    assert found.answered.tolist() == 3 * [Answered.IMPOSSIBLE] + [Answered.YES]
-
-
 def test_what_physics_refuses_is_refused_though_it_has_extremals(tmp_path: Path) -> None:
     """Below its perilune no parking orbit is: the equations do not know, as `solve` says."""
     axes = {"orbit.parking_altitude": (10e3, 20e3)}

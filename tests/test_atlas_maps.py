@@ -14,6 +14,7 @@ from matplotlib.image import imread
 from cho import cho_landing
 from command_line import read_json
 from perilune.atlas import building
+from perilune.atlas.many import Answered
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.slices import sliced
 from perilune.cli import run
@@ -61,6 +62,17 @@ def test_a_slice_along_one_axis_lies_where_it_is_told_to(jump: Atlas) -> None:
     assert shown.answers.objective[1] == pytest.approx(alone.objective, rel=1e-12)
     assert sliced(jump, at={"vehicle_thrust": 440.0}, points=2).axes[0].name == "retro_specific_impulse"
     assert dict(sliced(jump, ["vehicle_thrust"], points=2).at) == {"retro_specific_impulse": 290.0}
+
+
+def test_what_physics_refuses_is_said(weak: Atlas) -> None:
+    """20 N hold up no mass that can be left at the end: there the map has no answer, and says why."""
+    with pytest.raises(InfeasibleError) as alone:
+        solve(cho_landing().with_given(retro_delta_v=0.0, vehicle_thrust=20.0))
+    with pytest.raises(InfeasibleError) as mapped:
+        weak.query(vehicle_thrust=20.0)
+    assert mapped.value.what == alone.value.what
+    found = weak.query_many(np.array([[15.0], [17.5], [20.0], [440.0]]))
+    assert found.answered.tolist() == 3 * [Answered.IMPOSSIBLE] + [Answered.YES]
 
 
 def test_where_physics_refuses_its_reason_is_shown(weak: Atlas) -> None:

@@ -194,15 +194,18 @@ def transfer(force: str, speed: float = 0.0) -> pl.Problem:
 
 
 def least_effort(speed: float) -> float:
-    """Both parts of `transfer` are linear: J = r' W^-1 r / 2 with Gramians W, at the best (T1, v1) where they meet."""
-    from scipy.integrate import quad_vec
+    """Both parts of `transfer` are linear: J = r' W^-1 r / 2 with Gramians W, at the best (T1, v1) where they meet.
+
+    W and exp(A T) from one matrix exponential: Van Loan 1978, doi 10.1109/TAC.1978.1101743.
+    """
     from scipy.linalg import expm
     from scipy.optimize import minimize
 
     def part(stiff: float, start: Any, end: Any, T: float) -> float:
         A = np.array([[0.0, 1.0], [-stiff, 0.0]])
-        W = quad_vec(lambda s: np.outer(expm(A * s)[:, 1], expm(A * s)[:, 1]), 0.0, T, epsabs=1e-12, epsrel=1e-12)[0]
-        r = np.array(end) - expm(A * T) @ np.array(start)
+        both = expm(np.block([[-A, np.diag([0.0, 1.0])], [np.zeros((2, 2)), A.T]]) * T)
+        flow = both[2:, 2:].T
+        r, W = np.array(end) - flow @ np.array(start), flow @ both[:2, 2:]
         return float(0.5 * r @ np.linalg.solve(W, r))
 
     def whole(y: Any) -> float:
