@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 import pytest
@@ -13,7 +14,11 @@ from perilune.solve import solve
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give each of several processes one core: threads of linear algebra that wait for one take ten times as long."""
+    """Give each of several processes one core: threads of linear algebra that wait for one take ten times as long.
+
+    As in the command line, what was made long ago and stays is not looked through for garbage again and again.
+    """
+    gc.set_threshold(50_000)
     if config.getoption("numprocesses", None):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -35,23 +36,38 @@ def said(environment: dict[str, str], *arguments: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.fixture
+def at_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The package is installed for this process."""
+    installed(tmp_path, "lunar_hopper:LUNAR_HOP")
+    for place in (tmp_path, PLACE):
+        monkeypatch.syspath_prepend(place)
+    yield
+    KINDS.pop("lunar_hop", None)
+
+
 def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
-    """Solved, proved, saved, and verified from its files; its keys are varied and refused like all others."""
-    environment, hop = installed(tmp_path, "lunar_hopper:LUNAR_HOP"), str(PLACE / "hop.toml")
-    code, text = said(environment, "solve", hop, "--out", str(tmp_path / "out"))
+    """Solved, proved, saved, and verified from its files, by processes that know of it by its installation alone."""
+    environment, out = installed(tmp_path, "lunar_hopper:LUNAR_HOP"), str(tmp_path / "out")
+    code, text = said(environment, "solve", str(PLACE / "hop.toml"), "--out", out)
     assert code == 0 and "PROVED" in text and "956.8" in text
-    assert said(environment, "verify", str(tmp_path / "out"))[0] == 0
-    code, text = said(environment, "new", "lunar_hop")
-    assert code == 0 and 'kind = "lunar_hop"' in text and 'distance = "2 km"' in text
-    assert '--set "hopper.' in text
-    code, text = said(environment, "check", hop, "--set", "hopper.thrus=1 N")
-    assert code == 2 and "thrust" in text
-    code, text = said(environment, "check", hop, "--set", "hopper.mass=-1 kg")
-    assert code == 2 and "must be positive" in text
-    given = "from sys import argv; from perilune.scenario import load_file; p = load_file(argv[1]).problem"
-    given += "; print(p.with_given(hopper_mass=1010).heading); p.with_given(hopper_mass=-1)"
-    run = subprocess.run([sys.executable, "-c", given, hop], env=environment, capture_output=True, text=True)
-    assert "hopper_mass 1010 kg" in run.stdout and "hopper.mass must be positive" in run.stderr
+    assert said(environment, "verify", out)[0] == 0
+
+
+@pytest.mark.usefixtures("at_hand")
+def test_its_keys_are_varied_and_refused_like_all_others(capsys: pytest.CaptureFixture[str]) -> None:
+    hop = str(PLACE / "hop.toml")
+    assert run(["new", "lunar_hop"]) == 0
+    text = "".join(capsys.readouterr())
+    assert 'kind = "lunar_hop"' in text and 'distance = "2 km"' in text and '--set "hopper.' in text
+    assert run(["check", hop, "--set", "hopper.thrus=1 N"]) == 2
+    assert "thrust" in "".join(capsys.readouterr())
+    assert run(["check", hop, "--set", "hopper.mass=-1 kg"]) == 2
+    assert "must be positive" in "".join(capsys.readouterr())
+    problem = load_file(PLACE / "hop.toml").problem
+    assert "hopper_mass 1010 kg" in problem.with_given(hopper_mass=1010).heading
+    with pytest.raises(PeriluneError, match=r"hopper\.mass must be positive"):
+        problem.with_given(hopper_mass=-1)
 
 
 @pytest.mark.parametrize(
@@ -62,9 +78,15 @@ def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
         ("lunar_hopper:Hop", "is no kind of problem"),
     ],
 )
-def test_what_is_no_kind_is_refused_in_words(value: str, words: str, tmp_path: Path) -> None:
-    code, text = said(installed(tmp_path, value), "check", str(PLACE / "hop.toml"))
-    assert code == 2 and words in text and "Traceback" not in text
+def test_what_is_no_kind_is_refused_in_words(
+    value: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    installed(tmp_path, value)
+    for place in (tmp_path, PLACE):
+        monkeypatch.syspath_prepend(place)
+    assert run(["check", str(PLACE / "hop.toml")]) == 2
+    text = "".join(capsys.readouterr())
+    assert words in text and "Traceback" not in text
 
 
 _DECLARED = """
@@ -136,20 +158,13 @@ def test_without_the_package_the_known_kinds_are_named_and_what_to_do() -> None:
         load_file(PLACE / "hop.toml")
 
 
-def test_its_problems_are_read_back_where_nothing_of_it_was_loaded_yet(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("at_hand")
+def test_its_problems_are_read_back_where_nothing_of_it_was_loaded_yet() -> None:
     """As by whoever opens an atlas of one: the file names the kind, and the package is asked for it."""
-    installed(tmp_path, "lunar_hopper:LUNAR_HOP")
-    for place in (tmp_path, PLACE):
-        monkeypatch.syspath_prepend(place)
-    try:
-        problem = load_file(PLACE / "hop.toml").problem
-        document = made_document(problem)
-        assert document is not None
-        del KINDS["lunar_hop"]
-        assert read_made(document, problem.given) == problem
-        with pytest.raises(PeriluneError, match="lunar_hip"):
-            read_made({**document, "kind": "lunar_hip"}, problem.given)
-    finally:
-        KINDS.pop("lunar_hop", None)
+    problem = load_file(PLACE / "hop.toml").problem
+    document = made_document(problem)
+    assert document is not None
+    del KINDS["lunar_hop"]
+    assert read_made(document, problem.given) == problem
+    with pytest.raises(PeriluneError, match="lunar_hip"):
+        read_made({**document, "kind": "lunar_hip"}, problem.given)
