@@ -68,6 +68,15 @@ def truth(high: Vector, T: Vector) -> tuple[Vector, Vector, Vector]:
     return 6.0 * X**2 / T**3 - REWARD * X, np.where(X == high, 12.0 * X / T**3 - REWARD, 0.0), -18.0 * X**2 / T**4
 
 
+def test_a_flight_of_no_length_is_no_answer() -> None:
+    """It meets every condition, as none asks for anything at its end, and J = 0: all 24 random starts led there."""
+    problem = haul(True).with_given(high=1.61056, patience=0.71583, reward=2.59797)
+    longest, solution = LONGEST * 0.71583**2, pl.solve(problem)
+    assert solution.outcome is pl.Outcome.PROVED
+    assert solution.free["T"] == pytest.approx(longest, rel=1e-9)
+    assert solution.objective == pytest.approx(-(2.59797**2) * longest**3 / 24.0, rel=1e-9)  # X = reward T^3/12
+
+
 def test_derivatives_by_a_limit_that_holds_are_those_of_closed_forms(tmp_path: Path) -> None:
     """Of an end condition whose limit varies, held on one side of X = T^3 and free on the other."""
     problem, axes = haul(False), {"high": (0.4, 1.6), "T": (0.95, 1.1)}

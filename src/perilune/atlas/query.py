@@ -3,7 +3,7 @@
 The cells in which a point lies say what the unknowns of each sheet are there, to the fourth order in their size; a step
 or two of Newton's method makes that exact. What is reached has to be of its sheet and to keep its bounds, and it is
 flown again by another integrator. Of several sheets the best is the answer. No answer is extrapolated: outside of the
-region, in a cell in which a sheet ends that might be better, or where Newton's method leaves the cell, there is no
+region, in a cell in which a sheet ends that might be better, or where Newton's method leads to none, there is no
 answer, and it is said why.
 """
 

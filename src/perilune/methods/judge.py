@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +18,10 @@ from perilune.problem.symbolic import state_scales
 from perilune.shooting.function import Root
 from perilune.words.types import Vector
 
-_POINTS = 201  # of a phase, at which its conditions are looked at
+_POINTS = 201  # of a phase, at which its conditions are looked at, beside its switches
+_CLOSER, _BEFORE = 33, 1e-9  # as many around where each is least; of the phase: how long before a switch
 _SLACK = 1e-9  # canonical
+_NO_FLIGHT = 1e-6  # of its typical length: what vanishes meets all conditions where nothing is asked of its end
 _ACCURACY = 1e-11  # of the flights that are looked at
 
 
@@ -55,6 +58,10 @@ class Judge:
             # A flight does not end before it begins, whatever the bounds say.
             lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
             yield from outside(self.problem, free, np.array([values[free.name]]), (lower, free.upper), _SLACK)
+            if self.problem.duration_names == (free.name,) and 0.0 <= values[free.name] < _NO_FLIGHT * free.typical:
+                text, much = f"{free.name} vanishes, and a flight of no length is none", free.typical
+                canonical = much / self.problem.size_of(free)
+                yield Breach(name=free.name, text=text, miss=much, unit=free.unit, canonical=canonical)
         settings = {"rtol": _ACCURACY, "atol": _ACCURACY}
         found = self._on_the_way(in_one_piece(self.problem, self.conditions, root.y, **settings), values)
         if found:  # where errors grow, one flight alone may break what its pieces keep
@@ -66,7 +73,24 @@ class Judge:
         return [breach for phase, extremal, arc in phases for breach in self._along(phase, extremal, arc, values)]
 
     def _along(self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float]) -> Iterator[Breach]:
-        t, p = np.linspace(0.0, arc.duration, _POINTS), self.problem.parameters(values)
+        p, far = self.problem.parameters(values), arc.duration
+        switches = np.array(arc.switches)
+        t = np.unique([*np.linspace(0.0, far, _POINTS), *switches, *np.maximum(switches - _BEFORE * far, 0.0)])
+        found, closer = self._looked(phase, extremal, arc, t, p)
+        if not found and len(closer):  # what is broken for a moment alone, where a limit begins to bind
+            found, _ = self._looked(phase, extremal, arc, closer, p)
+        yield from found
+
+    def _looked(
+        self, phase: Phase, extremal: PhaseExtremal, arc: Flown, t: Vector, p: Any
+    ) -> tuple[list[Breach], Vector]:
+        """What is broken at times, and times around those at which each condition and bound is nearest to it."""
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
         u = controls(extremal, arc, t, self.p).T if phase.path_conditions else x[:0]
-        yield from breaches_along(self.problem, phase, x, u, p, _SLACK)
+        rooms = [along for _, along in phase.path_along(x, u, p)] if phase.path_conditions else []
+        for state, along in zip(phase.states, x, strict=True):
+            lower, upper = state.limits(p)
+            rooms += [room for room in (along - lower, upper - along) if np.isfinite(room).all()]
+        least = {int(np.argmin(room)) for room in rooms}
+        around = [np.linspace(t[max(i - 1, 0)], t[min(i + 1, len(t) - 1)], _CLOSER) for i in least]
+        return list(breaches_along(self.problem, phase, x, u, p, _SLACK)), np.concatenate([*around, t[:0]])
