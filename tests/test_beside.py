@@ -723,6 +723,8 @@ def test_solution_json_alone(hybrid_dir: Path) -> None:
     assert proved.outcome is Outcome.PROVED and proved.verification.notes == ()
     with pytest.raises(PeriluneError, match="no saved solution here"):
         proved_directory(hybrid_dir / "nowhere", 1)
+    with pytest.raises(PeriluneError, match=r"(?s)is a scenario.*perilune solve .*hybrid_lander.toml --out DIR"):
+        pl.load(HYBRID)
 
 
 def test_several_phases_have_a_table_each(tmp_path: Path) -> None:

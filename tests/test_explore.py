@@ -450,7 +450,7 @@ def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_follow
 def test_a_saved_flight_is_compared_and_proved_like_any_other(tmp_path: Path) -> None:
     """Its file's word on what it is does not count: that of what is found from nothing does, where it is the same."""
     save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, level=0), tmp_path / "run")
-    known = subject_of(tmp_path / "run").known
+    known = subject_of(tmp_path / "run" / "solution.json").known  # by the file in it, too
     assert known is not None and not known.extremals
     found = compared(known, silent)
     assert not found.jumped and found.words == "best of 3 found" and found.family is not None

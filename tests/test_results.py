@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -192,6 +192,11 @@ def test_views_name_what_is_there(landing: Any, views: Views, message: str) -> N
     """Refused when the problem is made, not when it is drawn."""
     with pytest.raises(PeriluneError, match=message):
         replace(landing, views=views)
+
+
+def test_times_may_be_a_list_as_elsewhere(hybrid: Solution) -> None:
+    view = cast("Any", hybrid.inertial)(0, [0.0, 1.0])
+    assert all(np.array_equal(*both) for both in zip(view, hybrid.inertial(0, np.array([0.0, 1.0])), strict=True))
 
 
 def test_no_inertial_view_is_said(hybrid: Solution) -> None:

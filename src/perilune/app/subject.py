@@ -99,6 +99,8 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
     PeriluneError
         If it is none of these.
     """
+    if target is not None and target.name in (HEADER, SOLUTION_FILE):
+        target = target.parent  # the file by which its directory is known
     if target is not None and not any(map(Path.is_file, (target, target / HEADER, target / SOLUTION_FILE))):
         expected = "a scenario, or a directory of `perilune solve --out` or `perilune atlas build --out`"
         raise PeriluneError("there is nothing to explore here", got=str(target), expected=expected)

@@ -147,9 +147,14 @@ def _tolerance(said: Any) -> Tolerance:
 
 def _document(path: Path) -> dict[str, Any]:
     """The JSON tree of a file of this format; errors as of `load`."""
+    expected = f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it"
+    if path.suffix.lower() == ".toml" and path.is_file():
+        advice = f"perilune solve {path} --out DIR"
+        raise PeriluneError(
+            "this is a scenario, and no saved solution", got=str(path), expected=expected, advice=advice
+        )
     content = bounded_text(
-        path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE,
-        expected=f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it",
+        path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE, expected=expected,
         advice="perilune.save(solution, DIR), or perilune solve FILE --out DIR",
     )  # fmt: skip
     document = tree(content, "saved solution")

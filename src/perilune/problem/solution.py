@@ -324,7 +324,7 @@ class Solution(ShownSolution):
         PeriluneError
             If the problem states no inertial view of that phase.
         """
-        flown = self.flown(phase, t)
+        flown, t = self.flown(phase, t), np.asarray(t, dtype=float)
         definition = self.problem.phases[phase]
         since = sum(trajectory.duration for trajectory in self.trajectories[:phase])
         values = definition.seen_inertially(*flown, since + t, self.parameters)
