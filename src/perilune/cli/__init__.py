@@ -54,8 +54,10 @@ def _leave(code: int) -> NoReturn:
     if any(thread.daemon for thread in threading.enumerate()):
         import atexit
 
-        atexit._run_exitfuncs()
-        os._exit(code)
+        try:
+            atexit._run_exitfuncs()
+        finally:
+            os._exit(code)
     sys.exit(code)
 
 
