@@ -173,5 +173,5 @@ def _nodes(phase: Phase, segment: Segment, fine: Vector, p: Any) -> tuple[Vector
         values[2], rates[2] = (a.T for a in admissible_rates(phase.controls, values[2].T, rates[2].T, p))
         return np.hstack(values), np.hstack(rates)
 
-    t, values, rates = hermite_nodes(evaluate, segment.end - segment.begin, fine)
-    return segment.begin + t, values, rates
+    t, *_ = hermite_nodes(evaluate, segment.end - segment.begin, fine)
+    return segment.begin + t, *evaluate(t)  # all at once: products of matrices round by how many points there are
