@@ -20,7 +20,7 @@ def returning(minimise: str, east: float) -> Problem:
 
 
 def direct(problem: Problem) -> pl.Solution:
-    return pl.Pseudospectral(nodes=5, segments=8, refine=0, polish=False).run(problem)
+    return pl.Pseudospectral(nodes=5, segments=5, refine=0, polish=False).run(problem)
 
 
 def test_a_lift_that_only_has_to_arrive_is_named() -> None:
