@@ -1,6 +1,6 @@
 """An atlas of the hybrid lander: building, opening, asking one by one and many at once, and what the answers are worth.
 
-    python benchmarks/atlas.py [--workers 1] [--queries 10000] [--solved 50]
+    python benchmarks/atlas.py [--workers 1] [--queries 10000] [--solved 50] [--tolerance 1e-9]
 
 Thrust 350 to 650 N, impulsive Isp 270 to 310 s, perilune 10 to 25 km, the jump at which the retro burn stops paying
 among them; nodes are flown twice, and none is proved. Times are of this run on this machine; the ratio to solving each
@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from perilune.atlas.brick import WHOLE
-from perilune.atlas.building import build
+from perilune.atlas.building import TOLERANCE, build
 from perilune.atlas.hermite import interpolated
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.scenario import load_file
@@ -100,14 +100,15 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--queries", type=int, default=10000)
     parser.add_argument("--solved", type=int, default=50)
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, help="of cells: the finer, the more nodes")
     options = parser.parse_args()
     problem, directory = load_file(EXAMPLE).problem, Path(tempfile.mkdtemp()) / "atlas"
     begun, cpu = time.perf_counter(), time.process_time()
     if options.workers > 1:
         with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-            build(problem, AXES, directory, pool, sample=0)
+            build(problem, AXES, directory, pool, sample=0, tolerance=options.tolerance)
     else:
-        build(problem, AXES, directory, sample=0)
+        build(problem, AXES, directory, sample=0, tolerance=options.tolerance)
     took, used = time.perf_counter() - begun, time.process_time() - cpu
     begun = time.perf_counter()
     atlas = open_atlas(directory)

@@ -302,6 +302,9 @@ def test_many_points_at_once_are_the_same_points(atlas: Atlas) -> None:
     assert np.isnan(outside.objective[:2]).all()
     with pytest.raises(PeriluneError, match="rows of the values"):
         atlas.query_many(np.zeros((3, 5)))
+    with pytest.raises(PeriluneError, match="points of an atlas") as masked:
+        atlas.query_many(np.ma.masked_less([[440.0, 300.0], [450.0, -1.0]], 0.0))
+    assert "masked" in masked.value.expected
 
 
 def test_switches_are_mapped_too(tmp_path: Path) -> None:

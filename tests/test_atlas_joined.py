@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -308,6 +310,27 @@ def test_a_merge_that_was_stopped_goes_on(
     merge(*parts, tmp_path / "out")
     assert all((tmp_path / "out" / name).stat().st_mtime_ns == at for name, at in left.items())
     assert len(open_atlas(tmp_path / "out").said) == 32
+
+
+def test_a_merge_that_fails_leaves_the_atlas_that_it_was_to_replace(
+    parts: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It had removed that one first, and a full disk left nothing."""
+    out = Path(shutil.copytree(parts[0], tmp_path / "out"))
+    before, put = snapshot(out), Store.put
+
+    def full(store: Store, name: str, array: Any) -> dict[str, Any]:
+        if name.startswith("brick"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return put(store, name, array)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "put", full)
+        with pytest.raises(OSError, match="space"):
+            merge(*parts, out, force=True)
+    assert snapshot(out) == before and list(tmp_path.iterdir()) == [out]
+    merge(*parts, out, force=True)
+    assert snapshot(out) == snapshot(merge(*parts, tmp_path / "anew")) and len(open_atlas(out).said) == 32
 
 
 # -- the command line --------------------------------------------------------------------------------------------------

@@ -34,6 +34,7 @@ from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.sampling import LEVEL, lines_of_samples
 from perilune.atlas.store import HEADER, Store, clear, digest_of, seal_of
+from perilune.io.files import fresh_directory
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_path
 from perilune.words.outcome import PeriluneError
@@ -107,7 +108,7 @@ def merge(
     out
         A new or empty directory, or that of a merge that was stopped.
     force
-        Whether an atlas that is there may be replaced.
+        Whether an atlas that is there may be replaced, when all of the new one is written.
     watch
         Receives lines of text.
     problem_from_scenario
@@ -139,11 +140,17 @@ def merge(
         raise PeriluneError("two atlases are merged into a third", got=str(out), expected="another directory")
     header = {**one.header, **header_axes(region), "versions": _versions_of(one.header, other.header)}
     kept.prepare(None)
-    if (kept.directory / HEADER).exists():
-        clear(kept.directory)
-    lines = _lines(kept, one, other, region, seal_of(header), watch)
-    kept.write_lines(lines)
-    kept.begin(header)
+
+    def write(into: Store) -> None:
+        into.write_lines(_lines(into, one, other, region, seal_of(header), watch))
+        into.begin(header)
+
+    if (kept.directory / HEADER).exists():  # it stays until the whole of the new one lies beside it
+        with fresh_directory(kept.directory.resolve(), force=True) as work:
+            write(Store(work))
+            clear(kept.directory)
+    else:
+        write(kept)
     return kept.directory
 
 

@@ -155,6 +155,8 @@ def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
         name = parameter_name(stated)
         if name not in region.names:
             raise unknown_name("axis", stated, [axis.key for axis in region.axes])
+        if name in held:
+            raise PeriluneError("an axis is given twice", got=f"{key_of(name)} = {held[name]} and {value!s:.40}")
         try:
             held[name] = float(value)
         except (TypeError, ValueError, OverflowError):

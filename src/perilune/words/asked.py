@@ -217,6 +217,8 @@ def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
         raise refused(values, expected, what) from None
     if found.ndim > most:
         raise refused(values, expected, what)
+    if np.ma.is_masked(values):  # an array forgets what hides some of them
+        raise refused(values, f"{expected}, none of them masked", what)
     return found
 
 
