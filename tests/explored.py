@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -34,8 +35,8 @@ def atlas_of_the_jump(directory: Path) -> Path:
 
 
 @contextmanager
-def served(*arguments: str) -> Iterator[str]:
-    """The address of `perilune explore`, which is ended behind it as by Ctrl-C."""
+def served(*arguments: str, end: int = signal.SIGINT) -> Iterator[str]:
+    """The address of `perilune explore`, which is ended behind it as by Ctrl-C, or by another signal."""
     command = [sys.executable, "-m", "perilune", "explore", "--no-open", *arguments]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         assert process.stderr is not None
@@ -47,7 +48,7 @@ def served(*arguments: str) -> Iterator[str]:
         try:
             yield found.group()
         finally:
-            process.send_signal(2)
+            process.send_signal(end)
             code, more = process.wait(20), process.stderr.read()
     assert code == 0, f"it ended with {code}"
     assert more.splitlines()[1:] == [], "more than that Ctrl-C ends it"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -132,7 +133,8 @@ def test_without_an_atlas_the_flight_follows_as_fast_and_jumps_at_rest(page: Any
 
 def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page: Any) -> None:
     """An approach that begins below the glide slope cannot be flown."""
-    with served(str(ROOT / "examples" / "precision_landing.toml"), "--set", "approach.up=800 m") as address:
+    weak = "--set", "approach.up=800 m"
+    with served(str(ROOT / "examples" / "precision_landing.toml"), *weak, end=signal.SIGTERM) as address:
         page.goto(address)
         until(page, "perilune.frames > 0", 60.0)
         if not page.locator("#knob-approach_up").is_visible():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 from argparse import Namespace
 from collections import deque
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from perilune.cli.answer import Answer, aside
 from perilune.cli.progress import LONGEST_LOG, progress
+from perilune.cli.stopping import stop
 from perilune.words.declared import Quantity
 from perilune.words.outcome import PeriluneError, unknown_name
 
@@ -57,9 +59,10 @@ def explore(typed: Namespace) -> Answer:
         explorer.app, log_level="error", ws_max_size=MESSAGE, ws_max_queue=8, lifespan="off", server_header=False
     )
     server = uvicorn.Server(settings)
+    signal.signal(signal.SIGTERM, stop)  # by which services are ended: as Ctrl-C
     try:
         server.run([listening])
-    except KeyboardInterrupt:  # which the server passes on when it has ended in order
+    except KeyboardInterrupt:  # what ended it, which the server passes on when it has ended in order
         pass
     finally:
         explorer.close()
