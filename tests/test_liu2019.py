@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune.atlas import descending
+from perilune.atlas.descending import Descents
+from perilune.atlas.query import open_atlas
 from perilune.cli import run
 from perilune.problem.solution import Solution
 from perilune.reproductions.liu2019 import equations
@@ -27,7 +31,7 @@ from perilune.reproductions.liu2019.compute import (
     thrust_angles,
 )
 from perilune.reproductions.liu2019.equations import compare, corrected_rates
-from perilune.reproductions.liu2019.fast import fast
+from perilune.reproductions.liu2019.fast import AXES, fast
 from perilune.reproductions.liu2019.members import Member, members, missed_by_cubic
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune.reproductions.liu2019.report import figures, markdown, table_2, table_3
@@ -42,17 +46,29 @@ from perilune.words.maths import NUMERIC
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 FIRST, REACHED = 22, 3  # manoeuvre points of Table 2 that are solved here; the others stand as not solved
+#: Manoeuvre points of the atlas [deg]: at the last the flight stays above the interface by itself.
+MAPPED = (18.05, 40.35), (18.2, 40.45), (18.45, 40.55)
+
+
+def _unsolved(points: Sequence[tuple[float, float]]) -> list[Member]:
+    return [
+        Member(longitude=longitude, latitude=latitude, solution=None, message="left out here", processor_time=0.0)
+        for longitude, latitude in points
+    ]
 
 
 @pytest.fixture(scope="module")
-def made() -> Reproduction:
+def region(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the atlas is built over the manoeuvre points that are solved here."""
+    return tmp_path_factory.mktemp("liu") / "region"
+
+
+@pytest.fixture(scope="module")
+def made(region: Path) -> Reproduction:
     """Everything that the report is made of, at a few manoeuvre points and without proofs."""
     fixed = solve(site_fixed(), level=0)
     near = members(fixed, [(row.longitude, row.latitude) for row in TABLE_2[FIRST : FIRST + REACHED]], lambda _: None)
-    nowhere = [
-        Member(longitude=r.longitude, latitude=r.latitude, solution=None, message="left out here", processor_time=0.0)
-        for r in (*TABLE_2, *TABLES_1_AND_3)
-    ]
+    nowhere = _unsolved([(row.longitude, row.latitude) for row in (*TABLE_2, *TABLES_1_AND_3)])
     grid = (*nowhere[:FIRST], *near, *nowhere[FIRST + REACHED : len(TABLE_2)])
     return Reproduction(
         equations=compare(),
@@ -69,7 +85,7 @@ def made() -> Reproduction:
             hybrid=Starts(flight_times=(2631.7156256, 3000.0, math.nan), processor_times=(1.0, 2.0, 9.0)),
             on_fixed=Starts(flight_times=(math.nan,), processor_times=(3.0,)),
         ),
-        fast=fast(fixed.problem, (), near, 1, lambda _: None),
+        fast=fast(fixed.problem, (), _unsolved(MAPPED), 1, region, lambda _: None),
     )  # fmt: skip
 
 
@@ -374,3 +390,26 @@ def test_the_fast_methods_answer_and_say_how_long_they_take(made: Reproduction) 
     assert found.queried[0] < 0.1 * found.alone[0]
     text = " ".join(times(made))
     assert "ours, from the atlas, flown again" in text and f"answers {REACHED} of {REACHED}" in text
+
+
+@pytest.mark.usefixtures("made")
+def test_an_answer_beside_what_breaks_the_path_is_not_followed(region: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plain flight would arrive sooner, through the interface; the flight that touches this lies a second away.
+
+    Followed down it comes to the same, by extremals that errors of so sensitive a flight leave rough.
+    """
+    atlas, points = open_atlas(region), np.radians(MAPPED).tolist()
+    assert len(atlas.charted) == 2
+
+    def asked() -> list[float]:
+        return [atlas.query(**dict(zip(AXES, point, strict=True))).objective for point in points]
+
+    expected = [solve(site_fixed().with_given(**dict(zip(AXES, p, strict=True))), level=0).objective for p in points]
+    ways = list[int]()
+    way = Descents._way
+    monkeypatch.setattr(Descents, "_way", lambda *args: (ways.append(1), way(*args))[1])
+    assert asked() == pytest.approx(expected, rel=1e-10)
+    assert not ways
+    monkeypatch.setattr(descending, "_BESIDE", -1.0)
+    assert asked() == pytest.approx(expected, rel=1e-10)
+    assert len(ways) >= 2

@@ -14,7 +14,7 @@ from perilune.atlas.hermite import bits, interpolated
 from perilune.words.types import Matrix, Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a brick
-_CLEARLY = 3.0  # times as far below zero as it differs at the corners of a cell
+_CLEARLY = 1.5  # times as far below zero as it differs at the corners of a cell
 _SAME = 1e-6  # relative: one extremal
 _ENDING = {1: 2**6, 2: 2**7}  # the shortest edge of a cell in which a sheet ends, by axes; of more 2**8
 

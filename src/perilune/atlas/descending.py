@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.charted import Charted
-from perilune.atlas.held import BARE, HeldFamilies
+from perilune.atlas.held import BARE, Bounds, HeldFamilies
 from perilune.atlas.keeping import kept
 from perilune.atlas.sheets import Borders
 from perilune.atlas.walking import Lanes
@@ -25,6 +25,7 @@ _STEPS = 16  # of a way from bound to bound
 _ROUNDS = 2  # over the ranges of several parameters
 _BETWEEN = 8  # parts of a step in which J is looked for where it is less than at both ends
 _NOTHING = 1e-9  # of 1 + |J|: a slope that is none
+_BESIDE = 2.0**-10  # of a range: no other well lies so near, or none whose J is another to 1e-12
 
 
 @dataclass
@@ -86,6 +87,12 @@ class Descents:
         self.names: list[str] = [name for name in each[0] if all(name in own for own in each)] if each else []
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
+    def beside(self, points: Matrix, outdoing: Known, best: Known) -> NDArray[np.bool_]:
+        """Whether best answers lie where extremals do that break the path: of their well, with nothing to follow."""
+        bounds, none = self._bounds(points), np.zeros((len(points), len(self.names)))
+        places = [self._places(points, bounds, known, none) for known in (outdoing, best)]
+        return (best.chart >= 0) & (_far(bounds, *places) <= _BESIDE)
+
     def become(self, points: Matrix, outdoing: Known, begins: Sequence[Matrix], best: Known) -> Known:
         """What becomes of extremals; of chart -1 where that is not found.
 
@@ -100,7 +107,7 @@ class Descents:
         best
             The best answer that is known, if any.
         """
-        target = self._places(points, outdoing, np.zeros((len(points), len(self.names))))
+        target = self._places(points, self._bounds(points), outdoing, np.zeros((len(points), len(self.names))))
         found, held = Known.none(self._charted, len(points)), np.nonzero(outdoing.sheet >= 0)[0]
         led = self._settled(points[held], outdoing.of(held))
         here = (
@@ -129,10 +136,11 @@ class Descents:
         what is found is what that leads down to, better or not.
         """
         found, known = best.of(np.arange(len(points))), best.chart >= 0
-        places = self._places(points, best, np.zeros((len(points), len(self.names))))
+        bounds = self._bounds(points)
+        places = self._places(points, bounds, best, np.zeros((len(points), len(self.names))))
         bottom, least = Known.none(self._charted, len(points)), best.cost.copy()
         if outdoing is not None:
-            places, least = self._places(points, outdoing, places), np.full(len(points), np.inf)
+            places, least = self._places(points, bounds, outdoing, places), np.full(len(points), np.inf)
         for _ in range(1 if len(self.names) == 1 else _ROUNDS):
             before = least.copy()
             for k in range(len(self.names)):
@@ -169,7 +177,7 @@ class Descents:
         Of `lanes` the `places`, what is at their `bottom` and the `least` J are put in.
         """
         known, starts = np.ones(len(lanes), dtype=bool), places[lanes]
-        for bounds in self._of[0].bounds(points):
+        for bounds in self._bounds(points):
             ends = starts.copy()
             ends[:, k] = bounds[:, k]
             way = self._way(points, starts, ends, begins, best, _STEPS)
@@ -183,12 +191,17 @@ class Descents:
                     places[lane] = starts[row] + at[row] / _STEPS * (ends[row] - starts[row])
         return known
 
-    def _places(self, points: Matrix, known: Known, otherwise: Matrix) -> Matrix:
+    def _bounds(self, points: Matrix) -> Bounds:
+        """Of what is followed: the user states them, of any chart."""
+        return self._of[0].bounds(points)
+
+    def _places(self, points: Matrix, bounds: Bounds, known: Known, otherwise: Matrix) -> Matrix:
         """Values of what is followed at extremals, within bounds, (lanes, k); others where none is known."""
         at = otherwise.copy()
         for number, family in enumerate(self._of):
             if (lanes := np.nonzero(known.chart == number)[0]).size:
-                at[lanes] = family.clipped(points[lanes], known.y[number][lanes])
+                own = bounds[0][lanes], bounds[1][lanes]
+                at[lanes] = family.clipped(points[lanes], known.y[number][lanes], own, known.sheet[lanes] < 0)
         return at
 
     def _confirmed(self, points: Matrix, target: Matrix, begins: Sequence[Matrix], answers: Known) -> NDArray[np.bool_]:
@@ -219,13 +232,13 @@ class Descents:
         """Whether J falls all along from targets to answers, and else what there is where it is the least first."""
         if not len(points):
             return np.zeros(0, dtype=bool), Known.none(self._charted, 0)
-        starts = self._places(points, best, target)
-        spread = np.max([upper - lower for lower, upper in (family.bounds(points) for family in self._of)], axis=0)
-        far = (np.abs(target - starts) / np.maximum(spread, np.finfo(float).tiny)).max(axis=1, initial=0.0)
+        bounds = self._bounds(points)
+        starts = self._places(points, bounds, best, target)
+        far = _far(bounds, target, starts)
         steps = 2 ** np.ceil(np.log2(np.clip(_STEPS * far, 2, _STEPS))).astype(np.int64)  # of a lane, in any company
-        known, turned = np.zeros(len(points), dtype=bool), Known.none(self._charted, len(points))
-        for last in np.unique(steps).tolist():
-            lanes = np.nonzero(steps == last)[0]
+        known, turned = (best.chart >= 0) & (far <= _BESIDE), Known.none(self._charted, len(points))
+        for last in np.unique(steps[~known]).tolist():
+            lanes = np.nonzero(~known & (steps == last))[0]
             own = points[lanes], starts[lanes], target[lanes], [y[lanes] for y in begins], best.of(lanes)
             way = self._way(*own, last)
             for row, lane in enumerate(lanes.tolist()):
@@ -281,6 +294,12 @@ class Descents:
         way.chart[lanes] = np.where(better, number, way.chart[lanes])
         way.rises[lanes] = np.where(better, rises, way.rises[lanes])
         way.cost[lanes] = np.where(better, cost, way.cost[lanes])
+
+
+def _far(bounds: Bounds, target: Matrix, starts: Matrix) -> Vector:
+    """How far targets are from where ways to them start, in parts of ranges."""
+    spread = np.maximum(bounds[1] - bounds[0], np.finfo(float).tiny)
+    return (np.abs(target - starts) / spread).max(axis=1, initial=0.0)
 
 
 def _bounded(borders: Borders) -> list[str]:

@@ -15,6 +15,7 @@ from perilune.atlas.charted import Charted
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.walking import Lanes, Walk, straight
+from perilune.methods.starts import SIGNED
 from perilune.problem.extremal import Nature
 from perilune.structures.structure import margins
 from perilune.words.types import Matrix
@@ -22,7 +23,9 @@ from perilune.words.types import Matrix
 _STEPS = 8  # at least to where a way begins
 _SHORTEST = 2.0**-2  # of a step
 _NEAR = 0.05  # how far a root may lie from the tangent, of 1 + |y|
+_ROUGH = 1e-9  # of a root on the way, where errors of a flight leave no less
 _FLOWN = 1e-6  # canonical, by which the second flight on the way may miss its ends
+Bounds = tuple[Matrix, Matrix]  # lower and upper, (lanes, k) each
 BARE = Sheet(holds={}, orientation=0.0, nature=Nature.UNPROVED)
 
 
@@ -43,14 +46,30 @@ class HeldFamilies:
         user = charted.chart.user
         self._plain = not charted.of_arcs and not any(margins(user, k) for k in range(len(user.phases)))
 
-    def bounds(self, points: Matrix) -> tuple[Matrix, Matrix]:
+    def bounds(self, points: Matrix) -> Bounds:
         """Lower and upper bounds of what is held, (lanes, k) each."""
         lower, upper = self._charted.borders.at(points / self._chart.scale)
         return lower[:, self._at], upper[:, self._at]
 
-    def clipped(self, points: Matrix, y: Matrix) -> Matrix:
-        """Values of what is held at extremals, within their bounds, (lanes, k)."""
-        return np.clip(self._at_extremals(points / self._chart.scale, y), *self.bounds(points))
+    def clipped(self, points: Matrix, y: Matrix, bounds: Bounds, within: NDArray[np.bool_] | bool = False) -> Matrix:
+        """Values of what is held at extremals, within its `bounds`, (lanes, k).
+
+        Those that are `within` all bounds, and gain by leaving none, are flown only where their unknowns do not say it:
+        what has a multiplier is at its bound.
+        """
+        values, free = points / self._chart.scale, self._chart.shooting.plan.free
+        whole = self._chart.whole(values, y)
+        at, ranges = np.full((len(y), len(self._at)), np.nan), self._chart.conditions.ranges
+        for column, k in enumerate(self._at):
+            if k < free:
+                at[:, column] = whole[:, self._chart.conditions.free_at][:, k]
+            else:
+                nu = whole[:, ranges[k - free][1]]
+                bound = np.where(nu < 0.0, bounds[0][:, column], bounds[1][:, column])
+                at[:, column] = np.where(within & (np.abs(nu) > SIGNED), bound, np.nan)
+        if len(left := np.nonzero(np.isnan(at).any(axis=1))[0]):
+            at[left] = self._at_extremals(values[left], y[left])
+        return np.clip(at, *bounds)
 
     def _at_extremals(self, values: Matrix, y: Matrix) -> Matrix:
         found = self._chart.at(values, y, Holds(np.zeros((len(y), 2 * self._chart.shooting.plan.held))))
@@ -65,7 +84,7 @@ class HeldFamilies:
         begin = np.hstack([values, self._at_extremals(values, y)])
         back = np.linalg.norm(begin - there, axis=1) < np.linalg.norm(begin - first, axis=1)
         first[back], last[back] = last[back], first[back]
-        walk = Walk(self._chart, self._held, begin, y, at=self._at, near=_NEAR)
+        walk = Walk(self._chart, self._held, begin, y, at=self._at, near=_NEAR, rough=_ROUGH)
         if (begin != first).any():
             walk.along(first, max(steps, _STEPS), _SHORTEST)
         found, cost, slopes = walk.along(last, steps, _SHORTEST)

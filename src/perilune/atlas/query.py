@@ -94,9 +94,13 @@ class Atlas(Reader):
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        outdoes = np.inf if best is None else best.cost
-        breaking = [one for one in breaking if outdoing(one.charted, self._met(at, one), outdoes)]
         left, followed = doubted_of(breaking, alike, offers, follows=bool(self.descents.names))
+        if not left and self._beside(at, followed, best):
+            followed = []
+        else:
+            outdoes = np.inf if best is None else best.cost
+            breaking = [one for one in breaking if outdoing(one.charted, self._met(at, one), outdoes)]
+            left, followed = doubted_of(breaking, alike, offers, follows=bool(self.descents.names))
         turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
         doubts += self._become(at, best, turns, [], tried)
         left += self._become(at, best, [], followed, tried)
@@ -200,6 +204,11 @@ class Atlas(Reader):
             values = (at / one.charted.chart.scale)[None]
             one.cost = float(one.charted.met(one.number, values, one.y[None], np.array([one.cost]))[0])
         return one.cost
+
+    def _beside(self, at: Vector, followed: Sequence[Offer], best: Offer | None) -> bool:
+        """Whether the best answer lies where all those do that would be followed, so that none need be."""
+        known = self._known(best, -1)
+        return all(self.descents.beside(at[None], self._known(one, -1), known)[0] for one in followed)
 
     def _become(
         self, at: Vector, best: Offer | None, turns: Sequence[Offer], breaking: Sequence[Offer], tried: list[Offer]

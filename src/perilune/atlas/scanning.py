@@ -81,7 +81,7 @@ class Scan:
             if len(lanes):
                 points, begins = self._points[lanes], begin[None].repeat(len(lanes), axis=0)
                 lower, upper = families.bounds(points)
-                starts = families.clipped(points, begins[:, len(values) :])
+                starts = families.clipped(points, begins[:, len(values) :], (lower, upper))
                 ends = starts.copy()
                 starts[:, at], ends[:, at] = lower[:, at], upper[:, at]
                 found, cost, _ = families.along(points, begins, starts, ends, _STEPS)

@@ -6,6 +6,7 @@ Each walk goes by the tangent plane and Newton's method, in lanes; its step is h
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,8 @@ class Walk:
         How far a root may lie from the tangent plane, of 1 + |y|, beside half of the step.
     astray
         Times as far Newton's method may lead on the way; anywhere if None.
+    rough
+        A residual and a last step, of 1 + |y|, that will do where errors of a sensitive flight leave no less.
 
     Attributes
     ----------
@@ -63,9 +66,10 @@ class Walk:
         sides: Vector | None = None,
         near: float = _NEAR,
         astray: float | None = None,
+        rough: float = 0.0,
     ) -> None:
         self._chart, self._holds, self._at, self._d = chart, holds, list(at), len(chart.names)
-        self._sides, self._near, self._astray = sides, near, astray
+        self._sides, self._near, self._astray, self._rough = sides, near, astray, rough
         count, n = y.shape
         self.y: Matrix = y.copy()
         self.cost: Vector = np.full(count, np.nan)
@@ -130,7 +134,10 @@ class Walk:
         return again.converged & same(self.y[lanes], again.y)
 
     def _solved(self, lanes: Lanes, places: Matrix, y: Matrix, **settings: Any) -> Extremals:
-        return self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=MOST, **settings)
+        found = self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=MOST, **settings)
+        with np.errstate(invalid="ignore"):
+            will_do = (found.roots.residuals <= self._rough) & (found.length <= self._rough)
+        return replace(found, converged=found.converged | will_do)
 
     def _slopes(self, found: Extremals) -> NDArray[np.float64]:
         """Derivatives of unknowns by places, (lanes, d + k, n)."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -140,6 +142,8 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
     grid = members(fixed, [(row.longitude, row.latitude) for row in TABLE_2], watch)
     watch("neighbour B from the points of Table 1")
     experiments = members(fixed, [(row.longitude, row.latitude) for row in TABLES_1_AND_3], watch)
+    with tempfile.TemporaryDirectory() as directory:
+        asked = fast(fixed.problem, grid, experiments, 2 * seeds, Path(directory) / "region", watch)
     return Reproduction(
         equations=equations,
         off_plane=off_plane(fixed.results["entry_time"].value),
@@ -151,7 +155,7 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
         grid=grid,
         experiments=experiments,
         searches=searches,
-        fast=fast(fixed.problem, grid, experiments, 2 * seeds, watch),
+        fast=asked,
     )
 
 

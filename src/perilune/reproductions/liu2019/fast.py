@@ -9,7 +9,6 @@ Ours is an atlas over the box around the region.
 from __future__ import annotations
 
 import math
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -61,7 +60,9 @@ class Fast:
     apart: float
 
 
-def fast(problem: Problem, grid: Sequence[Member], experiments: Sequence[Member], alone: int, watch: Watch) -> Fast:
+def fast(
+    problem: Problem, grid: Sequence[Member], experiments: Sequence[Member], alone: int, directory: Path, watch: Watch
+) -> Fast:
     """Build the atlas and ask it.
 
     Parameters
@@ -74,20 +75,21 @@ def fast(problem: Problem, grid: Sequence[Member], experiments: Sequence[Member]
         Where the methods are asked.
     alone
         At how many of them the problem is solved from nothing as well.
+    directory
+        Where the atlas is built.
     watch
         Receives lines of text.
     """
     places = np.radians([(m.longitude, m.latitude) for m in (*grid, *experiments)])
     low, high = places.min(axis=0) - _BESIDE, places.max(axis=0) + _BESIDE
     box = dict(zip(AXES, zip(low.tolist(), high.tolist(), strict=True), strict=True))
-    with tempfile.TemporaryDirectory() as directory:
-        began = time.process_time()
-        atlas = open_atlas(build(problem, box, Path(directory) / "region", sample=0, watch=watch))
-        built = time.process_time() - began
-        points = np.radians([(m.longitude, m.latitude) for m in experiments])
-        queried, refused, found = _queried(atlas, points)
-        kinds = tuple(charted.chart.course.text or "one arc in each phase" for charted in atlas.charted)
-        nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
+    began = time.process_time()
+    atlas = open_atlas(build(problem, box, directory, sample=0, watch=watch))
+    built = time.process_time() - began
+    points = np.radians([(m.longitude, m.latitude) for m in experiments])
+    queried, refused, found = _queried(atlas, points)
+    kinds = tuple(charted.chart.course.text or "one arc in each phase" for charted in atlas.charted)
+    nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
     every = np.unique(np.linspace(0, len(points) - 1, min(alone, len(points))).astype(int))
     took, apart = list[float](), 0.0
     for number in every.tolist():
