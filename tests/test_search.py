@@ -207,3 +207,24 @@ def test_members_beyond_a_bound_do_not_hide_those_behind_them() -> None:
     met = Search._keeping_bounds(cast("Search", search), cast("Any", [out, old, breaking, kept]), "family", "walked")
     assert list(met) == [(kept, "family"), (breaking, "family")]
     assert search.broken == ["bad"] and search.tried == ["walked, 3 extremals, 1 of them breaks a condition"]
+
+
+@pytest.mark.parametrize(("converged", "held", "known"), [(True, True, 3), (False, True, 1), (True, False, 1)])
+def test_at_the_limits_of_a_range_what_newton_loses_or_lets_go_is_no_extremal(
+    converged: bool, held: bool, known: int
+) -> None:
+    """Beside a maximum of J over the range; the limit that is infinite is nothing to look at."""
+    places = iter((2.0, 3.0))
+
+    def settled(Y: Any, choice: Any, limits: Any) -> list[Any]:
+        root = SimpleNamespace(y=Y[0] + next(places), converged=converged, choice=choice.copy())
+        root.choice[0] = float(held)
+        return [root]
+
+    plan = SimpleNamespace(free=0, hold=lambda choice, i, limit: choice.__setitem__(i, 1.0))
+    root = SimpleNamespace(y=np.zeros(1), converged=True, choice=np.zeros(2))
+    shooting = SimpleNamespace(plan=plan, curving_down=lambda one, p: [0] if one is root else [])
+    limits = SimpleNamespace(lower=np.array([-1.0]), upper=np.array([1.0]))
+    search = SimpleNamespace(trials=SimpleNamespace(shooting=shooting, limits=limits, p=None, settled=settled))
+    found = Search._over_ranges(cast(Search, search), cast(Any, root))
+    assert [f.minimum for f in found] == [False, True, True][:known]

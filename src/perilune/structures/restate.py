@@ -349,8 +349,6 @@ class _Restated:
         arcs, user = self.structure.phases[k], self.expressions
         if (k, "typical_end") not in user:
             return [None] * len(arcs)
-        if len(arcs) == 1:
-            return [user[k, "typical_end"]]
         recorder = Recorder()
         begin, names = run(user["start"], recorder), self.user.phases[0].state_names
         for before in range(k):
