@@ -165,6 +165,8 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
         (lambda: returning(orbit=replace(ORBIT, inclination=math.pi)), "above the equator has no ascending"),
         (lambda: replace(STEEP, angle_lower=-0.2), "say one thing twice"),
         (lambda: replace(BOUNDED, speed_lower=9000.0), "are no range"),
+        (lambda: replace(BOUNDED, angle_lower=-0.01, angle_upper=-0.02), "-0.572958 deg to -1.14592 deg"),
+        (lambda: replace(VEHICLE, mass=True), "must be a number in SI"),
         (lambda: replace(AIR, density=None), "atmosphere.density is missing"),
         (lambda: replace(AIR, model="us1976"), "atmosphere.density belongs to another model"),
         (lambda: Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0), "atmosphere.ap is missing"),

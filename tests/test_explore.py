@@ -78,9 +78,9 @@ def _told(page: ClientConnection, kind: str) -> dict[str, Any]:
             return said
 
 
-def _status(url: str, **headers: str) -> int:
+def _status(url: str, data: bytes | None = None, **headers: str) -> int:
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as answer:
+        with urllib.request.urlopen(urllib.request.Request(url, data=data, headers=headers)) as answer:
             return answer.status
     except urllib.error.HTTPError as error:
         return error.code
@@ -225,7 +225,10 @@ def test_nothing_is_handed_out_without_the_token_or_by_another_name(address: str
     root = f"http://{parts.netloc}"
     assert _status(address) == 200
     assert _status(address, Host="evil.example") == 404
-    assert _status(address, Origin="http://evil.example") == 404
+    for origin in ("http://evil.example", parts.netloc, f"https://{parts.netloc}"):
+        assert _status(address, Origin=origin) == 404
+    assert _status(f"{root}/guess", Host="evil.example") == 404  # and no other address is named
+    assert _status(f"{root}/guess/x", data=b"", Host="evil.example") == 404
     for path in (
         "/",
         "/x/",

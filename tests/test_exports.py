@@ -47,6 +47,7 @@ Loose: Any = pl
         (lambda s, f: Loose.export(s, f, epoch=datetime), ("not an epoch", "the class datetime")),
         (lambda s, f: Loose.export(s, f, scenario_text=3), ("not the text of a scenario", "3")),
         (lambda s, f: pl.export(s, f.parent), ("is a directory",)),
+        (lambda s, f: pl.export(s, "-", "csv"), ("not standard output", "./-")),
         (lambda s, f: pl.export(s, f.parent / "nowhere" / "x.nc"), ("cannot be written", "No such file")),
     ],
 )  # fmt: skip
@@ -57,6 +58,23 @@ def test_an_export_that_cannot_be_made_is_refused(
         ask(hybrid, tmp_path / "flight")
     assert all(word in str(caught.value) for word in words), str(caught.value)
     assert not os.listdir(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+def test_a_pipe_stays_a_pipe_and_a_link_leads_to_its_file(hybrid: Solution, tmp_path: Path) -> None:
+    """Whatever may be replaced is a file: nothing else is turned into one."""
+    pipe, link, behind = tmp_path / "pipe.csv", tmp_path / "link.csv", tmp_path / "behind.csv"
+    os.mkfifo(pipe)
+    for place in (pipe, Path(os.devnull)):
+        with pytest.raises(PeriluneError, match="a device or a pipe, and no file"):
+            pl.export(hybrid, place, "csv", force=True)
+    assert pipe.is_fifo() and not Path(os.devnull).is_file()
+    link.symlink_to(behind)
+    pl.export(hybrid, link)
+    with pytest.raises(PeriluneError, match="there already"):
+        pl.export(hybrid, link)
+    pl.export(hybrid, link, force=True)
+    assert link.is_symlink() and behind.stat().st_size > 1000
 
 
 @pytest.mark.parametrize(("package", "form"), [("pyarrow", "parquet"), ("pandas", None), ("xarray", None)])

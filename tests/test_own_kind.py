@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import perilune as pl
 from perilune.cli import run
 from perilune.io.made import made_document, read_made
 from perilune.models.kinds import KINDS
@@ -52,6 +54,11 @@ def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
     code, text = said(environment, "solve", str(PLACE / "hop.toml"), "--out", out)
     assert code == 0 and "PROVED" in text and "956.8" in text
     assert said(environment, "verify", out)[0] == 0
+    assert "lunar_hop" not in KINDS
+    saved = pl.load(out)  # where it is not installed: the expressions beside it are the problem
+    assert pl.verify(saved).level == 3 and saved.problem.name == "lunar_hop"
+    document = json.loads((Path(out) / "solution.json").read_text(encoding="utf-8"))
+    assert document["scenario"]
 
 
 @pytest.mark.usefixtures("at_hand")

@@ -120,7 +120,6 @@ def test_what_no_model_makes_is_saved_as_expressions(hybrid: Solution, hop: Solu
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda made: made.update(kind="own"), "made.kind"),
         (lambda made: made.update(kind="powered_descent"), "made.sections"),
         (lambda made: made["sections"].update(extra={}), "made.sections.extra"),
         (lambda made: made["sections"]["vehicle"].update(wings=2.0), "vehicle.wings"),
@@ -140,6 +139,15 @@ def test_a_tampered_model_is_refused(
     edited(tmp_path / "landing", lambda document: change(document["made"]))
     with pytest.raises(PeriluneError, match=re.escape(said)):
         pl.load(tmp_path / "landing")
+
+
+def test_where_no_package_brings_the_kind_the_expressions_are_the_problem(hybrid: Solution, tmp_path: Path) -> None:
+    """As of a file without a model: it is proved again, and what is no formula, such as ranges, is not there."""
+    pl.save(hybrid, tmp_path / "landing")
+    edited(tmp_path / "landing", lambda document: document["made"].update(kind="own"))
+    loaded = pl.load(tmp_path / "landing")
+    assert not loaded.problem.declared and loaded.problem.form == hybrid.problem.form
+    assert pl.verify(loaded, level=1).level == 1
 
 
 def test_another_choice_of_the_model_is_refused(tmp_path: Path) -> None:

@@ -59,8 +59,9 @@ class Explorer:
                 WebSocketRoute("/{token}/live", self._live),
                 Route("/{token}/{name:path}", self._file, methods=["GET"]),
             ],
-            exception_handlers={404: _nothing},
+            exception_handlers={404: _nothing, 405: _nothing},
         )
+        self.app.router.redirect_slashes = False  # who does not know the token is told nothing
 
     def close(self) -> None:
         """End what is still computed."""
@@ -96,7 +97,7 @@ class Explorer:
         return (
             secrets.compare_digest(token.encode(), self.token.encode())
             and headers.get("host") in self._hosts
-            and (origin is None or origin.removeprefix("http://") in self._hosts)
+            and (origin is None or origin in {f"http://{host}" for host in self._hosts})
         )
 
     # -- live -----------------------------------------------------------------------------------------------------

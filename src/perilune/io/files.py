@@ -104,10 +104,18 @@ def refuse_name_of_file(target: Path) -> None:
 
 
 def new_file(file: str | Path, what: str, force: bool = False) -> Path:
-    """The path of a file to write; refuses a directory, and one that is there unless it may be replaced."""
+    """The path of a file to write, behind links; refuses what is no file, and one that is there unless forced."""
     path = demand_path(file, f"the file of {what}")
+    if str(path) == "-":
+        raise PeriluneError(
+            "what is written is a file, and not standard output", got="-", expected=f"the name of the file of {what}",
+            advice="./- is a file of this name",
+        )  # fmt: skip
+    path = Path(os.path.realpath(path)) if path.is_symlink() else path
     if path.is_dir():
         raise PeriluneError("the file is a directory", got=str(path), advice="choose another name")
+    if path.exists() and not path.is_file():
+        raise PeriluneError("this is a device or a pipe, and no file", got=str(path), advice="choose another name")
     if path.exists() and not force:
         raise PeriluneError(
             "the file is there already", got=str(path), advice="choose another name, or --force (in Python force=True)"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ from perilune.problem.verification import LEVEL_NAMES, Verification, slips_told
 from perilune.words.asked import called_in_words, demand_path
 from perilune.words.bounded import bounded_text, one_line
 from perilune.words.declared import keys_of, made_of
-from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.outcome import Outcome, PeriluneError, UnknownKindError
 
 MOST_NODES = 100_000
 _ROUNDING = 1e-12  # relative, between the numbers of a scenario and those beside it
@@ -170,9 +171,16 @@ def _document(path: Path) -> dict[str, Any]:
 
 
 def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
-    """The problem by its scenario or its model where there is one, which must be that of the expressions."""
-    stated = None if document.get("scenario") is None else problem_from_scenario(_scenario_text(document))
-    if document["format"]["version"] == WITH_SCENARIO_ONLY and document["format"]["name"] == FORMAT_NAME:
+    """The problem by its scenario or its model where there is one, which must be that of the expressions.
+
+    These alone are the problem where the package that brings its kind is not installed.
+    """
+    alone = document["format"]["version"] == WITH_SCENARIO_ONLY and document["format"]["name"] == FORMAT_NAME
+    stated = None
+    if document.get("scenario") is not None:
+        with suppress(*(() if alone else (UnknownKindError,))):
+            stated = problem_from_scenario(_scenario_text(document))
+    if alone:
         stated = stated or part(document, "scenario", dict)
         _check_given(document, stated)
         return stated
@@ -184,7 +192,9 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
     elif document.get("made") is not None:
         from perilune.io.made import read_made
 
-        source, stated = "model", read_made(part(document, "made", dict), given)
+        source = "model"
+        with suppress(UnknownKindError):
+            stated = read_made(part(document, "made", dict), given)
     written = read_physics(part(document, "problem", dict), given)
     if stated is None:
         return written

@@ -22,7 +22,7 @@ from perilune.models.vehicle import Retro, Throttle, Vehicle
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.words.declared import Key, keys_of, parameter_name, record
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.outcome import PeriluneError, UnknownKindError, unknown_name
 
 GROUP = "perilune.models"  # of entry points
 PROOF = "proof"  # the section that is no part of the problem
@@ -301,11 +301,11 @@ def kind_names() -> list[str]:
     return list(dict.fromkeys([*KINDS, *sorted(entry.name for entry in entry_points(group=GROUP))]))
 
 
-def unknown_kind(called: str, name: str) -> PeriluneError:
-    """Error for a kind that neither is one of these nor one that an installed package brings."""
+def unknown_kind(called: str, name: str) -> UnknownKindError:
+    """Error for a kind of this name."""
     error = unknown_name(called, name, kind_names())
     advice = error.advice or f"install the package that brings it (an entry point of the group {GROUP})"
-    return PeriluneError(error.what, got=error.got, expected=error.expected, advice=advice)
+    return UnknownKindError(error.what, got=error.got, expected=error.expected, advice=advice)
 
 
 def kind_named(name: str) -> Kind:

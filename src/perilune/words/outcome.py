@@ -135,6 +135,10 @@ class NotConvergedError(PeriluneError):
         self.flight = flight
 
 
+class UnknownKindError(PeriluneError):
+    """A kind of problem is none of these, nor one that an installed package brings."""
+
+
 def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str, str] | None = None) -> PeriluneError:
     """Error for a name that does not exist, with the nearest one offered; a long list begins with the nearest.
 
@@ -146,7 +150,7 @@ def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str
     meant = {**{name: name for name in known}, **(also or {})}
     begun = [name for name in meant if called and name.startswith(called)]
     near = [meant[name] for name in begun if len(begun) == 1] or [
-        meant[name] for name in difflib.get_close_matches(called, meant, n=1, cutoff=0.5)
+        meant[name] for name in difflib.get_close_matches(called, meant, n=1, cutoff=0.6)
     ]
     if len(known) > _SHORT_LIST:
         likeness = difflib.SequenceMatcher(b=called)

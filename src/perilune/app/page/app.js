@@ -119,7 +119,8 @@
       const v = parseFloat(number.value), taken = Number.isFinite(v), what = number.validity.badInput ? "That is no number that can be used" : "No number was typed";
       if (taken) { held = false; move(v); held = false; save(); }
       number.value = numeral(exact(knob, state.values[knob.name]));
-      text(wrong, taken ? "" : `${what}: it stays at ${told(+number.value, knob.unit)}.`);
+      const moved = taken && knob.grid && Math.abs(v - number.value) > 1e-3 * Math.abs(knob.high - knob.low) / knob.size;
+      text(wrong, !taken ? `${what}: it stays at ${told(+number.value, knob.unit)}.` : moved ? `This page holds some values alone: the nearest is ${told(+number.value, knob.unit)}.` : "");
     };
     return box;
   }

@@ -11,6 +11,7 @@ from perilune.models.coast import SHORTEST
 from perilune.words.declared import quantity, record, words
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
+from perilune.words.units import told
 
 MINIMISED = ("flight_time", "transition_time", "propellant", "heat_load")
 AIRS: dict[str, tuple[str, ...]] = {
@@ -219,13 +220,14 @@ class Interface:
     angle_upper: float | None = quantity("rad", "-6 deg", default=None, **_ANGLE, about="flattest path angle there")
 
     def __post_init__(self) -> None:
-        for name in ("speed", "angle"):
+        for name, unit in (("speed", "m/s"), ("angle", "rad")):
             fixed, lower, upper = (getattr(self, name + ending) for ending in ("", "_lower", "_upper"))
             bounds = lower if upper is None else upper
             _one_of("interface", {name: fixed, f"{name}_lower": bounds}, needed=False)
             if lower is not None and upper is not None and not lower < upper:
                 raise PeriluneError(
-                    f"bounds of the {name} at the interface are no range", got=f"{lower:g} to {upper:g} in SI",
+                    f"bounds of the {name} at the interface are no range",
+                    got=f"{told(lower, unit)} to {told(upper, unit)}",
                     expected=f"interface.{name}_lower < interface.{name}_upper",
                 )  # fmt: skip
 
