@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 
 import perilune as pl
 from perilune import Indirect, Problem
-from perilune.atlas import building
+from perilune.atlas import building, many
+from perilune.atlas.cells import Status
 from perilune.atlas.offers import outdoing, unanswered
 from perilune.atlas.query import open_atlas
 from perilune.atlas.region import region_of
@@ -64,6 +66,21 @@ def test_what_is_no_better_or_breaks_bounds_of_singular_controls_outdoes_no_answ
     best = np.array([2.0, 1.0, np.inf])
     assert outdoing(chart, np.array([1.0, 1.0, 9.0]), best).tolist() == [True, False, True]
     assert outdoing(singular, np.array([1.0, 1.0, 9.0]), best).tolist() == [False, False, True]
+
+
+def test_cells_that_give_no_answer_promise_the_least_j_that_there_may_be() -> None:
+    """What breaks the path all over its cell, and what ends in it; not what lies beyond a bound, or is not there."""
+    status = np.array([Status.BREAKS, Status.ENDS, Status.NO_ANSWER, Status.ABSENT])
+    brick: Any = SimpleNamespace(
+        leaves=lambda root, inside: np.arange(4), arrays=[None, None, None, status],
+        given=lambda cell, inside, step: np.array([7.0, 3.0]), least=lambda cells, places, step: 10.0 + cells,
+    )  # fmt: skip
+    charted: Any = SimpleNamespace(unknowns=1, borders=SimpleNamespace(of_arcs=False))
+    offer, at = many._no_offer(charted, 0, 0, 4), np.zeros((4, 1))
+    many._fill(offer, brick, 0, np.arange(4), at, at, np.ones(1))
+    assert offer.cost.tolist() == [10.0, 11.0, np.inf, np.inf]
+    assert offer.breaks.tolist() == [True, False, False, False] and not offer.short.any()
+    assert offer.broken[0] == 7.0 and np.isnan(offer.broken[1:]).all() and np.isnan(offer.y).all()
 
 
 def two_wells(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from perilune.problem.solution import Curve, Solution
 from perilune.structures.carry import split
 from perilune.structures.leaving import worth_riding
 from perilune.structures.restate import restate
-from perilune.structures.structure import Arc, Structure, conditions_of
+from perilune.structures.structure import Arc, Condition, Structure, conditions_of
 from perilune.words.watch import silent
 from problems.constrained import FROM, HOP, UNTIL, drawn_off, hopping
 
@@ -46,6 +48,17 @@ def test_where_the_multiplier_has_a_kink_it_tells_nothing(rough: Solution, monke
     assert worth_riding(rough, index, condition) is None
     monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: t * t)
     assert worth_riding(rough, index, condition) == [(0.0, rough.trajectories[0].duration)]
+
+
+@pytest.mark.parametrize(("order", "pays"), [(1, True), (2, False), (3, None)])
+def test_what_pays_is_a_derivative_of_the_multiplier_of_the_order_of_the_condition(
+    order: int, pays: bool | None, rough: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It falls, the faster the later: mu is -eta', which pays, or eta'', which does not; of more nothing is told."""
+    condition = cast(Condition, SimpleNamespace(order=order, rated=lambda *_: SimpleNamespace(name="height")))
+    monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: -t - t * t)
+    everywhere = [(0.0, rough.trajectories[0].duration)]
+    assert worth_riding(rough, 0, condition) == {True: everywhere, False: [], None: None}[pays]
 
 
 def test_the_structure_is_revised_to_one_that_leaves(rough: Solution) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Given, Variable
+from perilune.proof import variations
 from perilune.solve import solve, verify
 from perilune.words.outcome import Outcome
 
@@ -156,3 +158,18 @@ def test_the_solvers_own_answer_is_proved() -> None:
     solution = solve(tugged("end", 0.1))
     assert solution.outcome is Outcome.PROVED and solution.verification.level == 3
     assert solution.objective == pytest.approx(-2.0, abs=1e-9)
+
+
+def test_a_switch_at_an_end_of_the_flight_has_a_stretch_of_no_length_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its own name between it and what is beside it, from which the time of the switch is varied."""
+    ends = [SimpleNamespace(time=0.0, at=0, across=1.5), SimpleNamespace(time=2.0, at=0, across=-1.5)]
+    monkeypatch.setattr(variations, "end_switches", lambda arc: ends)
+    arc = SimpleNamespace(edges=np.array([0.0, 1.0, 2.0]), phase=SimpleNamespace(duration="T"))
+    found = variations._stretches(cast(Any, arc), {0.0: "first", 1.0: "inner", 2.0: "last"})
+    assert [(s.span, s.edges, s.place, s.across) for s in found] == [
+        ((0.0, 0.0), (0.0, "first"), None, (0, 1.5)),
+        ((0.0, 1.0), ("first", "inner"), 0, None),
+        ((1.0, 2.0), ("inner", "last"), 1, None),
+        ((2.0, 2.0), ("last", "T"), None, (0, -1.5)),
+    ]
+    assert [(s.first, s.last) for s in found] == [(True, False), (False, False), (False, False), (False, True)]
