@@ -84,9 +84,12 @@ def test_cells_that_give_no_answer_promise_the_least_j_that_there_may_be() -> No
 
 
 def two_wells(
-    steep: float, slow: float, fast: float, paid: float, crossed: float, **bounds: float
+    steep: float, slow: float, fast: float, paid: float, crossed: float, beside: bool = False, **bounds: float
 ) -> tuple[Problem, Callable[[float], float]]:
-    """Bryson and Denham's problem at a speed that is free and has two wells of its price, and the least J."""
+    """Bryson and Denham's problem at a speed that is free and has two wells of its price, and the least J.
+
+    With another free parameter `beside` it, between bounds, if that is asked for, which has to do with nothing else.
+    """
 
     def price(v: Any, l: Any) -> Any:
         return steep * (v - slow) ** 2 * (v - fast) ** 2 - paid * v + crossed * l * v
@@ -96,9 +99,15 @@ def two_wells(
     units = {"one": plain.objective_unit, "pace": "m/s", "far": "m"}
     problem = replace(
         plain,
-        free=(pl.Free(name="speed", unit="m/s", typical=1.0, **bounds),),
+        free=(
+            pl.Free(name="speed", unit="m/s", typical=1.0, **bounds),
+            *[pl.Free(name="other", lower=0.0, upper=1.0, typical=0.5)] * beside,
+        ),
         given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
-        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * price(p.speed / p.pace, p.ceiling / p.far),
+        objective=lambda x, p, m: (
+            plain.objective(x, p, m)
+            + p.one * (price(p.speed / p.pace, p.ceiling / p.far) + ((p.other - 0.4) ** 2 if beside else 0.0))
+        ),
     )
 
     def least(ceiling: float) -> float:
@@ -136,13 +145,14 @@ def test_an_answer_of_arcs_does_not_vouch_for_what_breaks_the_path_in_another_we
     assert found.good.mean() > 0.9 and found.objective[found.good] == pytest.approx(truth[found.good], abs=1e-4)
 
 
-def test_where_an_arc_is_shorter_than_nothing_what_follows_it_has_to_be_known(tmp_path: Path) -> None:
+@pytest.mark.parametrize("beside", [False, True])
+def test_where_an_arc_is_shorter_than_nothing_what_follows_it_has_to_be_known(tmp_path: Path, beside: bool) -> None:
     """The ride of the slower well becomes a touch that no solve met; the ride of the faster one is no better than that.
 
-    The speed lies between no bounds, along which it would be looked for. Where the faster well is the better one, or
-    its touch is known, such rides cast no doubt.
+    The speed lies between no bounds, along which it would be looked for: another parameter that does says nothing of
+    it. Where the faster well is the better one, or its touch is known, such rides cast no doubt.
     """
-    problem, least = two_wells(121.981, 0.795, 1.365, 8.885, -10.91)
+    problem, least = two_wells(121.981, 0.795, 1.365, 8.885, -10.91, beside)
     atlas = open_atlas(build(problem, {"ceiling": (0.1, 0.45)}, tmp_path / "wells", bricks=4), lambda _: problem)
     ceilings = np.sort(np.append(np.random.default_rng(0).uniform(0.1, 0.45, 80), [0.145, 0.15]))
     found = atlas.query_many(ceilings[:, None])

@@ -79,12 +79,22 @@ class _Way:
 
 
 class Descents:
-    """Descents over all charts of an atlas."""
+    """Descents over all charts of an atlas.
+
+    Attributes
+    ----------
+    names
+        Of what they go along: what lies between two bounds, of each chart.
+    settles
+        Whether that is all that is free: else wells may differ in what is not followed, and no doubt is ended so.
+    """
 
     def __init__(self, charted: Sequence[Charted]) -> None:
         self._charted = charted
         each = [_bounded(one.borders) for one in charted]
         self.names: list[str] = [name for name in each[0] if all(name in own for own in each)] if each else []
+        free = {n for one in charted for n in one.chart.user.free_names if n not in one.chart.names}
+        self.settles: bool = bool(self.names) and free <= set(self.names)
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
     def beside(self, points: Matrix, outdoing: Known, best: Known) -> NDArray[np.bool_]:

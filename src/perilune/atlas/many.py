@@ -197,6 +197,8 @@ class _Work:
                     breaking.append(own.of(polished.breaking | polished.short))
                     vouching[number][lanes] = polished.answers
         left, followed = self._doubted(breaking, offers, vouching)
+        if not atlas.descents.settles:
+            doubt, left = np.minimum(doubt, left), np.full(len(some), np.inf)
         best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
             self._become(doubt, offers[number], lanes, cost[number, lanes], y, best, turns=True)
@@ -232,7 +234,7 @@ class _Work:
         told, answers = [(of[one.number], one.lanes, one.short) for one in better], list(zip(of, vouching, strict=True))
         followed, follows = list[tuple[_Breaking, NDArray[np.bool_]]](), bool(self.atlas.descents.names)
         for one, left in zip(better, unanswered(told, answers, self.of_arcs[self.some]), strict=True):
-            which, its = doubted(one.short, left, follows=follows)
+            which, its = doubted(one.short, left, follows=follows, settles=self.atlas.descents.settles)
             doubt[one.lanes[which]] = np.minimum(doubt[one.lanes[which]], one.cost[which])
             followed.append((one.of(its), which[its]))
         return doubt, followed

@@ -111,17 +111,19 @@ def unanswered(
     return [np.where(its, of[lanes], to[lanes]) for (_, lanes, its), (of, to) in zip(better, left, strict=True)]
 
 
-def doubted(short: Any, left: Any, *, follows: bool) -> tuple[Any, Any]:
+def doubted(short: Any, left: Any, *, follows: bool, settles: bool) -> tuple[Any, Any]:
     """Which of them cast doubt, and which are followed to what they become, where that can be; one or arrays.
 
     What breaks the path is followed in any case: it may become another well than the one that vouches for it. What has
     an arc that is shorter than nothing most often has gone on as what vouches, and else casts doubt by what it becomes.
+    Where following `settles` nothing, as wells may differ in what is not followed, all that is left casts doubt.
     """
-    return (left & ~(short & follows)), (left | ~short) & follows
+    cast, each = left & ~(short & settles), (left | ~short) if settles else ~(left | short)
+    return cast, each & follows
 
 
 def doubted_of(
-    better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer], *, follows: bool
+    better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer], *, follows: bool, settles: bool
 ) -> tuple[list[Offer], list[Offer]]:
     """The same of one point: `alike` are the best answers, and `offers` all that its cells give."""
     if not better:
@@ -132,5 +134,5 @@ def doubted_of(
         [(one.charted, np.array([one.vouches])) for one in offers],
         np.array([any(one.charted.of_arcs for one in alike)]),
     )
-    told = [doubted(its, own, follows=follows) for its, own in zip(short, left, strict=True)]
+    told = [doubted(its, own, follows=follows, settles=settles) for its, own in zip(short, left, strict=True)]
     return tuple([one for one, both in zip(better, told, strict=True) if both[k][0]] for k in (0, 1))  # pyright: ignore

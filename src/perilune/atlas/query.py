@@ -94,15 +94,18 @@ class Atlas(Reader):
                 tried.append(offer)
                 best = min(tried, key=lambda one: one.cost)
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        left, followed = doubted_of(breaking, alike, offers, follows=bool(self.descents.names))
+        ways = {"follows": bool(self.descents.names), "settles": self.descents.settles}
+        left, followed = doubted_of(breaking, alike, offers, **ways)
         if not left and self._beside(at, followed, best):
             followed = []
         else:
             outdoes = np.inf if best is None else best.cost
             breaking = [one for one in breaking if outdoing(one.charted, self._met(at, one), outdoes)]
-            left, followed = doubted_of(breaking, alike, offers, follows=bool(self.descents.names))
+            left, followed = doubted_of(breaking, alike, offers, **ways)
         turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
         doubts += self._become(at, best, turns, [], tried)
+        if not self.descents.settles:
+            doubts, left = doubts + left, []
         left += self._become(at, best, [], followed, tried)
         doubts += self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
         best = min(tried, key=lambda one: one.cost, default=None)
