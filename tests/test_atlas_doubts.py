@@ -146,6 +146,27 @@ def test_an_answer_of_arcs_does_not_vouch_for_what_breaks_the_path_in_another_we
 
 
 @pytest.mark.parametrize("beside", [False, True])
+def test_what_is_kept_amid_a_cell_and_broken_alike_at_its_corners_is_an_answer(tmp_path: Path, beside: bool) -> None:
+    """Under an arch, whose ends are as low; the parameter beside it follows it to a bound, where the path is broken."""
+    plain = bryson_denham(0.2)
+    [phase] = plain.phases
+    given = {name: one for name, one in plain.given.items() if name != "ceiling"}
+    units = {"one": plain.objective_unit, "far": "m", "top": "m", "off": "1"}
+    problem = replace(
+        plain,
+        phases=(replace(phase, path=lambda x, u, p, m: (p.top - p.far * p.off**2 - x.x,)),),
+        given={**given, **{n: pl.Given(value=0.3 if n == "top" else 1.0, unit=unit) for n, unit in units.items()}},
+        free=(pl.Free(name="other", lower=0.0, upper=1.0, typical=0.5),) * beside,
+        objective=lambda x, p, m: plain.objective(x, p, m) + (p.one * (p.other - 0.2 - p.off) ** 2 if beside else 0.0),
+    )
+    atlas = open_atlas(build(problem, {"off": (-0.4, 0.4)}, tmp_path / "arch", bricks=1), lambda _: problem)
+    off = np.linspace(-0.39, 0.39, 40)
+    truth = np.array([bryson_denham_truth(0.3 - x * x) + beside * max(-0.2 - x, 0.0) ** 2 for x in off.tolist()])
+    assert atlas.query_many(off[:, None]).objective == pytest.approx(truth, rel=1e-8)
+    assert [atlas.query(off=x).objective for x in off[::8].tolist()] == pytest.approx(truth[::8], rel=1e-8)
+
+
+@pytest.mark.parametrize("beside", [False, True])
 def test_where_an_arc_is_shorter_than_nothing_what_follows_it_has_to_be_known(tmp_path: Path, beside: bool) -> None:
     """The ride of the slower well becomes a touch that no solve met; the ride of the faster one is no better than that.
 

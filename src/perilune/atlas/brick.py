@@ -22,12 +22,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.branches import ANSWERING, Extremal, arrays_of, covered, ending_layers, given, torn_edges
-from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, Status, Whole, ending, joined, leaves_of, same, some
+from perilune.atlas.cells import (
+    WHOLE,
+    Cells,
+    Cut,
+    Nodes,
+    Status,
+    Whole,
+    clearly_below,
+    ending,
+    joined,
+    leaves_of,
+    same,
+    some,
+)
 from perilune.atlas.crossing import Crossings
 from perilune.atlas.hermite import bits
 from perilune.atlas.lattice import Lattice
 from perilune.atlas.reflight import SLACK
-from perilune.atlas.trying import FINEST, tried
+from perilune.atlas.trying import FINEST, path_amid, tried
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch, silent
 
@@ -329,7 +342,10 @@ class Brick:
             status[here[passed & beyond]] = Status.NO_ANSWER
             # What is clear at all corners is not looked at more closely; but not of the first, which know little.
             clear = here[passed | (cells.size[here] < WHOLE).all(axis=1)]
-            status[clear[self.nodes.clearly_below("path", cells.corners[clear], SLACK)]] = Status.BREAKS
+            path = self.nodes.rows("path", cells.corners[clear])
+            path, clear = path[below := clearly_below(path, SLACK)], clear[below]
+            amid = path_amid(self.lattice, some(cells, clear))  # it may be kept there, and broken alike at all corners
+            status[clear[clearly_below(np.column_stack([path, amid]), SLACK)]] = Status.BREAKS
         along = np.take_along_axis(cells.size, axis[:, None], axis=1)[:, 0]
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
         sequence = self.nodes.rows("sequence", cells.corners)

@@ -14,7 +14,7 @@ from perilune.atlas.hermite import bits, interpolated
 from perilune.words.types import Matrix, Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a brick
-_CLEARLY = 1.5  # times as far below zero as it differs at the corners of a cell
+_CLEARLY = 1.5  # times as far below zero as it differs at the corners and in the middle of a cell
 _SAME = 1e-6  # relative: one extremal
 _ENDING = {1: 2**6, 2: 2**7}  # the shortest edge of a cell in which a sheet ends, by axes; of more 2**8
 
@@ -189,13 +189,6 @@ class Nodes:
             found[i] = numbers[far.argmin()] if far.min() < WHOLE * len(place) else -1
         return found
 
-    def clearly_below(self, name: str, corners: Whole, slack: float) -> NDArray[np.bool_]:
-        """Whether what should not be below zero is so at all corners of cells, by far more than it differs there."""
-        rows = self.rows(name, corners)
-        most, least = rows.max(axis=1), rows.min(axis=1)
-        with np.errstate(invalid="ignore"):  # where nothing limits them
-            return most < -_CLEARLY * (most - least) - slack
-
     def within(self, branch: int, low: Whole, high: Whole, first: int) -> Whole:
         """The nodes of a branch in a box or on its border from which it goes on: beyond its own it may turn back.
 
@@ -207,6 +200,13 @@ class Nodes:
         inside &= ((place >= low) & (place <= high)).all(axis=1)
         found = first + np.nonzero(inside)[0]
         return found[~np.isin(found, self.met)] if len(self.met) else found
+
+
+def clearly_below(rows: Matrix, slack: float) -> NDArray[np.bool_]:
+    """Whether what should not be below zero is so at all places of cells, (cells, places), by more than it differs."""
+    most, least = rows.max(axis=1), rows.min(axis=1)
+    with np.errstate(invalid="ignore"):  # where nothing limits them
+        return most < -_CLEARLY * (most - least) - slack
 
 
 def halved_at(low: Whole, axis: Whole, child: Whole) -> Whole:

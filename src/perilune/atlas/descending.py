@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from perilune.atlas.charted import Charted
 from perilune.atlas.held import BARE, Bounds, HeldFamilies
 from perilune.atlas.keeping import kept
+from perilune.atlas.reflight import SLACK
 from perilune.atlas.sheets import Borders
 from perilune.atlas.walking import Lanes
 from perilune.words.types import Matrix, Vector
@@ -120,6 +121,10 @@ class Descents:
         target = self._places(points, self._bounds(points), outdoing, np.zeros((len(points), len(self.names))))
         found, held = Known.none(self._charted, len(points)), np.nonzero(outdoing.sheet >= 0)[0]
         led = self._settled(points[held], outdoing.of(held))
+        if self.names:  # what would be better at a bound, and breaks the path there, is followed as well
+            with np.errstate(invalid="ignore"):
+                better = np.nonzero((led.chart >= 0) & (led.cost < best.cost[held]))[0]
+            led.chart[better[~self._keep_the_path(points[held[better]], led.of(better))]] = -1
         here = (
             self._confirmed(points[held], target[held], [y[held] for y in begins], led)
             if self.names
@@ -234,6 +239,17 @@ class Descents:
                 good = led.sheet >= 0
                 found.chart[lanes[good]], found.sheet[lanes[good]] = number, led.sheet[good]
                 found.y[number][lanes[good]], found.cost[lanes[good]] = led.y[good], led.cost[good]
+        return found
+
+    def _keep_the_path(self, points: Matrix, known: Known) -> NDArray[np.bool_]:
+        """Whether extremals of sheets do, (lanes,)."""
+        found = np.zeros(len(points), dtype=bool)
+        for number, one in enumerate(self._charted):
+            if (lanes := np.nonzero(known.chart == number)[0]).size:
+                values = points[lanes] / one.chart.scale
+                choice = one.chart.choice(values, one.borders.holds(one.sheets, known.sheet[lanes], values))
+                y = one.chart.whole(values, known.y[number][lanes])
+                found[lanes] = one.polish.reflights(y, one.chart.p[None], choice).seen.path >= -SLACK
         return found
 
     def _down(

@@ -54,7 +54,7 @@ class Lattice:
     ) -> None:
         self.chart: Chart = chart
         self.borders: Borders = borders
-        self._reflights = reflights
+        self.reflights: Reflights = reflights
         self.all_sheets: Sequence[Sheet] = sheets
         self.origin: Vector = low
         self.step: Vector = (high - low) / WHOLE
@@ -201,7 +201,7 @@ class Lattice:
         if not good.any():
             return
         here, branch, places = found.of(np.nonzero(good)[0]), branch[good], places[good]
-        flown = self._reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
+        flown = self.reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
         seen = flown.seen
         self.nodes.add(
             self.keys(branch, places),

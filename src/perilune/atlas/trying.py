@@ -80,6 +80,15 @@ def _given(lattice: Lattice, cells: Cells, share: Matrix) -> tuple[Matrix, Matri
     return values, given, holds, lattice.chart.at(values, given[:, :-1], holds)
 
 
+def path_amid(lattice: Lattice, cells: Cells) -> Vector:
+    """By how much what cells give keeps the path at their middle, behind a step of Newton's method."""
+    if not len(cells):
+        return np.empty(0)
+    chart = lattice.chart
+    values, _, holds, first = _given(lattice, cells, np.full(cells.size.shape, 0.5))
+    return lattice.reflights(chart.whole(values, first.stepped), chart.p[None], chart.choice(values, holds)).seen.path
+
+
 def _told(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """At which places what cells give is near an extremal and its J, or lies beyond a bound where that is expected."""
     _, given, _, here = _given(lattice, cells, share)
