@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 import perilune as pl
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive, keepable_conditions
-from perilune.conditions.scalars import Scalar, least_between, pivots
+from perilune.conditions.scalars import Scalar, _met, least_between, pivots
 from perilune.methods.judge import Judge
 from perilune.problem.controls import Settled
 from perilune.shooting.function import Shooting
@@ -232,3 +232,15 @@ def test_a_load_that_is_broken_for_a_moment_alone_is_seen() -> None:
     assert breach.miss == pytest.approx(0.0066, abs=1e-4)
     kept = problem.with_given(most_load=61.2)
     assert Judge(kept, conditions, extremal_parameters(kept)).breach(root) is None
+
+
+@pytest.mark.parametrize("rate", [2.0, -0.5])
+def test_along_a_line_a_condition_that_is_linear_is_met_at_once(rate: float) -> None:
+    """At its root, whatever the grid; one that bends where a chord of the grid between two signs leads."""
+    u = ca.SX.sym("u", 2)
+    [(point, met)] = _met(u, [ca.SX(7.0), ca.SX(1.0)], ca.SX(1.0), rate * u[0] + 3.0 * u[1] - 9.0, 0, [ca.SX(0.0)])
+    assert [float(ca.evalf(value)) for value in point] == [6.0 / rate, 1.0] and float(met) == 1.0
+    grid = [ca.SX(value) for value in (0.0, 1.0, 3.0)]
+    both = list(_met(u, [ca.SX(7.0), ca.SX(1.0)], ca.SX(1.0), u[0] ** 2 - 4.0 * u[1], 0, grid))
+    assert [float(ca.evalf(met)) for _, met in both] == [0.0, 1.0]
+    assert float(ca.evalf(both[1][0][0])) == pytest.approx(1.0 + 3.0 * 2.0 / 8.0)

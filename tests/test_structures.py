@@ -17,6 +17,7 @@ from perilune.problem.named_arcs import told
 from perilune.problem.solution import Solution
 from perilune.structures.carry import joined, split
 from perilune.structures.read import read
+from perilune.structures.regimes import Stay, _closed
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Structure
 from perilune.words.outcome import PeriluneError
@@ -259,3 +260,12 @@ def test_what_cannot_be_restated_is_named() -> None:
         restate(problem, Structure(((Arc(),), (Arc(),))))
     with pytest.raises(PeriluneError, match="an arc of slide has no length"):
         split(pl.solve(problem, COARSE, level=0), Structure(((Arc(until=1.0), Arc(until=1.0), Arc(until=1.0)),)))
+
+
+def test_neighbours_of_one_regime_are_one_and_no_time_is_left_between() -> None:
+    """Wherever they stand among the others."""
+    kinds = ["lower", "upper", "upper", "singular", "singular", "singular"]
+    stays = [Stay(control="u", regime=kind, begin=i + 0.1, end=i + 0.9) for i, kind in enumerate(kinds)]
+    found = [(stay.regime, stay.begin, stay.end) for stay in _closed(stays, 7.0)]
+    assert found == [("lower", 0.0, 0.9), ("upper", 0.9, 2.9), ("singular", 2.9, 7.0)]
+    assert _closed([], 7.0) == []
