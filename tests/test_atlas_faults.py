@@ -312,6 +312,10 @@ def test_a_header_that_was_altered_is_refused(copy: Path) -> None:
     header.write_text(json.dumps(said))
     with pytest.raises(PeriluneError, match=f"{HEADER} is not as it was written"):
         open_atlas(copy)
+    header.write_text(header.read_text()[:100])
+    with pytest.raises(PeriluneError, match="the atlas is not readable JSON") as cut:
+        open_atlas(copy)
+    assert "atlas build" in cut.value.advice
 
 
 def test_a_header_beside_the_manifest_of_another_atlas_is_refused(built: Path, tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ class Store:
             self.directory / HEADER, "atlas", LARGEST_FILE, expected=f"a directory with {HEADER}",
             advice="perilune atlas build SCENARIO --vary KEY=LOW:HIGH --out DIR",
         )  # fmt: skip
-        found = tree(content, "atlas")
+        found = tree(content, "atlas", _ANEW)
         if not isinstance(found, dict) or found.get("format") != FORMAT:
             said = found.get("format") if isinstance(found, dict) else None
             raise PeriluneError(

@@ -190,7 +190,8 @@ def _read_curves(file: Path, problem: Problem, document: Mapping[str, Any]) -> t
 
 def _read_json(file: Path, what: str) -> dict[str, Any]:
     advice = "remove it, and it is computed again"
-    document = tree(bounded_text(file, what, LARGEST_FILE, expected="JSON as the sweep writes it", advice=advice), what)
+    content = bounded_text(file, what, LARGEST_FILE, expected="JSON as the sweep writes it", advice=advice)
+    document = tree(content, what, advice)
     if not isinstance(document, dict):
         raise PeriluneError(f"the {what} is no record", got=type(document).__name__, advice=advice)
     return document

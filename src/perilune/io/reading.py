@@ -38,7 +38,7 @@ def refuse(where: str, got: str, expected: str) -> NoReturn:
     )
 
 
-def tree(content: str, what: str) -> Any:
+def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
     """Parse JSON without what it leaves open: names that occur twice, numbers that are not finite, endless nesting.
 
     Texts without control characters, but for the ends of lines: who prints one moves nobody's cursor.
@@ -46,9 +46,9 @@ def tree(content: str, what: str) -> Any:
     Raises
     ------
     PeriluneError
-        If it is not so; `what` names the document.
+        If it is not so; `what` names the document, `advice` says what to do.
     """
-    refuse_nested(content, what, DEEPEST_TREE, expected="records and tables, nothing deeper", advice=_AGAIN)
+    refuse_nested(content, what, DEEPEST_TREE, expected="records and tables, nothing deeper", advice=advice)
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
@@ -56,17 +56,17 @@ def tree(content: str, what: str) -> Any:
             names = [name for name, _ in pairs]
             twice = next(name for name in found if names.count(name) > 1)
             raise PeriluneError(f"the {what} says something twice", got=twice[:60], expected="each name once",
-                                advice=_AGAIN)  # fmt: skip
+                                advice=advice)  # fmt: skip
         for name, value in pairs:
             texts = [name, *(value if isinstance(value, list) else [value])]
             if any(isinstance(text, str) and _CONTROL.search(text) for text in texts):
                 raise PeriluneError(f"the {what} holds control characters", got=repr(name)[:60], expected="plain text",
-                                    advice=_AGAIN)  # fmt: skip
+                                    advice=advice)  # fmt: skip
         return found
 
     def no_constant(name: str) -> NoReturn:
         expected = "finite numbers"
-        raise PeriluneError(f"the {what} holds a number that is not finite", got=name, expected=expected, advice=_AGAIN)
+        raise PeriluneError(f"the {what} holds a number that is not finite", got=name, expected=expected, advice=advice)
 
     try:
         return json.loads(content, object_pairs_hook=once, parse_constant=no_constant, parse_int=_whole)
@@ -75,7 +75,7 @@ def tree(content: str, what: str) -> Any:
             raise
         raise PeriluneError(
             f"the {what} is not readable JSON", got=str(error)[:120], expected="JSON as this program writes it, whole",
-            advice=_AGAIN,
+            advice=advice,
         ) from None  # fmt: skip
 
 
