@@ -26,7 +26,7 @@ _STEPS = 16  # of a way from bound to bound
 _ROUNDS = 2  # over the ranges of several parameters
 _BETWEEN = 8  # parts of a step in which J is looked for where it is less than at both ends
 _NOTHING = 1e-9  # of 1 + |J|: a slope that is none
-_BESIDE = 2.0**-10  # of a range: no other well lies so near, or none whose J is another to 1e-12
+_BESIDE = 2.0**-10  # of a range: within that no other well is looked for
 
 
 @dataclass
@@ -99,7 +99,7 @@ class Descents:
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
     def beside(self, points: Matrix, outdoing: Known, best: Known) -> NDArray[np.bool_]:
-        """Whether best answers lie where extremals do that break the path: of their well, with nothing to follow."""
+        """Whether best answers lie where extremals do that break the path: then there is no way to follow."""
         bounds, none = self._bounds(points), np.zeros((len(points), len(self.names)))
         places = [self._places(points, bounds, known, none) for known in (outdoing, best)]
         return (best.chart >= 0) & (_far(bounds, *places) <= _BESIDE)
