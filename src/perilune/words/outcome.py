@@ -147,10 +147,11 @@ def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str
     import difflib
 
     called = str(got)  # names of a mapping may be anything
+    alike_at_least = 0.6 if len(called) > 3 else 0.5  # of two letters one may be wrong
     meant = {**{name: name for name in known}, **(also or {})}
     begun = [name for name in meant if called and name.startswith(called)]
     near = [meant[name] for name in begun if len(begun) == 1] or [
-        meant[name] for name in difflib.get_close_matches(called, meant, n=1, cutoff=0.6)
+        meant[name] for name in difflib.get_close_matches(called, meant, n=1, cutoff=alike_at_least)
     ]
     if len(known) > _SHORT_LIST:
         likeness = difflib.SequenceMatcher(b=called)
