@@ -210,8 +210,7 @@ class Atlas(Reader):
 
     def _beside(self, at: Vector, followed: Sequence[Offer], best: Offer | None) -> bool:
         """Whether the best answer lies where all those do that would be followed, so that none need be."""
-        known = self._known(best, -1)
-        return all(self.descents.beside(at[None], self._known(one, -1), known)[0] for one in followed)
+        return all(self.descents.beside(at[None], self._known(one, -1), self._known(best, -1))[0] for one in followed)
 
     def _become(
         self, at: Vector, best: Offer | None, turns: Sequence[Offer], breaking: Sequence[Offer], tried: list[Offer]
