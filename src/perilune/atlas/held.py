@@ -58,13 +58,13 @@ class HeldFamilies:
         what has a multiplier is at its bound.
         """
         values, free = points / self._chart.scale, self._chart.shooting.plan.free
-        whole = self._chart.whole(values, y)
-        at, ranges = np.full((len(y), len(self._at)), np.nan), self._chart.conditions.ranges
+        whole, conditions = self._chart.whole(values, y), self._chart.conditions
+        own, at = whole[:, conditions.free_at], np.full((len(y), len(self._at)), np.nan)
         for column, k in enumerate(self._at):
             if k < free:
-                at[:, column] = whole[:, self._chart.conditions.free_at][:, k]
+                at[:, column] = own[:, k]
             else:
-                nu = whole[:, ranges[k - free][1]]
+                nu = whole[:, conditions.ranges[k - free][1]]
                 bound = np.where(nu < 0.0, bounds[0][:, column], bounds[1][:, column])
                 at[:, column] = np.where(within & (np.abs(nu) > SIGNED), bound, np.nan)
         if len(left := np.nonzero(np.isnan(at).any(axis=1))[0]):

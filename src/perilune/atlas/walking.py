@@ -135,6 +135,8 @@ class Walk:
 
     def _solved(self, lanes: Lanes, places: Matrix, y: Matrix, **settings: Any) -> Extremals:
         found = self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=MOST, **settings)
+        if not self._rough:
+            return found
         with np.errstate(invalid="ignore"):
             will_do = (found.roots.residuals <= self._rough) & (found.length <= self._rough)
         return replace(found, converged=found.converged | will_do)

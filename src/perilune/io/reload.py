@@ -177,9 +177,12 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
     """
     alone = document["format"]["version"] == WITH_SCENARIO_ONLY and document["format"]["name"] == FORMAT_NAME
     stated = None
-    if document.get("scenario") is not None:
-        with suppress(*(() if alone else (UnknownKindError,))):
+    try:
+        if document.get("scenario") is not None:
             stated = problem_from_scenario(_scenario_text(document))
+    except UnknownKindError:
+        if alone:
+            raise
     if alone:
         stated = stated or part(document, "scenario", dict)
         _check_given(document, stated)

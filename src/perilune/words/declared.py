@@ -108,7 +108,9 @@ class Quantity:
     def check(self, value: float, got: str = "") -> None:
         """PeriluneError, without the key, for a value in SI that is no number, not finite or out of range."""
         try:
-            finite = math.isfinite(str(value) if isinstance(value, bool) else value)  # pyright: ignore - refused below
+            if isinstance(value, bool):
+                raise TypeError
+            finite = math.isfinite(value)
         except TypeError:
             text = "a text with its unit belongs into a scenario file" if isinstance(value, str) else self._advice
             raise PeriluneError(
