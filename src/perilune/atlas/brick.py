@@ -368,10 +368,13 @@ class Brick:
 
         What is guessed from corners on several layers leads to none of them, and none of them ends there.
         """
-        small, known = self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= self.ending)), -1
+        before, known = self.nodes.count, -1
+        small = self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= self.ending))
         while known < self.nodes.count:
             known = self.nodes.count
             small = self.lattice.walked_on(small)
+        if known == before:
+            return cells
         return replace(cells, corners=self.lattice.corners(cells.branch, cells.low, cells.size))
 
 

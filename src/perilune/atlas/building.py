@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,8 @@ from perilune.atlas.region import Region, refuse_moving_ranges, region_of
 from perilune.atlas.sampling import demand_count, sampled, thin_ones
 from perilune.atlas.store import MANIFEST, Store, clear, digest_of
 from perilune.atlas.survey import Found, Survey, said_of, seeds
-from perilune.atlas.tasks import Task, computed, first_tasks, tasks_going_on
-from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
+from perilune.atlas.tasks import Task, computed, first_tasks, prepared, tasks_going_on
+from perilune.families.elsewhere import Call, Submits, answers, begin_processes, here, told_of_loss
 from perilune.io.comparisons import compared_alike, comparisons_document
 from perilune.io.export import problem_document, versions
 from perilune.io.reload import as_read_back
@@ -113,7 +113,7 @@ def build(
         header[RANGES] = "as they are within the axes; the function that they follow from is not kept"
     if not compared_alike(problem, as_kept, looks := region.looks):
         header[COMPARISONS] = comparisons_document(problem, looks)
-    survey = _surveyed(kept, header, problem, region, method or Indirect(), say, force)
+    survey = _surveyed(kept, header, problem, region, method or Indirect(), executor, say, force)
     completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
     sampled(kept, sample, executor, say)
     return kept.directory
@@ -159,7 +159,7 @@ def _complete(
     named = {brick_name(key) + (f"~{number}" if number else ""): key for key in tasks}
     there = _written(kept, region, survey)
     say(_told(named, there, number))
-    began, before = time.monotonic(), there.keys() & named.keys()
+    began, work = time.monotonic(), {name: tasks[key].size for name, key in named.items() if name not in there}
     while todo := {name: tasks[key] for name, key in named.items() if name not in there}:
         for name, arrays in _everywhere(kept, todo, executor, say):
             prefix = f"brick-{survey['digest'][:8]}-{name}"
@@ -170,7 +170,7 @@ def _complete(
             line |= {"round": number} if number else {}
             kept.add({**line, "thin": len(thin_ones(arrays["nodes"], tasks[key].sheets)), **shards})
             there[name] = len(arrays["nodes"])
-            say(_told(named, there, number) + _pace(named, there, before, time.monotonic() - began))
+            say(_told(named, there, number) + _pace(work, there, time.monotonic() - began))
         known = len(there)
         there = _written(kept, region, survey)
         if len(there) == known and not there.keys() >= named.keys():
@@ -188,11 +188,12 @@ def _told(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> st
     return f"{len(done)} of {len(named)} bricks, {sum(done)} nodes{again}"
 
 
-def _pace(named: Mapping[str, Key], there: Mapping[str, int], before: Set[str], seconds: float) -> str:
-    """How fast nodes come, and how long that takes for the bricks that are missing."""
-    new = (there.keys() & named.keys()) - before
+def _pace(work: Mapping[str, int], there: Mapping[str, int], seconds: float) -> str:
+    """How fast nodes come, and how long that takes for the bricks that are missing; `work` is the size of each."""
+    new = there.keys() & work.keys()
     rate = sum(there[name] for name in new) / max(seconds, 1e-3)
-    left = len(named.keys() - there.keys()) * seconds / max(len(new), 1)
+    done = sum(work[name] for name in new)
+    left = (sum(work.values()) - done) * seconds / max(done, 1)
     return f", {rate:.0f} nodes/s" + (f", about {left:.0f} s left" if left else "")
 
 
@@ -203,7 +204,7 @@ def _everywhere(
     claims = dict[str, ExitStack]()
 
     def calls() -> Iterator[tuple[str, Call]]:
-        for name, task in todo.items():
+        for name, task in sorted(todo.items(), key=lambda item: item[1].size, reverse=True):  # the longest first
             claim = ExitStack()
             if claim.enter_context(kept.claimed(name)) and not kept.there(name):
                 claims[name] = claim
@@ -223,7 +224,14 @@ def _everywhere(
 
 
 def _surveyed(
-    kept: Store, header: Mapping[str, Any], problem: Problem, region: Region, method: Indirect, say: Watch, anew: bool
+    kept: Store,
+    header: Mapping[str, Any],
+    problem: Problem,
+    region: Region,
+    method: Indirect,
+    executor: Submits | None,
+    say: Watch,
+    anew: bool,
 ) -> dict[str, Any]:
     """The survey's line of the manifest, made where there is none, or `anew`; of one that fails nothing is left."""
     kept.prepare(None if anew else header)
@@ -233,6 +241,7 @@ def _surveyed(
                 time.sleep(_PATIENCE)
             elif anew or kept.survey() is None:
                 try:
+                    begin_processes(executor, (prepared, problem, region.names, region.high - region.low))
                     survey = Survey(problem=problem, region=region, method=method, watch=say)
                     found = survey.run()
                 except BaseException:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -132,8 +133,8 @@ class Nodes:
 
     def numbers(self, keys: Whole) -> Whole:
         """Of the nodes, -1 for those that are not there."""
-        known = self.known
-        return np.array([known.get(key, -1) for key in keys.ravel().tolist()], dtype=np.int64).reshape(keys.shape)
+        numbers = map(self.known.get, keys.ravel().tolist(), repeat(-1))
+        return np.fromiter(numbers, np.int64, keys.size).reshape(keys.shape)
 
     def at(self, key: Whole) -> Vector | None:
         """The unknowns of one node, None where there is none."""

@@ -18,7 +18,7 @@ from perilune.atlas.brick import Brick
 from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, leaves_of, some
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of, widths_of
-from perilune.atlas.course import Course, course_from
+from perilune.atlas.course import PLAIN, Course, course_from
 from perilune.atlas.flooding import Key, Shards, spilled
 from perilune.atlas.hermite import bits
 from perilune.atlas.lattice import Lattice
@@ -65,6 +65,11 @@ class Task:
     tolerance: float
     before: tuple[NDArray[Any], NDArray[Any]] | None = None
 
+    @property
+    def size(self) -> int:
+        """How much there may be to do, beside others: a brick is cut most where its sheets do not reach all corners."""
+        return 1 + max(0, len(np.unique(self.sheet)) * 2 ** len(self.low) - len(self.sheet))
+
 
 def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[Any]]:
     """Nodes and cells of a brick, as their shards have them."""
@@ -97,6 +102,11 @@ def _cut_of(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
     later = {int(branch): int(sheet) for branch, sheet in zip(cells["branch"], cells["sheet"], strict=True)}
     own = (*range(sheets), *(later[branch] for branch in range(sheets, max(later, default=0) + 1)))
     return Cut(nodes=said, cells=Cells(**{c.name: cells[c.name].astype(np.int64) for c in fields(Cells)}), own=own)
+
+
+def prepared(problem: Problem, names: tuple[str, ...], widths: Vector) -> None:
+    """Derive and bind what most bricks fly by, before there are any."""
+    _tools(problem, names, tuple(widths.tolist()), PLAIN, ())
 
 
 @lru_cache(maxsize=4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Hashable, Iterator
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from queue import Empty, SimpleQueue
@@ -63,6 +63,13 @@ def here(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
     """What each call returns, one after the other."""
     for name, (function, *arguments) in calls:
         yield name, function(*arguments)
+
+
+def begin_processes(executor: Submits | None, call: Call) -> None:
+    """Let the processes of a pool begin, each with a call that makes it ready, while there is nothing for them yet."""
+    if isinstance(executor, ProcessPoolExecutor):  # threads are there, and a cluster's workers as well
+        for _ in range(os.cpu_count() or 1):
+            executor.submit(*call)
 
 
 def end_with_parent() -> None:

@@ -24,7 +24,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 R = 8314.32  # J/(kmol K)
 AVOGADRO = 6.022169e26  # 1/kmol
@@ -127,6 +126,13 @@ def _gradient(z: Any) -> Any:
     return np.select([z <= Z8, z <= Z9, z <= Z10], [0.0, rounded, _STEEP], far)
 
 
+def _integrated(values: Any, z: Any) -> Any:
+    """Integrals from the lowest altitude on, by trapezoids."""
+    from scipy.integrate import cumulative_trapezoid  # only who flies through this air waits for it
+
+    return cumulative_trapezoid(values, z, initial=0.0)
+
+
 @cache
 def _above() -> tuple[Any, Any]:
     """Altitudes [m] from 86 km on, and the logarithm of the density there."""
@@ -142,7 +148,7 @@ def _above() -> tuple[Any, Any]:
         else:
             own = _diffusion(molecular, sum(beside.values()), t)
             rate = _settling(z, g, t, slope, mass, thermal, own, mixed) + _flux(gas, z / 1e3) / 1e3
-        numbers[gas] = first * (_T7 / t) * np.exp(-cumulative_trapezoid(rate, z, initial=0.0))
+        numbers[gas] = first * (_T7 / t) * np.exp(-_integrated(rate, z))
     numbers["H"] = _hydrogen(z, g, t, sum(numbers.values()))
     return z, np.log(_mean_mass(numbers) * sum(numbers.values()) / AVOGADRO)
 
@@ -179,7 +185,7 @@ def _hydrogen(z: Any, g: Any, t: Any, background: Any) -> Any:
     from_500 = np.searchsorted(z, Z11)
 
     def since(values: Any) -> Any:
-        total = cumulative_trapezoid(values, z, initial=0.0)
+        total = _integrated(values, z)
         return total - total[from_500]
 
     tau, warmer = since(_HYDROGEN * g / (R * t)), (t / _T11) ** (1 + _H_THERMAL)

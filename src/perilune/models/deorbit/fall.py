@@ -20,7 +20,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from perilune.models.aerodynamics import drag_acceleration, heat_rate
 from perilune.models.atmosphere import Air
@@ -160,6 +159,8 @@ def _typical(of: _Itself, points: int) -> _Typical:
 
 
 def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: int) -> Fall:
+    from scipy.integrate import solve_ivp
+
     radius = float(p.body_radius + p.interface_altitude)
     angle = typical_angle(p) if angle is None else angle
     speed = typical_speed(p, radius + 3e5) if speed is None else speed
@@ -227,6 +228,8 @@ def always_faster(p: Any, air: Air) -> bool:
 
 def _was_thrown(p: Any, air: Air, speed: float, angle: float) -> bool:
     """Whether a fall that arrives so has turned below the interface."""
+    from scipy.integrate import solve_ivp
+
     forward = _rates(p, air)
 
     def turns(_: float, y: Any) -> float:

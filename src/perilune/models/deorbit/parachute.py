@@ -17,7 +17,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy.integrate import quad
 
 from perilune.models import ellipsoid
 from perilune.models.atmosphere import Air
@@ -86,6 +85,8 @@ def phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:
 
 def typical_time(p: Any, air: Air) -> float:
     """Time [s] from the altitude at which it opens to that of the site."""
+    from scipy.integrate import quad
+
     mass = getattr(p, "separation_mass", p.vehicle_mass)
     pull = p.body_gravitational_parameter / p.body_radius**2
 

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit import parachute
@@ -74,6 +73,8 @@ def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tu
     rows, function
         The last row, and the rows at times [s]: distance [m], angle swept [rad], speeds upwards and ahead [m/s].
     """
+    from scipy.integrate import solve_ivp
+
     mu, exhaust, gate = p.body_gravitational_parameter, exhaust_speed(p), p.body_radius + p.interface_altitude
     full = greatest_thrust(p)
     distance, rise, ahead = (float(v) for v in shape(angle, p, NUMERIC))
