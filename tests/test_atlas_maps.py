@@ -90,6 +90,8 @@ def test_where_physics_refuses_its_reason_is_shown(weak: Atlas) -> None:
             pass
         assert (reason == refused) == bool(refused)
     assert any("too weak" in reason for reason in shown.reasons)
+    counted = {text: np.count_nonzero(shown.why == k) for k, text in enumerate(shown.reasons)}
+    assert len(counted) > 2 and {text: shown.counts.get(text, 0) for text in counted} == counted
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ from perilune.io.export import save
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
-from perilune.words.outcome import NotConvergedError
+from perilune.words.outcome import InfeasibleError, NotConvergedError
 from perilune.words.watch import Watch, silent
 
 ISP = "retro_specific_impulse"
@@ -632,6 +632,15 @@ def test_a_neighbour_that_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatc
     assert found.source == "nothing" and time.monotonic() - began < 5.0
 
 
+def test_what_cannot_be_flown_is_told_as_soon_as_a_solve_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the first flight was found at once: smaller steps towards it took up to half a minute."""
+    answering = Answering(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem)
+    thrust = 0.8 * answering.at({}).solution.problem.given["vehicle_thrust"].value
+    monkeypatch.setattr(Answering, "_between", lambda *_: pytest.fail("a smaller step"))
+    with pytest.raises(InfeasibleError, match="misses m by"):
+        answering.at({"vehicle_thrust": thrust})
+
+
 def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_there(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -639,7 +648,9 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
     solve, tried = perilune.app.answering.solve, list[float]()
 
-    def near(asked: Problem, *, guess: Solution, watch: Watch, level: int) -> Solution:
+    def near(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+        if guess is None:
+            raise NotConvergedError("no extremal was found")
         thrust, before = (p.given["vehicle_thrust"].value for p in (asked, guess.problem))
         tried.append(thrust)
         watch("Newton's method")
@@ -668,7 +679,9 @@ def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pyte
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
     solve = perilune.app.answering.solve
 
-    def lost(asked: Problem, *, guess: Solution, watch: Watch, level: int) -> Solution:
+    def lost(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+        if guess is None:
+            raise NotConvergedError("no extremal was found")
         while abs(asked.given["vehicle_thrust"].value - guess.problem.given["vehicle_thrust"].value) > 3.0:
             watch("direct method")
         return solve(asked, guess=guess, level=level, watch=watch)
@@ -685,7 +698,9 @@ def test_the_last_attempt_is_one_step_more(monkeypatch: pytest.MonkeyPatch) -> N
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
     solve, led = perilune.app.answering.solve, {(440.0, 442.5), (442.5, 450.0)}
 
-    def near(asked: Problem, *, guess: Solution, watch: Watch, level: int) -> Solution:
+    def near(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+        if guess is None:
+            raise NotConvergedError("no extremal was found")
         before, thrust = (p.given["vehicle_thrust"].value for p in (guess.problem, asked))
         if (before, thrust) not in led:
             raise NotConvergedError("it leads nowhere")

@@ -7,10 +7,12 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.conditions.held import best_direction
 from perilune.problem.solution import Curve, Solution
 from perilune.words.outcome import PeriluneError
 from test_control_law import given, variables
@@ -44,6 +46,17 @@ def level_flight(scale: float | None = None) -> pl.Problem:
         objective_unit="s",
         scales=pl.Scales(length=100.0, time=10.0),
     )
+
+
+def test_of_two_conditions_on_a_direction_the_best_that_keeps_both_is_taken() -> None:
+    """d.x = 0.3 and (d.x + d.y)/sqrt 2 = 0.5 leave two directions; gradient . d is least on the one with d.z < 0."""
+    d, gradient = ca.SX.sym("d", 3), ca.SX.sym("g", 3)
+    held = (d[0] - 0.3, (d[0] + d[1]) / math.sqrt(2.0) - 0.5)
+    best, room = ca.Function("best", [gradient], best_direction(gradient, d, held))([0.2, -0.1, 3.0])
+    y = 0.5 * math.sqrt(2.0) - 0.3
+    below = math.sqrt(1.0 - 0.09 - y * y)
+    assert np.array(best).ravel() == pytest.approx([0.3, y, -below], abs=1e-14)
+    assert float(room) == pytest.approx(below**2, abs=1e-14)
 
 
 @pytest.fixture(scope="module")

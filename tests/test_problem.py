@@ -94,6 +94,20 @@ def test_units_that_clash_are_named_in_the_users_formula(rate: Any, got: str, ex
     assert "in SI" not in str(caught.value)
 
 
+def test_a_long_formula_is_cut_where_it_is_deep() -> None:
+    """Each square holds the one before twice: 18 of them would be a million letters."""
+
+    def rate(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, Any]:
+        value = p.push
+        for _ in range(18):
+            value = value * value / p.push
+        return x.v, value + x.x
+
+    with pytest.raises(PeriluneError) as caught:
+        slider(phases=(replace(slider().phases[0], dynamics=rate),))
+    assert caught.value.got is not None and "(...)" in caught.value.got
+
+
 def test_a_comparison_with_a_bare_number_is_refused() -> None:
     # No value shows it: both branches scale as they should.
     def changed(compared: Any) -> Problem:

@@ -30,6 +30,7 @@ _PATIENT = 1.0, 4.0  # for one step of it at least; times what the step before t
 _STEP = 1 / 3  # of that time, for one step: what leads nowhere leaves some to smaller ones
 _SMALLEST = 1 / 16  # of the way: a step that is not halved again
 _LOOK = 0.5  # from nothing, where a neighbour leads nowhere
+_QUICK = 3.0  # from nothing before smaller steps, where the first flight was found in less; then for these
 _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far below what anybody sees of it
 
 
@@ -80,6 +81,7 @@ class Answering:
     last: Solution | None = field(default=None)
     patience: float = _FOLLOW
     _from_first: bool = field(default=True, init=False)  # whether the flight at the first values may still be tried
+    _quick: bool = field(default=False, init=False)  # whether from nothing one is found in less than most steps take
     _saved: bool = field(default=False, init=False)  # whether the last flight is that of a file, as it stands there
 
     def __post_init__(self) -> None:
@@ -153,10 +155,24 @@ class Answering:
             self._saved = False
             with suppress(PeriluneError):  # its arcs, which a file does not hold, are found once for all neighbours
                 self.last = solve(self.last.problem, guess=self.last, level=0, watch=patient)
-        near, steps = self._followed(problem, self.last, watch)
-        if near is not None:
-            words = "an extremal near the flight before" + (f", followed in {steps} steps" if steps > 1 else "")
+        words = "an extremal near the flight before"
+        longest = min(self.patience, _STEP * _FOLLOW)
+        if (near := self._stepped(problem, self.last, watch, longest)) is not None:
             return near, "neighbour", words
+        why = None
+        if self._quick:  # what cannot be flown is told at once
+            try:
+                return self._found(problem, _shortly(watch, _QUICK))
+            except _TooLong:
+                pass
+            except NotConvergedError as error:
+                why = error
+        limit = _FOLLOW if why is None else _QUICK
+        near, steps = self._followed(problem, self.last, watch, step=0.5, limit=limit)
+        if near is not None:
+            return near, "neighbour", words + f", followed in {steps} steps"
+        if why is not None:
+            raise why
         try:  # a family that ends here: from nothing there may be another
             return self._found(problem, _shortly(watch, _LOOK))
         except _TooLong:
@@ -192,11 +208,17 @@ class Answering:
     def _found(self, problem: Problem, watch: Watch) -> tuple[Solution, str, str]:
         began = time.thread_time()
         found = solve(problem, level=0, watch=watch)
-        self.patience = max(_PATIENT[0], time.thread_time() - began)  # to follow need not take longer than to find
+        took = time.thread_time() - began
+        self._quick, self.patience = (
+            took < _QUICK,
+            max(_PATIENT[0], took),
+        )  # to follow need not take longer than to find
         return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
 
-    def _followed(self, problem: Problem, last: Solution, watch: Watch) -> tuple[Solution | None, int]:
-        """The flight before, followed to a problem, and in how many steps: a step that fails is halved.
+    def _followed(
+        self, problem: Problem, last: Solution, watch: Watch, *, step: float = 1.0, limit: float = _FOLLOW
+    ) -> tuple[Solution | None, int]:
+        """The flight before, followed to a problem, and in how many steps: one that fails is halved, the first as well.
 
         Each flight on the way is the flight before of the next step, also of one to newer values, for which this may be
         dropped. Behind the smallest step the whole rest of the way is tried as long as there is time.
@@ -206,13 +228,13 @@ class Answering:
         InfeasibleError
             If nothing flies there, whatever is tried.
         """
-        end, begin = time.thread_time() + _FOLLOW, last.problem.given
-        reached, step, steps = 0.0, 1.0, 0
+        end, begin = time.thread_time() + limit, last.problem.given
+        reached, steps = 0.0, 0
         while step >= _SMALLEST:
             to = min(reached + step, 1.0)
             try:
                 at = self._between(begin, problem, to)
-                longest = min(self.patience, _STEP * _FOLLOW, end - time.thread_time())
+                longest = min(self.patience, _STEP * limit, end - time.thread_time())
                 found = self._stepped(at, last, watch, longest)
             except PeriluneError:
                 if to == 1.0:
