@@ -44,7 +44,7 @@ from perilune.atlas.read import Brick
 from perilune.atlas.reflight import Reflights
 from perilune.atlas.region import region_of
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import HEADER, MANIFEST, sealed
+from perilune.atlas.store import HEADER, MANIFEST, Store, sealed
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.io.comparisons import compared_alike, comparisons_document, read_comparisons
@@ -845,3 +845,19 @@ def test_second_flights_lose_little_to_rounding() -> None:
         begin = np.array([math.cos(angle), math.sin(angle)])
         end = np.array(around(begin, 2 * math.pi / 2048))[:, -1]
         np.testing.assert_allclose(end, begin, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(("news", "rounds"), [(3, 4), (20, 8)])
+def test_bricks_go_on_from_their_neighbours_while_that_gives_something_new(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, news: int, rounds: int
+) -> None:
+    """A sheet that enters one brick through another is known to the next behind it a round later."""
+    done = list[int]()
+    monkeypatch.setattr(building, "first_tasks", lambda *_: [((0, 0), "task")])
+    monkeypatch.setattr(building, "tasks_going_on", lambda *given: [((0, given[-1] + 1), "task")])
+    monkeypatch.setattr(building, "_complete", lambda *given: done.append(given[4]))
+    monkeypatch.setattr(building, "_shards", lambda *given: min(given[-1], news - 1))
+    problem = cho_landing()
+    region = region_of(problem, {"vehicle.thrust": (430.0, 450.0)})
+    building.completed(Store(tmp_path), problem, region, {}, 1e-9, None, lambda _: None)
+    assert done == list(range(rounds))

@@ -106,8 +106,9 @@ def test_of_what_rounding_leaves_the_least_is_kept(
 
     monkeypatch.setattr("perilune.methods.flown.in_one_piece", flown)
     monkeypatch.setattr("perilune.methods.flown._left", lambda *_, **__: np.full(len(plan.rows), next(still)))
-    best = mended(problem, conditions, start, plan.rows, plan.active)
+    best, least = mended(problem, conditions, start, plan.rows, plan.active)
     assert len(tried) == flights and best.y is tried[kept]
+    assert least == (left[kept] if math.isfinite(left[kept]) else math.inf)
 
 
 def test_pieces_are_one_curve() -> None:

@@ -200,8 +200,8 @@ def may_be_cut(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
     return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
 
-def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, active: Lanes) -> Root:
-    """A root moved by its last digits until its flight, as it is exported, ends where it should.
+def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, active: Lanes) -> tuple[Root, float]:
+    """A root moved by its last digits until its flight, as it is exported, ends where it should, and what is missed.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, ac
         y = root.y.copy()
         y[active] -= root.inverse @ left[rows]
         root = replace(root, y=y)
-    return best
+    return best, least
 
 
 def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:

@@ -26,6 +26,7 @@ from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
 from perilune.methods.rungs import Met, Rungs
 from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import (
+    NEARLY,
     followed,
     held_in,
     known,
@@ -39,6 +40,7 @@ from perilune.shooting.continuation import Member
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
 from perilune.shooting.function import Root
+from perilune.shooting.newton import FINEST, ROUGHEST, TOLERANCE
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Vector
 from perilune.words.watch import Watch
@@ -296,14 +298,16 @@ class Search:
 
     def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[Found]:
         """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
-        trials = self.trials
-        root = trials.settled(y[None], choice, limits=trials.limits)[0]
-        if not root.converged and guess is not None and (there := followed(trials, guess, y)) is not None:
-            root = trials.settled(there[0][None], there[1], limits=trials.limits)[0]
+        trials, attempts = self.trials, self._attempts(y, choice, guess)
+        root = next(attempts)
+        while not root.converged and (another := next(attempts, None)) is not None:
+            root = another
         if not root.converged and guess is not None and (not is_neighbour(self.problem) or self._lost(root)):
             root = self._in_pieces(root, guess, y, choice)
         elif root.converged and not is_neighbour(self.problem) and not may_be_cut(trials.conditions):
-            root = self._mended(root)  # which exported in one piece misses its end by what its flights are rougher
+            # Exported in one piece it misses its end by what the flights of Newton's method are rougher.
+            left, (root, missed) = float(np.abs(root.residual).max()), self._mended(root)
+            root = replace(root, converged=min(left, missed) <= _ROUNDED)
         name = trials.outside(root)
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
@@ -318,6 +322,25 @@ class Search:
         self.tried.append("Newton from the guess")
         raise self._failure()
 
+    def _attempts(self, y: Vector, choice: Vector, guess: Solution | None) -> Iterator[Root]:
+        """Newton's method from unknowns, and from where the extremal of a guess is followed to.
+
+        That comes first of so many arcs that they are not cut: from the unknowns alone most are lost, and it takes long
+        until they are.
+        """
+        trials = self.trials
+
+        def led(accuracy: float, tolerance: float) -> Iterator[Root]:
+            if guess is not None and (there := followed(trials, guess, y)) is not None:
+                start, held, limits = there[0][None], there[1], trials.limits
+                yield trials.settled(start, held, limits=limits, accuracy=accuracy, tolerance=tolerance)[0]
+
+        if not may_be_cut(trials.conditions):
+            yield from led(FINEST, NEARLY)
+        yield trials.settled(y[None], choice, limits=trials.limits)[0]
+        if may_be_cut(trials.conditions):
+            yield from led(ROUGHEST, TOLERANCE)
+
     def _lost(self, root: Root) -> bool:
         """Whether a neighbour, no further than rounding from its guess, is not met as that grows beyond all use.
 
@@ -330,12 +353,12 @@ class Search:
         """By multiple shooting, where a flight in one piece misses its end by more than what is rounding."""
         trials, segments = self.trials, self.settings.segments
         if np.abs(root.residual).max() <= _ROUNDED and trials.shooting.rounding(root):
-            return replace(self._mended(root), converged=True)
+            return replace(self._mended(root)[0], converged=True)
         if segments == 1 or not may_be_cut(trials.conditions, segments):
             return root
         return trials.by_pieces(guess, y, choice, segments, trials.limits)
 
-    def _mended(self, root: Root) -> Root:
+    def _mended(self, root: Root) -> tuple[Root, float]:
         plan = self.trials.shooting.plan
         return mended(self.problem, self.trials.conditions, root, plan.rows, plan.active)
 

@@ -20,7 +20,9 @@ from perilune.words.types import Matrix, Vector
 
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
-_BESIDE, _CORRECTIONS = 1e-6, 12  # of the numbers: where sensitivities are differences; steps of Newton's method
+_BESIDE, _CORRECTIONS = 1e-6, 20  # of the numbers: where sensitivities are differences; steps of Newton's method
+#: Residual of what is followed: where the rest is rounding the flight that is exported may end nearer.
+NEARLY = 1e-8
 _ON_BOUND = 1e-5  # canonical distance at which a guess means a bound, as the direct method stays up to that far inside
 _VANISHING = 1e-3  # of the longest that a phase may last
 SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
@@ -134,7 +136,7 @@ def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector
 
     def correct(predicted: Vector, share: float) -> Root:
         trials.watch(f"following the guess: {share:.0%} of the way")
-        root = shooting.root(predicted, *at(share), limit=_CORRECTIONS)
+        root = shooting.root(predicted, *at(share), limit=_CORRECTIONS, tolerance=NEARLY)
         return root if root.converged else replace(root, converged=shooting.rounding(root))
 
     def tangent(root: Root, share: float) -> Vector:

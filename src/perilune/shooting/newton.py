@@ -29,6 +29,7 @@ from perilune.words.watch import Iteration, Watch, silent
 
 Lanes = NDArray[np.int64]
 
+TOLERANCE = 1e-11  # on the largest component of the residual of a root
 FINEST = 1e-12  # accuracy of the function at which an iterate may count as a root
 ROUGHEST = 1e-6  # accuracy of the first evaluations
 #: The largest residual that is the function's own error: arcs are flown with a local error of `FINEST`.
@@ -147,7 +148,7 @@ def newton(
     start: Matrix,
     columns: Columns,
     *,
-    tolerance: float = 1e-11,
+    tolerance: float = TOLERANCE,
     accuracy: float = ROUGHEST,
     limit: int = 100,
     max_step: float = np.inf,
