@@ -81,7 +81,7 @@ class Answering:
     last: Solution | None = field(default=None)
     patience: float = _FOLLOW
     _from_first: bool = field(default=True, init=False)  # whether the flight at the first values may still be tried
-    _quick: bool = field(default=False, init=False)  # whether from nothing one is found in less than most steps take
+    _quick: bool = field(default=False, init=False)  # whether the last from nothing took less than `_QUICK`
     _saved: bool = field(default=False, init=False)  # whether the last flight is that of a file, as it stands there
 
     def __post_init__(self) -> None:
@@ -160,17 +160,17 @@ class Answering:
         if (near := self._stepped(problem, self.last, watch, longest)) is not None:
             return near, "neighbour", words
         why = None
-        if self._quick:  # what cannot be flown is told at once
+        if self._quick:  # that there is none is told as soon as a solve would
             try:
                 return self._found(problem, _shortly(watch, _QUICK))
             except _TooLong:
-                pass
+                self._quick = False
             except NotConvergedError as error:
                 why = error
         limit = _FOLLOW if why is None else _QUICK
         near, steps = self._followed(problem, self.last, watch, step=0.5, limit=limit)
         if near is not None:
-            return near, "neighbour", words + f", followed in {steps} steps"
+            return near, "neighbour", words + (f", followed in {steps} steps" if steps > 1 else "")
         if why is not None:
             raise why
         try:  # a family that ends here: from nothing there may be another
@@ -218,7 +218,7 @@ class Answering:
     def _followed(
         self, problem: Problem, last: Solution, watch: Watch, *, step: float = 1.0, limit: float = _FOLLOW
     ) -> tuple[Solution | None, int]:
-        """The flight before, followed to a problem, and in how many steps: one that fails is halved, the first as well.
+        """The flight before, followed to a problem, and in how many steps: one that fails is halved.
 
         Each flight on the way is the flight before of the next step, also of one to newer values, for which this may be
         dropped. Behind the smallest step the whole rest of the way is tried as long as there is time.

@@ -6,15 +6,14 @@ Neither outlives the program.
 from __future__ import annotations
 
 import asyncio
-import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from multiprocessing import active_children, get_context
 from threading import Thread
 from typing import Any, TypeVar
 
-from perilune.families.elsewhere import end_with_parent
+from perilune.families.elsewhere import deaf, end_with_parent
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Iteration
 
@@ -93,7 +92,7 @@ class Beside:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(1, self._context, _begin, (self._wanted,))
         self._wanted.value += 1
-        with _deaf():  # the process begins with what is handed to it first
+        with deaf():  # the process begins with what is handed to it first
             number, loop = self._wanted.value, asyncio.get_running_loop()
             running = loop.run_in_executor(self._pool, _in_process, number, work, *arguments)
         running.add_done_callback(lambda done: done.cancelled() or done.exception())  # also if nobody asks
@@ -115,19 +114,6 @@ class Beside:
             for child in active_children():
                 child.terminate()
             self._pool = None
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """A process that begins in it does not hear Ctrl-C, which the terminal sends to all: it ends with the program."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _number: Any = None  # in the process: that of the work that somebody waits for

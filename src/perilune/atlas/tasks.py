@@ -18,7 +18,7 @@ from perilune.atlas.brick import Brick
 from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, leaves_of, some
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of, widths_of
-from perilune.atlas.course import PLAIN, Course, course_from
+from perilune.atlas.course import Course, course_from
 from perilune.atlas.flooding import Key, Shards, spilled
 from perilune.atlas.hermite import bits
 from perilune.atlas.lattice import Lattice
@@ -105,8 +105,8 @@ def _cut_of(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
 
 
 def prepared(problem: Problem, names: tuple[str, ...], widths: Vector) -> None:
-    """Derive and bind what most bricks fly by, before there are any."""
-    _tools(problem, names, tuple(widths.tolist()), PLAIN, ())
+    """Derive and compile what most bricks fly by, before there are any."""
+    Chart(problem, names, widths)
 
 
 @lru_cache(maxsize=4)

@@ -85,8 +85,13 @@ def workers(count: int) -> Iterator[Executor | None]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
+    from perilune.families.elsewhere import deaf
+
     # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_begin) as pool:
+        with deaf():  # before they ignore it Ctrl-C would end them with a traceback
+            for _ in range(count):
+                pool.submit(_nothing)
         yield pool
 
 
@@ -103,6 +108,10 @@ def elsewhere(order: Namespace) -> Iterator[Submits | None]:
 
     with cluster(order.scheduler, note) as machines:
         yield machines
+
+
+def _nothing() -> None:
+    """What each process is begun with."""
 
 
 def _begin() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Hashable, Iterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from queue import Empty, SimpleQueue
@@ -68,8 +70,22 @@ def here(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
 def begin_processes(executor: Submits | None, call: Call) -> None:
     """Let the processes of a pool begin, each with a call that makes it ready, while there is nothing for them yet."""
     if isinstance(executor, ProcessPoolExecutor):  # threads are there, and a cluster's workers as well
-        for _ in range(os.cpu_count() or 1):
-            executor.submit(*call)
+        with suppress(BrokenExecutor):  # who wants an answer is told
+            for _ in range(os.cpu_count() or 1):
+                executor.submit(*call)
+
+
+@contextmanager
+def deaf() -> Iterator[None]:
+    """A process that begins in it does not hear Ctrl-C, which the terminal sends to all: it ends with the program."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def end_with_parent() -> None:

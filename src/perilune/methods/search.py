@@ -304,10 +304,6 @@ class Search:
             root = another
         if not root.converged and guess is not None and (not is_neighbour(self.problem) or self._lost(root)):
             root = self._in_pieces(root, guess, y, choice)
-        elif root.converged and not is_neighbour(self.problem) and not may_be_cut(trials.conditions):
-            # Exported in one piece it misses its end by what the flights of Newton's method are rougher.
-            left, (root, missed) = float(np.abs(root.residual).max()), self._mended(root)
-            root = replace(root, converged=min(left, missed) <= _ROUNDED)
         name = trials.outside(root)
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
@@ -335,11 +331,19 @@ class Search:
                 start, held, limits = there[0][None], there[1], trials.limits
                 yield trials.settled(start, held, limits=limits, accuracy=accuracy, tolerance=tolerance)[0]
 
-        if not may_be_cut(trials.conditions):
-            yield from led(FINEST, NEARLY)
-        yield trials.settled(y[None], choice, limits=trials.limits)[0]
         if may_be_cut(trials.conditions):
+            yield trials.settled(y[None], choice, limits=trials.limits)[0]
             yield from led(ROUGHEST, TOLERANCE)
+        else:
+            yield from map(self._met, led(FINEST, NEARLY))
+            yield self._met(trials.settled(y[None], choice, limits=trials.limits)[0])
+
+    def _met(self, root: Root) -> Root:
+        """A root in one piece, which exported misses its end by what the flights of Newton's method are rougher."""
+        if not root.converged or is_neighbour(self.problem):
+            return root
+        left, (best, missed) = float(np.abs(root.residual).max()), self._mended(root)
+        return replace(best, converged=min(left, missed) <= _ROUNDED)
 
     def _lost(self, root: Root) -> bool:
         """Whether a neighbour, no further than rounding from its guess, is not met as that grows beyond all use.
