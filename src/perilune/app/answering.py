@@ -209,10 +209,8 @@ class Answering:
         began = time.thread_time()
         found = solve(problem, level=0, watch=watch)
         took = time.thread_time() - began
-        self._quick, self.patience = (
-            took < _QUICK,
-            max(_PATIENT[0], took),
-        )  # to follow need not take longer than to find
+        self._quick = took < _QUICK
+        self.patience = max(_PATIENT[0], took)  # to follow need not take longer than to find
         return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
 
     def _followed(
