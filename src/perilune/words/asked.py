@@ -17,6 +17,7 @@ from perilune.words.outcome import PeriluneError, unknown_name
 
 Asked = TypeVar("Asked", bound=Callable[..., Any])
 Kind = TypeVar("Kind")
+_FEW = 4  # of a list that is shown whole
 
 
 def called_in_words(asked: Asked) -> Asked:
@@ -212,7 +213,10 @@ def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
 
     expected = f"a number, or {'a list' if most == 1 else 'an array'} of numbers"
     try:
-        found = np.asarray(values, dtype=float)[()]
+        told = np.asarray(values)
+        if told.dtype.kind not in "iuf" and not all(isinstance(v, Real) and not isinstance(v, bool) for v in told.flat):
+            raise TypeError  # of texts and None NumPy makes numbers
+        found = np.asarray(told, dtype=float)[()]
     except (TypeError, ValueError, OverflowError):
         raise refused(values, expected, what) from None
     if found.ndim > most:
@@ -271,4 +275,6 @@ def _article(name: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    return repr(value)[:60] if value is None or isinstance(value, (str, int, float)) else type(value).__name__
+    few = list(value) if isinstance(value, (list, tuple)) and len(value) <= _FEW else [value]
+    plain = all(v is None or isinstance(v, (str, int, float)) for v in few)
+    return repr(value)[:60] if plain else type(value).__name__
