@@ -141,7 +141,7 @@ load_any: Any = load_file
         (lambda: LOOSE.parameters([("mass", 3.0)]), ("not what holds the values of free", "list", "Mapping")),
         (lambda: LANDING.parameters({"vehicle_mass": 3.0}), ("no free parameter", "'vehicle_mass'", "flight_time")),
         (lambda: LOOSE.parameters({1: 2}), ("no free parameter", "'1'")),
-        (lambda: Loose.Pseudospectral(scheme=["radau"]), ("not a collocation scheme", "['radau']", "'gauss' or 'radau'")),
+        (lambda: Loose.Pseudospectral(scheme=["radau"]), ("not a collocation scheme", "['radau']", "'gauss'")),
         (lambda: Loose.scenario.template([]), ("not a kind of problem", "[]", "a text")),
         (lambda: Loose.scenario.bounds_of("a", 3, {}), ("not a range", "3", "a text")),
         (lambda: Loose.preflight(LANDING, {1: 2}), ("no parameter of this name", "'1'")),
