@@ -184,8 +184,13 @@ def demand_number(value: Any, name: str) -> None:
     PeriluneError
         Named.
     """
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if not _is_number(value):
         raise PeriluneError(f"{name} must be a number", got=_shown(value))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a real number: a truth value is none, though Python makes a float of it."""
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
@@ -197,7 +202,7 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
         Named.
     """
     plain = value.item() if getattr(value, "ndim", None) == 0 else value  # of NumPy and xarray
-    if isinstance(plain, bool) or not isinstance(plain, Real):
+    if not _is_number(plain):
         raise refused(value, "a number in SI", what, advice)
 
 
@@ -214,7 +219,7 @@ def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
     expected = f"a number, or {'a list' if most == 1 else 'an array'} of numbers"
     try:
         told = np.asarray(values)
-        if told.dtype.kind not in "iuf" and not all(isinstance(v, Real) and not isinstance(v, bool) for v in told.flat):
+        if told.dtype.kind not in "iuf" and not all(map(_is_number, told.flat)):
             raise TypeError  # of texts and None NumPy makes numbers
         found = np.asarray(told, dtype=float)[()]
     except (TypeError, ValueError, OverflowError):
