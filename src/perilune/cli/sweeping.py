@@ -87,11 +87,13 @@ def workers(count: int) -> Iterator[Executor | None]:
 
     from perilune.families.elsewhere import deaf
 
+    class Pool(ProcessPoolExecutor):
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
+            with deaf():  # a process may begin here: until it ignores Ctrl-C that would end it with a traceback
+                return super().submit(fn, *args, **kwargs)
+
     # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_begin) as pool:
-        with deaf():  # before they ignore it Ctrl-C would end them with a traceback
-            for _ in range(count):
-                pool.submit(_nothing)
+    with Pool(count, mp_context=get_context("spawn"), initializer=_begin) as pool:
         yield pool
 
 
@@ -108,10 +110,6 @@ def elsewhere(order: Namespace) -> Iterator[Submits | None]:
 
     with cluster(order.scheduler, note) as machines:
         yield machines
-
-
-def _nothing() -> None:
-    """What each process is begun with."""
 
 
 def _begin() -> None:
