@@ -24,7 +24,6 @@ import numpy as np
 
 from perilune.atlas.brick import WHOLE
 from perilune.atlas.building import TOLERANCE, build
-from perilune.atlas.hermite import interpolated
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.scenario import load_file
 from perilune.solve import solve
@@ -76,11 +75,7 @@ def first_guesses(atlas: Atlas, points: Matrix) -> tuple[Vector, Vector]:
             continue
         inside = (point - low) / (high - low) * WHOLE
         cell = brick.leaf(0, inside.tolist())
-        corner, size, terms = brick.cell(cell)
-        scale = charted.chart.scale
-        guess = interpolated(terms, ((inside - corner) / size)[None], (size * (high - low) / WHOLE / scale)[None])[
-            0, :-1
-        ]
+        scale, guess = charted.chart.scale, brick.given(cell, inside)[:-1]
         exact = charted.polish((point / scale)[None], np.zeros(1, dtype=np.int64), guess[None])
         here = brick.nodes["sheet"] == 0
         rough = nearest_nodes(

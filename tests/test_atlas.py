@@ -680,7 +680,7 @@ def test_a_sheet_without_a_corner_of_a_cell_is_not_passed_over(atlas: Atlas) -> 
     ours["size"][1:, 0] //= 2
     ours["low"][2, 0] = ours["size"][2, 0]
     ours["corners"][1:] = -1
-    atlas._bricks[0, *place] = Brick(whole.nodes, np.concatenate([ours, others]), sheets)
+    atlas._bricks[0, *place] = Brick(whole.nodes, np.concatenate([ours, others]), sheets, whole.step)
     with pytest.raises(PeriluneError, match="ends in this cell"):
         atlas.query(**at)
     assert atlas.query_many(point[None]).answered[0] == Answered.ENDS
@@ -817,7 +817,7 @@ def test_an_answer_that_breaks_the_path_is_none_where_nothing_that_keeps_it_is_k
     with pytest.raises(NotConvergedError, match="no answer here"):
         atlas.query(ceiling=0.22)
     assert atlas.query_many(np.array([[0.22], [0.29]])).answered.tolist() == [Answered.ENDS, Answered.YES]
-    monkeypatch.setattr(Brick, "least", lambda brick, numbers, places, step: np.ones(len(numbers)))
+    monkeypatch.setattr(Brick, "least", lambda brick, numbers, places: np.ones(len(numbers)))
     again = open_atlas(tmp_path / "ceilings")
     touching = again.brick(1, again.region.brick_of(np.array([0.29])))
     assert touching is not None

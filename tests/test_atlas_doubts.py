@@ -73,11 +73,11 @@ def test_cells_that_give_no_answer_promise_the_least_j_that_there_may_be() -> No
     status = np.array([Status.BREAKS, Status.ENDS, Status.NO_ANSWER, Status.ABSENT])
     brick: Any = SimpleNamespace(
         leaves=lambda root, inside: np.arange(4), arrays=[None, None, None, status],
-        given=lambda cell, inside, step: np.array([7.0, 3.0]), least=lambda cells, places, step: 10.0 + cells,
+        given=lambda cell, inside: np.array([7.0, 3.0]), least=lambda cells, places: 10.0 + cells,
     )  # fmt: skip
     charted: Any = SimpleNamespace(unknowns=1, borders=SimpleNamespace(of_arcs=False))
     offer, at = many._no_offer(charted, 0, 0, 4), np.zeros((4, 1))
-    many._fill(offer, brick, 0, np.arange(4), at, at, np.ones(1))
+    many._fill(offer, brick, 0, np.arange(4), at, at)
     assert offer.cost.tolist() == [10.0, 11.0, np.inf, np.inf]
     assert offer.breaks.tolist() == [True, False, False, False] and not offer.short.any()
     assert offer.broken[0] == 7.0 and np.isnan(offer.broken[1:]).all() and np.isnan(offer.y).all()

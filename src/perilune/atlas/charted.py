@@ -41,6 +41,7 @@ class Charted:
         self.borders: Borders = Borders(self.chart)
         reflights = Reflights(self.chart, tuple(map(int, said["times"])))
         self.polish: Polisher = Polisher(self.chart, self.borders, reflights, self.sheets)
+        self._moving: list[bool] = self.polish.moving.tolist()
         self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
         names = [name for name, _ in self.chart.conditions.unknowns]
         self._own_places = np.array([names.index(name) for name, _ in self.chart.own.unknowns])
@@ -77,6 +78,8 @@ class Charted:
 
     def at_bounds(self, number: int, values: Matrix, y: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
         """What cells of a sheet give, and where that misses a bound: there a step of Newton's method behind it."""
+        if not self._moving[number]:
+            return y, np.zeros(len(y), dtype=bool)
         if (missed := self.borders.missed(self.sheets[number], values, y)).any():
             holds = self.borders.holds(self.sheets, np.full(len(y), number), values)
             y = np.where(missed[:, None], self.chart.at(values, y, holds).stepped, y)

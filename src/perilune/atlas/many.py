@@ -340,8 +340,7 @@ class _Work:
                 for sheet, root in brick.minima:
                     met[sheet] += 1
                     offer = offers.setdefault((sheet, met[sheet]), _no_offer(charted, sheet, first, count))
-                    step = (high - low) / WHOLE / charted.chart.scale
-                    _fill(offer, brick, root, lanes, self.points[some[lanes]] / charted.chart.scale, inside, step)
+                    _fill(offer, brick, root, lanes, self.points[some[lanes]] / charted.chart.scale, inside)
             for offer in offers.values():
                 given = np.nonzero(np.isfinite(offer.y[:, 0]))[0]
                 values = self.points[some[given]] / charted.chart.scale
@@ -374,10 +373,10 @@ def _no_offer(charted: Charted, sheet: int, first: int, count: int) -> _Offered:
     return _Offered(charted, sheet, first, y, cost, no, y.copy(), no.copy())
 
 
-def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix, inside: Matrix, step: Vector) -> None:
-    """What the cells of a branch give at points of a brick, `inside` it in lattice steps; `step` is one of them.
+def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix, inside: Matrix) -> None:
+    """What the cells of a branch give at points of a brick, `inside` it in lattice steps.
 
-    `values` are those of the axes, canonical as `step` is.
+    `values` are those of the axes, canonical.
     """
     cells = brick.leaves(root, inside)
     status = brick.arrays[3][cells]
@@ -385,7 +384,7 @@ def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix
     if (some := np.nonzero(serving | short)[0]).size:
         said = brick.cells[cells[some]]
         share = (inside[some] - said["low"]) / said["size"]
-        given = interpolated(brick.nodes["terms"][said["corners"]], share, said["size"] * step)
+        given = interpolated(brick.nodes["terms"][said["corners"]], share, said["size"] * brick.step)
         short[some] &= offer.charted.short(values[some], given[:, :-1])
         offer.y[lanes[serving]], offer.broken[lanes[short]] = given[serving[some], :-1], given[short[some], :-1]
         offer.cost[lanes[some]] = np.where((serving | short)[some], given[:, -1], np.inf)
@@ -393,6 +392,6 @@ def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix
     breaks = status == Status.BREAKS
     offer.breaks[lanes] = breaks | short
     for i in np.nonzero(breaks)[0].tolist():
-        offer.broken[lanes[i]] = brick.given(int(cells[i]), inside[i], step)[:-1]
+        offer.broken[lanes[i]] = brick.given(int(cells[i]), inside[i])[:-1]
     if (some := np.nonzero((status == Status.ENDS) | (status == Status.BREAKS))[0]).size:
-        offer.cost[lanes[some]] = brick.least(cells[some], inside[some], step)
+        offer.cost[lanes[some]] = brick.least(cells[some], inside[some])

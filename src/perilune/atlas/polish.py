@@ -13,7 +13,7 @@ Problems*, Springer 2011, section 2.1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -37,6 +37,7 @@ _FLOWN = 1e-6  # canonical, by which the second flight of what breaks the path m
 _LENGTH, _SHRINKING, _GOING, _STEPS = range(4)
 # What is told of an extremal: see `Polished`; whether to fly once more.
 _ANSWERS, _DOUBTFUL, _BREAKING, _SHORT, _GAINS, _POOR, _BOUND, _AWAY = range(8)
+_COST = Seen._fields.index("cost")
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
 _AGAIN, _NEAR = 2, 1e-2  # times that it is tried from where it stopped, and relative steps up to which it is near
 
@@ -94,13 +95,15 @@ class Polished:
 
     def copy(self) -> Polished:
         """In arrays of its own."""
-        names = "y", "choice", "course", "told", "passed"
-        return replace(self, **{name: getattr(self, name).copy() for name in names}, flown=self.flown.copy())
+        return Polished(
+            y=self.y.copy(), choice=self.choice.copy(), course=self.course.copy(), told=self.told.copy(),
+            passed=self.passed.copy(), slopes=self.slopes, reached=self.reached, flown=self.flown.copy(),
+        )  # fmt: skip
 
     @property
     def cost(self) -> Vector:
         """J, canonical, as the second flight has it."""
-        return self.flown.seen.cost
+        return self.flown.shown[:, _COST]
 
     @property
     def steps(self) -> Vector:
@@ -167,6 +170,7 @@ class Polisher:
         self.sheets: Sequence[Sheet] = sheets
         self.orientations: Vector = np.array([sheet.orientation for sheet in sheets])
         self.sides: Matrix = borders.sides(sheets)
+        self.moving: NDArray[np.bool_] = borders.moving(self.sides)
         self.multipliers: list[int] = [nu for _, nu in chart.conditions.ranges]
         self._idle = list[_Polish]()
 
@@ -184,7 +188,7 @@ class Polisher:
         """
         polished = self._polished(values, which, guess)
         for _ in range(_AGAIN):
-            if not (rough := polished.rough).size:
+            if polished.answers.all() or not (rough := polished.rough).size:
                 break
             active = self.chart.active
             begins, lanes = polished.y[rough][:, active], which[rough]
@@ -337,7 +341,7 @@ class _Polish:
             flown.replace(poor, own.reflights.finer(whole[poor], own.chart.p[None], self._choice[poor]))
             self._told()
         slopes = flown.rates[:, own.chart.varied_at]
-        if (moves := own.borders.moves(self._sides, values)) is not None:
+        if own.moving[which].any() and (moves := own.borders.moves(self._sides, values)) is not None:
             rises = np.hstack([flown.rates, -whole[:, own.multipliers]])
             slopes = slopes + np.einsum("ldk,lk->ld", moves, rises)
         return Polished(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.descending import Known
 from perilune.atlas.many import Answers, answers, clearly_worse, equal
 from perilune.atlas.mapped import Mapped, Query
+from perilune.atlas.march import Seen
 from perilune.atlas.offers import Offer, doubted_of, outdoing
 from perilune.atlas.read import SERVING, Reader, may_be_answers
 from perilune.problem.neighbours import placed
@@ -79,8 +81,12 @@ class Atlas(Reader):
                 continue
             canonical = (at / offer.charted.chart.scale)[None]
             polished = offer.polished = offer.charted.polish(canonical, np.array([offer.number]), offer.y[None])
-            if polished.reached[0] and np.isfinite(polished.cost[0]):
-                offer.cost = float(polished.cost[0])
+            if polished.reached[0] and isfinite(cost := float(polished.cost[0])):
+                offer.cost = cost
+            if polished.answers[0]:
+                tried.append(offer)
+                best = offer if best is None or offer.cost < best.cost else best
+                continue
             offer.short = bool(polished.short[0])
             if polished.breaking[0] or offer.short:
                 breaking.append(offer)
@@ -90,27 +96,13 @@ class Atlas(Reader):
                 outside.append(offer)
             elif polished.gains[0]:
                 gaining.append(offer)
-            elif polished.answers[0]:
-                tried.append(offer)
-                best = min(tried, key=lambda one: one.cost)
-        alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        ways = {"follows": bool(self.descents.names), "settles": self.descents.settles}
-        left, followed = doubted_of(breaking, alike, offers, **ways)
-        if not left and self._beside(at, followed, best):
-            followed = []
-        else:
-            outdoes = np.inf if best is None else best.cost
-            breaking = [one for one in breaking if outdoing(one.charted, self._met(at, one), outdoes)]
-            left, followed = doubted_of(breaking, alike, offers, **ways)
-        turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
-        doubts += self._become(at, best, turns, [], tried)
-        if not self.descents.settles:
-            doubts, left = doubts + left, []
-        left += self._become(at, best, [], followed, tried)
-        doubts += self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
+        if breaking or outside or gaining:
+            turns = [one for one in outside if best is None or one.cost < best.cost] + gaining
+            doubts += self._doubts(at, offers, tried, turns, breaking)
         best = min(tried, key=lambda one: one.cost, default=None)
-        alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
-        best = min(alike, key=lambda one: (one.charted.rank, one.cost), default=None)
+        if len(tried) > 1 and best is not None:
+            alike = [one for one in tried if equal(one.cost, best.cost)]
+            best = min(alike, key=lambda one: (one.charted.rank, one.cost))
         doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
         outdone = best is None or (doubt is not None and doubt.cost < best.cost and not equal(doubt.cost, best.cost))
@@ -136,9 +128,9 @@ class Atlas(Reader):
 
     # -- where it is ----------------------------------------------------------------------------------------------
 
-    def _point(self, values: Mapping[str, float]) -> Vector:
+    def _point(self, given: Mapping[str, float]) -> Vector:
         told, names = dict[str, float](), self.region.names
-        for key, value in values.items():
+        for key, value in given.items():
             if (name := parameter_name(key)) not in names:
                 raise unknown_name("axis", name, [axis.key for axis in self.region.axes])
             if name in told:
@@ -150,12 +142,13 @@ class Atlas(Reader):
                 expected=", ".join(axis.key for axis in self.region.axes),
             )  # fmt: skip
         try:
-            at = np.array([float(told[name]) for name in names])
+            values = [float(told[name]) for name in names]
         except (TypeError, ValueError, OverflowError):
             raise PeriluneError("the values of axes are numbers in SI", got=str(told)[:80]) from None
-        if not np.isfinite(at).all():
+        if not all(map(isfinite, values)):
             raise PeriluneError("the values of axes are finite", got=str(told)[:80])
-        if (outside := self.region.outside(at.tolist())) is not None:
+        at = np.array(values)
+        if (outside := self.region.outside(values)) is not None:
             inside = np.clip(at, self.region.low, self.region.high)
             there = self.query_many(inside[None]).good[0]
             near = self.region.told(inside.tolist()) if there else self._nearest(inside)
@@ -174,22 +167,22 @@ class Atlas(Reader):
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is None:
                 continue
-            step, canonical = width / WHOLE / charted.chart.scale, (at / charted.chart.scale)[None]
+            canonical = (at / charted.chart.scale)[None]
             for sheet, root in brick.minima:
                 cell = brick.leaf(root, where)
                 status = brick.status[cell]
                 if status in SERVING:
-                    given = brick.given(cell, inside, step)
+                    given = brick.given(cell, inside)
                     y, missed = charted.at_bounds(sheet, canonical, given[None, :-1])
                     cost = -np.inf if missed[0] else float(given[-1])  # then it is polished in any case
-                    offers.append(Offer(charted, sheet, y[0], cost, brick.cell(cell)[1] * part))
+                    offers.append(Offer(charted, sheet, y[0], cost, brick.cell(cell).size * part))
                 elif status in (Status.BREAKS, Status.ENDS):
                     breaks = status == Status.BREAKS
-                    y = brick.given(cell, inside, step)[:-1] if breaks else None
-                    least = brick.least(np.array([cell]), inside[None], step).item()
+                    y = brick.given(cell, inside)[:-1] if breaks else None
+                    least = brick.least(np.array([cell]), inside[None]).item()
                     offers.append(Offer(charted, sheet, y, least, low, breaks=breaks))
                 elif status == Status.NO_ANSWER and charted.borders.of_arcs:
-                    given = brick.given(cell, inside, step)
+                    given = brick.given(cell, inside)
                     if charted.short(canonical, given[None, :-1])[0]:
                         offers.append(Offer(charted, sheet, given[:-1], float(given[-1]), low, breaks=True, short=True))
         return sorted(offers, key=lambda offer: offer.cost)
@@ -200,6 +193,26 @@ class Atlas(Reader):
             low, high = self.region.box(place)
             self._boxes[place] = low, high - low, (high - low) / (self.region.high - self.region.low) / WHOLE
         return self._boxes[place]
+
+    def _doubts(
+        self, at: Vector, offers: Sequence[Offer], tried: list[Offer], turns: Sequence[Offer], breaking: list[Offer]
+    ) -> list[Offer]:
+        """Those of the extremals beyond bounds, and of those that break the path, which leave the answer in doubt."""
+        best, settles = min(tried, key=lambda one: one.cost, default=None), self.descents.settles
+        alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
+        ways = {"follows": bool(self.descents.names), "settles": settles}
+        left, followed = doubted_of(breaking, alike, offers, **ways)
+        if not left and self._beside(at, followed, best):
+            followed = []
+        else:
+            outdoes = np.inf if best is None else best.cost
+            breaking = [one for one in breaking if outdoing(one.charted, self._met(at, one), outdoes)]
+            left, followed = doubted_of(breaking, alike, offers, **ways)
+        doubts = self._become(at, best, turns, [], tried)
+        if not settles:
+            doubts, left = doubts + left, []
+        left += self._become(at, best, [], followed, tried)
+        return doubts + self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
 
     def _met(self, at: Vector, one: Offer) -> float:
         """J of what breaks the path all over its cell, as Newton's method meets it."""
@@ -279,7 +292,7 @@ class Atlas(Reader):
             return charted.solution(placed(problem, values), roots, statistics)
 
         slopes = polished.slopes[0] * problem.objective_size / charted.chart.scale
-        shown = polished.flown.seen
+        shown = Seen(*polished.flown.shown[0].tolist())
         query = Query(
             sheet=best.label,
             met=tuple(offer.label for offer in offers),
@@ -287,10 +300,10 @@ class Atlas(Reader):
             guess_error=float(polished.away[0]),
             steps=steps,
             error_bound=float(polished.bound[0]),
-            residual=float(shown.residual[0]),
-            path=float(shown.path[0]),
-            minimum=float(shown.minimum[0]),
-            drift=float(shown.drift[0]),
+            residual=shown.residual,
+            path=shown.path,
+            minimum=shown.minimum,
+            drift=shown.drift,
             slopes=dict(zip(values, slopes.tolist(), strict=True)),
             latency=time.perf_counter() - began,
         )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,13 @@ Whole = NDArray[np.int64]
 
 
 class Brick:
-    """What is looked at of a brick: cells as lists, which Python reads fastest, and nodes as they lie on disk."""
+    """What is looked at of a brick: cells as lists, which Python reads fastest, and nodes as they lie on disk.
 
-    def __init__(self, nodes: NDArray[Any], cells: NDArray[Any], sheets: Sequence[Sheet]) -> None:
+    `step` is that of the lattice, canonical.
+    """
+
+    def __init__(self, nodes: NDArray[Any], cells: NDArray[Any], sheets: Sequence[Sheet], step: Vector) -> None:
+        self.step: Vector = step
         self.nodes: NDArray[Any] = np.asarray(nodes)  # still on disk, but without what a memory map says of each part
         self.cells: NDArray[Any] = np.asarray(cells)
         self.axis: list[int] = cells["axis"].tolist()
@@ -54,7 +58,7 @@ class Brick:
         roots = [(int(cells["sheet"][i]), int(i)) for i in first]
         self.minima: list[tuple[int, int]] = [(number, root) for number, root in roots if sheets[number].minimum]
         self.split: list[int] = halved_at(cells["low"], cells["axis"], cells["child"]).tolist()
-        self._seen: dict[int, tuple[Vector, Vector, NDArray[np.float64]]] = {}
+        self._seen: dict[int, _Cell] = {}
 
     @cached_property
     def arrays(self) -> tuple[Whole, Whole, Whole, Whole]:
@@ -80,11 +84,10 @@ class Brick:
             found[self.cells["child"][cut] + half] = cut
         return found
 
-    def least(self, numbers: Whole, places: Matrix, step: Vector) -> Vector:
+    def least(self, numbers: Whole, places: Matrix) -> Vector:
         """The least J that corners of cells promise at places; where one has none, those of the least around it.
 
-        A sheet without a corner of a cell may go through it all the same: it must not be passed over. `step` is that
-        of the lattice, canonical.
+        A sheet without a corner of a cell may go through it all the same: it must not be passed over.
         """
         corners = self.cells["corners"][numbers]
         while (bare := np.nonzero((numbers >= 0) & (corners < 0).all(axis=1))[0]).size:
@@ -93,26 +96,36 @@ class Brick:
             corners[bare] = np.where(numbers[bare, None] >= 0, self.cells["corners"][numbers[bare]], -1)
         found, (lanes, own) = np.full(corners.shape, np.inf), np.nonzero(corners >= 0)
         nodes = self.nodes[corners[lanes, own]]
-        cost, slopes = nodes["terms"][:, 0, -1], nodes["terms"][:, [1 << i for i in range(len(step))], -1]
-        promised = cost + (slopes * (places[lanes] - nodes["place"]) * step).sum(axis=1)
+        cost, slopes = nodes["terms"][:, 0, -1], nodes["terms"][:, [1 << i for i in range(len(self.step))], -1]
+        promised = cost + (slopes * (places[lanes] - nodes["place"]) * self.step).sum(axis=1)
         found[lanes, own] = np.minimum(cost, promised)
         return found.min(axis=1)
 
-    def given(self, number: int, place: Vector, step: Vector) -> Vector:
-        """What a cell with all its corners gives at a place: unknowns, J; `step` is that of the lattice, canonical."""
-        corner, size, terms = self.cell(number)
-        return interpolated(terms, ((place - corner) / size)[None], (size * step)[None])[0]
+    def given(self, number: int, place: Vector) -> Vector:
+        """What a cell with all its corners gives at a place: unknowns, J."""
+        low, size, canonical, terms = self.cell(number)
+        return interpolated(terms, ((place - low) / size)[None], canonical)[0]
 
-    def cell(self, number: int) -> tuple[Vector, Vector, NDArray[np.float64]]:
-        """Its low corner, its size, and values and derivatives at its corners."""
+    def cell(self, number: int) -> _Cell:
+        """One of the cells."""
         found = self._seen.get(number)
         if found is None:
             if len(self._seen) >= _MOST_SEEN:
                 self._seen.clear()
             said = self.cells[number]
+            low, size = said["low"].astype(float), said["size"].astype(float)
             terms = self.nodes["terms"][said["corners"]][None]
-            found = self._seen[number] = (said["low"].astype(float), said["size"].astype(float), terms)
+            found = self._seen[number] = _Cell(low, size, (size * self.step)[None], terms)
         return found
+
+
+class _Cell(NamedTuple):
+    """Its low corner and size, the size canonical, (1, d), and values and derivatives at its corners, for one point."""
+
+    low: Vector
+    size: Vector
+    canonical: Matrix
+    terms: NDArray[np.float64]
 
 
 class Reader:
@@ -262,7 +275,9 @@ class Reader:
                 return None
             if len(self._bricks) >= _MOST_OPEN:
                 self._bricks.pop(next(iter(self._bricks)))
-            self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets)
+            low, high = self.region.box(key[1:])
+            step = (high - low) / WHOLE / self.charted[number].chart.scale
+            self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets, step)
         return self._bricks[key]
 
     def _place(self, brick: Any) -> tuple[int, ...]:
