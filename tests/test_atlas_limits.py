@@ -121,6 +121,23 @@ def test_values_and_derivatives_move_with_every_bound_that_is_held() -> None:
     np.testing.assert_allclose(terms[:, 0b110, -1], both, rtol=1e-6)
 
 
+def test_ranges_are_asked_of_no_values_that_were_not_set() -> None:
+    """Arrays that wait for them hold anything, and what a range follows from may take for ever with that."""
+    asked = list[float]()
+
+    def ranges(p: Any, m: Any) -> Any:
+        asked.append(p.longest if p.longest > 0.0 else -1.0)  # what has no value is not compared
+        return {"T": (0.0, p.longest * p.patience**2, 1.0)}
+
+    borders = Borders(Chart(replace(haul(True), ranges=ranges), ("longest",), np.array([0.2])))
+    values = np.full((1, 1), np.nan)
+    (_, upper), fill = borders.bind(values)
+    values[:] = 1.05
+    fill()
+    assert upper[0, 0] == asked[-1] == 1.05
+    assert min(asked) > 0.0
+
+
 def test_ranges_that_an_atlas_cannot_keep_are_refused(tmp_path: Path) -> None:
     """By a function of the user's, which no file has; what does not move them may vary."""
     problem = haul(True)

@@ -33,6 +33,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
+_SIDES = 1.0, -1.0  # what `Borders.sides` has for what is held at its lower bound, and at its upper one
 _DIFFERENCE = 1e-4  # of the range of a parameter: where differences of bounds are taken
 _MISSED = 1e-4  # of 1 + its size: a cell that gives a bound by so much wrong gives J so that it tells nothing
 
@@ -141,7 +142,8 @@ class Borders:
             bound = self._traced.bind(values, self._numbers)
             lower, upper = bound.outputs
             return (lower, upper), bound
-        lower, upper = self.at(values)
+        # Not as `at` has them: what stands in the values so far may be anything, which no range need be ready for.
+        lower, upper = (bound[None].repeat(len(values), axis=0) for bound in (self._lower, self._upper))
 
         def fill() -> None:
             if self._told:
@@ -188,7 +190,7 @@ class Borders:
         found = np.zeros((len(sheets), self.chart.shooting.plan.held))
         for row, sheet in zip(found, sheets, strict=True):
             for name, side in sheet.holds.items():
-                row[self.names.index(name)] = 1.0 if side == "lower" else -1.0
+                row[self.names.index(name)] = _SIDES[side == "upper"]
         return found
 
     def holds(
@@ -206,13 +208,21 @@ class Borders:
         np.copyto(out[:, count:], upper, where=sides < 0.0)
         return Holds(out, self.moves(sides, values))
 
+    def moving(self, sides: Matrix) -> NDArray[np.bool_]:
+        """Of which lanes anything that they hold at such sides is moved by the parameters."""
+        found = np.zeros(len(sides), dtype=bool)
+        for i, upper in self._moving:
+            found |= sides[:, i] == _SIDES[upper]
+        return found
+
     def moves(self, sides: Matrix, values: Matrix) -> NDArray[np.float64] | None:
         """Derivatives by the parameters of what lanes hold at such sides, (lanes, d, k); None where all of it stays."""
-        found = None
-        for i, at in self._moving:
-            if (here := np.nonzero(sides[:, i] == (-1.0 if at else 1.0))[0]).size:
-                found = np.zeros((len(values), len(self.chart.names), sides.shape[1])) if found is None else found
-                found[here, :, i] = self._rates(values[here], i, at)
+        if not self.moving(sides).any():
+            return None
+        found = np.zeros((len(values), len(self.chart.names), sides.shape[1]))
+        for i, upper in self._moving:
+            if (here := np.nonzero(sides[:, i] == _SIDES[upper])[0]).size:
+                found[here, :, i] = self._rates(values[here], i, upper)
         return found
 
     @cached_property
