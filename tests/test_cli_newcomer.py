@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+import perilune as pl
 from command_line import COMMAND, ENVIRONMENT, HYBRID, ORDINARY, ROOT, read_json, snapshot
 from perilune.cli import run
 from perilune.cli.progress import Told
@@ -206,6 +207,30 @@ def test_an_older_run_leaves_nothing_beside_the_new_one(
     before = snapshot(out)
     assert run(["solve", ORDINARY, "--out", str(out), "--force"]) == 130
     assert snapshot(out) == before
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt(), ValueError("no font"), PeriluneError("no such quantity")])
+def test_what_was_solved_is_kept_where_its_figures_are_not_finished(
+    ending: BaseException,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    ordinary: Solution,
+    tmp_path: Path,
+) -> None:
+    def solve(problem: Problem, method: Any = None, **_: Any) -> Solution:
+        return replace(ordinary, problem=problem)
+
+    def drawn(*_: Any) -> None:
+        raise ending
+
+    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
+    monkeypatch.setattr("perilune.report.figures.solution_figures", drawn)
+    out = tmp_path / "out"
+    assert run(["solve", ORDINARY, "--out", str(out)]) != 0
+    assert pl.load(out).objective == ordinary.objective
+    assert snapshot(out).keys() == {"solution.json", "trajectory.csv"}
+    stopped = isinstance(ending, KeyboardInterrupt)
+    assert (f"the solution is in {out}, without figures" in capsys.readouterr().err) == stopped
 
 
 def test_a_report_that_is_not_ours_stays(tmp_path: Path) -> None:

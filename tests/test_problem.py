@@ -12,6 +12,7 @@ from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.views import Space, Views
 from perilune.words.outcome import PeriluneError
 
 
@@ -171,6 +172,23 @@ def test_inconsistent_problems(changes: dict[str, Any], words: str) -> None:
     """Each is refused in the user's words."""
     with pytest.raises(PeriluneError, match=words):
         slider(**changes)
+
+
+@pytest.mark.parametrize("unit", ["kg", "m", "1"])
+def test_a_duration_is_a_time(unit: str) -> None:
+    """Free or given: in scales in which a kilogram is as much as a second the physics would not show it."""
+    with pytest.raises(PeriluneError, match=f"the duration time of slide has another dimension(.|\n)*time in {unit}"):
+        slider(free=(Free(name="time", unit=unit, lower=0.0, typical=1.0),))
+    given = {**slider().given, "time": Given(value=1.0, unit=unit)}
+    with pytest.raises(PeriluneError, match="the duration time of slide has another dimension"):
+        slider(free=(), given=given)
+
+
+def test_parameters_that_place_a_flight_have_the_dimension_of_that() -> None:
+    with pytest.raises(PeriluneError, match=r"the rate of rotation push of the views(.|\n)*a parameter in rad/s"):
+        slider(views=Views(space=Space(body="moon", rotation="push")))
+    with pytest.raises(PeriluneError, match=r"the radius push of the views(.|\n)*a parameter in m"):
+        slider(views=Views(radius="push"))
 
 
 def test_unknown_parameter_offers_the_nearest() -> None:

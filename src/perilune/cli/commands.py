@@ -7,6 +7,7 @@ from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from perilune.cli.answer import Answer, aside, deliver, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
-from perilune.cli.stopping import heed
+from perilune.cli.stopping import advised, heed
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
 if TYPE_CHECKING:
@@ -49,13 +50,19 @@ def _solve(typed: Namespace) -> Answer:
     from perilune.solve import solve as solve_problem
 
     log: deque[str] = deque(maxlen=LONGEST_LOG)
-    with progress(typed.verbose, log) as watch, failure_kept(scenario, out, typed.force, log):
-        solution = solve_problem(scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch)
+    with progress(typed.verbose, log) as watch:
+        with failure_kept(scenario, out, typed.force, log):
+            solution = solve_problem(
+                scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch
+            )
         if out is not None:
+            from perilune.io.files import in_use
             from perilune.report import write_all
 
-            watch("writing files and figures")
-            write_all(solution, out, scenario_text=scenario.text, ordinary=_beside(solution), force=typed.force)
+            used, beside = in_use(out), partial(_beside, solution)
+            with advised(lambda: f"the solution is in {out}, without figures" if in_use(out) > used else ""):
+                watch("writing files and figures")
+                write_all(solution, out, scenario_text=scenario.text, ordinary=beside, force=typed.force)
     return _solution_answer(solution, typed.verbose, out)
 
 

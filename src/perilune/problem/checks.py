@@ -63,6 +63,7 @@ def check_structure(problem: Any) -> None:
     }
     names = [phase.name for phase in problem.phases]
     check_views(problem.views, quantities, {*problem.given, *problem.free_names}, results, names)
+    _check_meant_units(problem)
 
 
 def check_given(problem: Any) -> None:
@@ -78,13 +79,28 @@ def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:
     """A parameter that is a bound has the dimension of what it bounds."""
     for one in bounded:
         for name in (limit for limit in (one.lower, one.upper) if isinstance(limit, str)):
-            of = problem.unit_of(name)
-            if unit(of)[1] != unit(one.unit)[1]:
-                raise PeriluneError(
-                    f"the bound {name} of {one.name} has another dimension",
-                    got=f"{name} in {of}",
-                    expected=f"a parameter in {one.unit}",
-                )
+            _demand_unit(problem, name, one.unit, f"the bound {name} of {one.name}")
+
+
+def _check_meant_units(problem: Any) -> None:
+    """A parameter that is a duration, or by which flights are placed, has the dimension of that.
+
+    The physics need not ask it: of its own time a flight may know nothing.
+    """
+    for phase in problem.phases:
+        _demand_unit(problem, phase.duration, "s", f"the duration {phase.duration} of {phase.name}")
+    if problem.views is not None:
+        space = problem.views.space
+        meant = {problem.views.radius: ("m", "radius"), space.rotation if space else "": ("rad/s", "rate of rotation")}
+        for name, (wanted, what) in meant.items():
+            if name:
+                _demand_unit(problem, name, wanted, f"the {what} {name} of the views")
+
+
+def _demand_unit(problem: Any, name: str, wanted: str, what: str) -> None:
+    of = problem.unit_of(name)
+    if unit(of)[1] != unit(wanted)[1]:
+        raise PeriluneError(f"{what} has another dimension", got=f"{name} in {of}", expected=f"a parameter in {wanted}")
 
 
 def _check_scales(problem: Any) -> None:
