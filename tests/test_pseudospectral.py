@@ -189,6 +189,7 @@ def test_the_mesh_error_exposes_a_coarse_mesh():
     [
         ({"scheme": "lobatto"}, "unknown collocation scheme"),
         ({"nodes": 1}, "at least two collocation points"),
+        ({"nodes": 10**6}, "too many collocation points"),
         ({"segments": 0}, "segments is too small"),
         ({"refine": -1}, "refine is too small"),
         ({"iterations": 0}, "iterations is too small"),

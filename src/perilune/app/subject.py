@@ -109,7 +109,8 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
             text = template("hybrid_landing")
             return _stated(load_text(text), text)
         scenario = load_file(target, changes)
-        return _stated(scenario.problem, scenario.text or "", unwritten="the scenario names another file beside it")
+        unwritten = "" if scenario.text else "the scenario names another file beside it"
+        return _stated(scenario.problem, scenario.text or "", unwritten=unwritten)
     if changes:
         raise PeriluneError("--set changes a scenario", got=str(target), expected="a file")
     if (target / HEADER).is_file():

@@ -165,8 +165,8 @@ def _slowest(p: Any, m: Any) -> Any:
 def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None) -> tuple[float, float]:
     """How far the site stays from the plane at least while a flight from t = 0 can last, and what is turned by then.
 
-    Both [rad], at the time at which they are nearest to each other; less than half a turn from a landing [s] where that
-    is given.
+    Both [rad], at the time at which the site is nearest of all those at which it can be reached, or where it cannot, at
+    which least is missing; less than half a turn from a landing [s] where that is given.
     """
     rate = greatest_thrust(p) / exhaust_speed(p)
     burn = (p.vehicle_mass - lightest(p)) / rate
@@ -190,7 +190,7 @@ def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | N
     turned = furthest_turned(p, change) + np.minimum(_APART * change / slow, _MOST_APART) * oblate
     turned = np.minimum(turned, math.pi)
     short = away - turned + np.where(np.abs(ahead) <= moved + behind / 2, 0.0, 2 * math.pi)
-    k = int(np.argmin(short))
+    k = int(np.argmin(np.where(short <= 0, away - math.pi, short)))  # what is away is no more than half a turn
     return float(away[k]), float(turned[k])
 
 
