@@ -75,6 +75,12 @@ class HeldFamilies:
         found = self._chart.at(values, y, Holds(np.zeros((len(y), 2 * self._chart.shooting.plan.held))))
         return self._chart.shooting.held_values(found.roots)[0][:, self._at]
 
+    def held_there(self, points: Matrix, y: Matrix) -> Matrix:
+        """Unknowns of extremals as those that are held where they are, (lanes, n)."""
+        values = points / self._chart.scale
+        places = np.hstack([values, self._at_extremals(values, y)])
+        return self._chart.solve(values, y, self._held(np.arange(len(y)), places)).y
+
     def along(
         self, points: Matrix, begins: Matrix, starts: Matrix, ends: Matrix, steps: int
     ) -> tuple[NDArray[np.float64], Matrix, Matrix]:

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.cells import same
 from perilune.atlas.chart import Chart
 from perilune.atlas.charted import Charted
 from perilune.atlas.course import Course
@@ -59,13 +60,21 @@ class Scan:
         shape = (len(self.names), len(self._points), _STEPS + 1)
         self._met: NDArray[np.bool_] = np.zeros(shape, dtype=bool)  # by extremals
         self._flown: NDArray[np.bool_] = np.zeros(shape, dtype=bool)
+        self._known: dict[str, NDArray[np.float64]] = {}  # unknowns of what was met, by what it goes through
 
-    def add(self, values: Vector, course: Course, extremals: Sequence[Extremal]) -> bool:
-        """Follow what an answer goes through, from the answer, wherever no flight is known; whether there are more."""
+    def add(
+        self, values: Vector, course: Course, extremals: Sequence[Extremal], at: tuple[int, int, int] | None = None
+    ) -> bool:
+        """Follow what an answer goes through, from the answer, wherever no flight is known; whether there are more.
+
+        `at` is the place of one that was solved amid a `gap`: what was met there before leads nowhere else.
+        """
         chart = Chart(self._problem, self._region.names, self._widths, course)
         first = next((e for e in extremals if len(e.unknowns or ()) == len(chart.own.unknowns)), None)
         if first is None:
             return False
+        y = chart.told(np.array(first.unknowns))
+        known = self._known.setdefault(course.text, np.full((*self._met.shape, len(y)), np.nan))
         before = np.count_nonzero(self._flown)
         said = {**course.document(), "widths": self._widths.tolist(), "times": [], "sheets": []}
         charted = Charted(self._problem, self._region, {**said, "unknowns": len(chart.places)})
@@ -74,7 +83,9 @@ class Scan:
             bounded: list[bool] = np.isfinite(upper - lower).min(axis=0).tolist()
         own = [name for name, both in zip(charted.borders.names, bounded, strict=True) if both and name in self.names]
         families = HeldFamilies(charted, own)
-        begin = np.concatenate([values / chart.scale, chart.told(np.array(first.unknowns))])
+        if at is not None and same(known[at], families.held_there(values[None], y[None])[0]):
+            return False
+        begin = np.concatenate([values / chart.scale, y])
         for at, name in enumerate(own):
             k = self.names.index(name)
             lanes = np.nonzero(~self._flown[k].all(axis=1))[0]
@@ -85,12 +96,13 @@ class Scan:
                 ends = starts.copy()
                 starts[:, at], ends[:, at] = lower[:, at], upper[:, at]
                 found, cost, _ = families.along(points, begins, starts, ends, _STEPS)
-                self._met[k, lanes] |= np.isfinite(found[:, :, 0])
+                self._met[k, lanes] |= (met := np.isfinite(found[:, :, 0]))
+                known[k, lanes] = np.where(met[:, :, None], found, known[k, lanes])
                 self._flown[k, lanes] |= np.isfinite(cost)
         return bool(np.count_nonzero(self._flown) > before)
 
-    def gap(self) -> tuple[Vector, str, float] | None:
-        """Amid the longest part of a range where extremals are met and no flight: the point [SI], whose, the share.
+    def gap(self) -> tuple[tuple[int, int, int], Vector, str, float] | None:
+        """Amid the longest part of a range where extremals are met and no flight: place, point [SI], whose, which share.
 
         It is asked for once.
         """
@@ -103,4 +115,5 @@ class Scan:
         if not length:
             return None
         self._flown[k, lane, first : first + length] = True
-        return self._points[lane], self.names[k], (first + (length - 1) // 2) / _STEPS
+        amid = first + (length - 1) // 2
+        return (k, lane, amid), self._points[lane], self.names[k], amid / _STEPS

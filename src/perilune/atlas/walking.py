@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -232,21 +233,21 @@ def carried_on(
     numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
     border = list(known)
     while border := _within(chart, borders, sheet, canonical, numbers, {corner: reached[corner] for corner in border}):
-        ahead = list[tuple[int, ...]]()
-        for corner in border:
-            beside = [
-                (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
-                for axis in range(len(corner))
-                for way in (-1, 1)
-            ]
-            beside = [other for other in beside if other in numbers and other not in reached]
-            if beside:
-                targets = canonical[[numbers[other] for other in beside]]
-                rows = carried(chart, borders, sheet, canonical[numbers[corner]], reached[corner], targets)
-                new = {other: row for other, row in zip(beside, rows, strict=True) if np.isfinite(row[0])}
-                reached |= new
-                ahead += new
-        border = ahead
+        ways = dict[tuple[int, ...], list[tuple[int, ...]]]()  # to a corner, from those beside it in turn
+        for corner, axis, way in product(border, range(len(border[0])), (-1, 1)):
+            other = (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
+            if other in numbers and other not in reached:
+                ways.setdefault(other, []).append(corner)
+        border = list[tuple[int, ...]]()
+        while ways:
+            firsts = [of.pop(0) for of in ways.values()]
+            starts, targets = (canonical[[numbers[corner] for corner in some]] for some in (firsts, ways))
+            y, own = np.array([reached[corner] for corner in firsts]), np.zeros(len(ways), dtype=np.int64)
+            there, share = walked(chart, borders, [sheet], own, starts, y, targets)
+            new = {other: row for other, row, all_of_it in zip(ways, there, share == 1.0, strict=True) if all_of_it}
+            reached |= new
+            border += new
+            ways = {other: of for other, of in ways.items() if of and other not in new}
     return reached
 
 
