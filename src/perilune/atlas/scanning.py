@@ -63,11 +63,11 @@ class Scan:
         self._known: dict[str, NDArray[np.float64]] = {}  # unknowns of what was met, by what it goes through
 
     def add(
-        self, values: Vector, course: Course, extremals: Sequence[Extremal], at: tuple[int, int, int] | None = None
+        self, values: Vector, course: Course, extremals: Sequence[Extremal], place: tuple[int, int, int] | None = None
     ) -> bool:
         """Follow what an answer goes through, from the answer, wherever no flight is known; whether there are more.
 
-        `at` is the place of one that was solved amid a `gap`: what was met there before leads nowhere else.
+        `place` is that of one that was solved amid a `gap`: what was met there before leads nowhere else.
         """
         chart = Chart(self._problem, self._region.names, self._widths, course)
         first = next((e for e in extremals if len(e.unknowns or ()) == len(chart.own.unknowns)), None)
@@ -83,7 +83,7 @@ class Scan:
             bounded: list[bool] = np.isfinite(upper - lower).min(axis=0).tolist()
         own = [name for name, both in zip(charted.borders.names, bounded, strict=True) if both and name in self.names]
         families = HeldFamilies(charted, own)
-        if at is not None and same(known[at], families.held_there(values[None], y[None])[0]):
+        if place is not None and same(known[place], families.held_there(values[None], y[None])[0]):
             return False
         begin = np.concatenate([values / chart.scale, y])
         for at, name in enumerate(own):
@@ -102,7 +102,7 @@ class Scan:
         return bool(np.count_nonzero(self._flown) > before)
 
     def gap(self) -> tuple[tuple[int, int, int], Vector, str, float] | None:
-        """Amid the longest part of a range where extremals are met and no flight: place, point [SI], whose, which share.
+        """Amid the longest part of a range where extremals are met and no flight: place, point [SI], whose, the share.
 
         It is asked for once.
         """

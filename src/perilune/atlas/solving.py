@@ -114,10 +114,10 @@ class Solving:
             if one.course.text not in ended and not scan.add(one.values, one.course, one.extremals):
                 ended.add(one.course.text)
         while len(found) < _MOST_HELD and failed < _MOST_FAILED and (gap := scan.gap()) is not None:
-            at, values, name, share = gap
+            place, values, name, share = gap
             self.watch(f"survey: with {name} held where no flight that is known keeps the path")
             answer = self._solved(values, name, share)
-            if answer is not None and scan.add(answer.values, answer.course, answer.extremals, at):
+            if answer is not None and scan.add(answer.values, answer.course, answer.extremals, place):
                 found.append(answer)
             else:
                 failed += 1
