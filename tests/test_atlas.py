@@ -37,6 +37,7 @@ from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.columns import cell_type, node_type
 from perilune.atlas.flooding import Key, spilled
 from perilune.atlas.hermite import bits, interpolated
+from perilune.atlas.lines import written_line
 from perilune.atlas.many import Answered
 from perilune.atlas.march import extrapolated
 from perilune.atlas.query import Atlas, open_atlas
@@ -540,8 +541,8 @@ def ordered(advice: str, directory: Path) -> list[str]:
 
 
 def test_no_shard_is_read_from_elsewhere(copy: Path) -> None:
-    lines = (copy / MANIFEST).read_text().replace('"file": "brick-', '"file": "../brick-')
-    (copy / MANIFEST).write_text(lines)
+    lines = (copy / MANIFEST).read_text().replace('"file": "brick-', '"file": "../brick-').splitlines()
+    (copy / MANIFEST).write_text("".join(written_line(json.loads(line)) + "\n" for line in lines))
     with pytest.raises(PeriluneError, match="damaged"):
         open_atlas(copy).query(vehicle_thrust=450.0, retro_specific_impulse=310.0)
 
@@ -704,7 +705,7 @@ def test_a_header_of_another_hand_is_refused_in_words(copy: Path, key: str, valu
         open_atlas(copy)
     lines = (copy / MANIFEST).read_text().splitlines()
     (copy / HEADER).write_text(json.dumps(header))
-    (copy / MANIFEST).write_text("\n".join([json.dumps({**json.loads(lines[0]), "charts": [7]}), *lines[1:], ""]))
+    (copy / MANIFEST).write_text("\n".join([written_line({**json.loads(lines[0]), "charts": [7]}), *lines[1:], ""]))
     with pytest.raises(PeriluneError, match="says what no atlas does"):
         open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
 
@@ -722,7 +723,7 @@ def test_numbers_that_lead_nowhere_are_damage(copy: Path, column: str, value: in
             cells[column][0] = value
             np.save(copy / line["cells"]["file"], cells)
             line["cells"]["sha256"] = hashlib.sha256((copy / line["cells"]["file"]).read_bytes()).hexdigest()
-    (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (copy / MANIFEST).write_text("".join(written_line(line) + "\n" for line in lines))
     with pytest.raises(PeriluneError, match="damaged"):
         open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
 

@@ -22,6 +22,7 @@ from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.atlas import building, extending, merging, read
 from perilune.atlas.extending import extend
+from perilune.atlas.lines import written_line
 from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
@@ -123,7 +124,7 @@ def test_lines_of_another_hand_are_refused_in_words(
     lines = [json.loads(line) for line in (copy / MANIFEST).read_text().splitlines()]
     for line in lines:
         change(line)
-    (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (copy / MANIFEST).write_text("".join(written_line(line) + "\n" for line in lines))
 
     def opened() -> None:
         open_atlas(copy).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
@@ -250,7 +251,7 @@ def test_no_space_left_is_said_and_what_is_there_is_kept(built: Path, tmp_path: 
         lines = (out / MANIFEST).read_text().splitlines(keepends=True)
         padded = json.loads(lines[0])
         padded["notes"] = ["x" * (least + 200)]
-        (out / MANIFEST).write_text(json.dumps(padded) + "\n" + "".join(lines[1:4]))
+        (out / MANIFEST).write_text(written_line(padded) + "\n" + "".join(lines[1:4]))
         limit = (out / MANIFEST).stat().st_size + 60
     else:
         limit = sizes[MANIFEST] - 700

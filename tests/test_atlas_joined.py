@@ -21,6 +21,7 @@ import pytest
 from cho import cho_landing
 from command_line import ENVIRONMENT, read_json, snapshot
 from perilune.atlas import building, extending
+from perilune.atlas.lines import written_line
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.region import region_of, wider
@@ -153,7 +154,7 @@ def test_sheets_that_are_new_reach_into_what_was_there(low: Path, monkeypatch: p
     store = Store(low)
     chart = {**survey["charts"][0], "sheets": [survey["charts"][0]["sheets"][kept]]}
     chart["seeds"] = store.put("survey-0.npy", seeds)
-    (low / MANIFEST).write_text(json.dumps({**survey, "charts": [chart]}) + "\n")
+    (low / MANIFEST).write_text(written_line({**survey, "charts": [chart]}) + "\n")
     build(cho_landing(), LOW, low)
     at = {"vehicle_thrust": 435.0, "retro_specific_impulse": 305.0}
     assert open_atlas(low).query(**at).free["retro_delta_v"] == 0.0
@@ -228,7 +229,7 @@ def put_header(directory: Path, header: dict[str, Any]) -> None:
     said, manifest = sealed(header), directory / MANIFEST
     lines = [json.loads(line) for line in manifest.read_text().splitlines()]
     own = ({**line, "header": said[CHECKSUM]} if line["kind"] == "survey" else line for line in lines)
-    manifest.write_text("".join(json.dumps(line) + "\n" for line in own))
+    manifest.write_text("".join(written_line(line) + "\n" for line in own))
     (directory / HEADER).write_text(json.dumps(said))
 
 
@@ -257,7 +258,7 @@ def test_a_place_that_one_has_whole_is_taken_from_it(low: Path, parts: tuple[Pat
     lines = [json.loads(line) for line in (other / MANIFEST).read_text().splitlines()]
     for line in lines:
         line["digest" if line["kind"] == "survey" else "survey"] = "another"
-    (other / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (other / MANIFEST).write_text("".join(written_line(line) + "\n" for line in lines))
     kept = (low / MANIFEST).read_text().splitlines(keepends=True)
     (low / MANIFEST).write_text("".join(kept[:12]))
     atlas = open_atlas(merge(low, other, tmp_path / "filled"))

@@ -17,6 +17,7 @@ from command_line import HYBRID, read_json
 from perilune.atlas import sampling
 from perilune.atlas.building import build
 from perilune.atlas.extending import extend
+from perilune.atlas.lines import written_line
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import may_be_answers
@@ -65,7 +66,7 @@ def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tm
     other = build(cho_landing(), {"vehicle.thrust": (450.0, 455.0)}, tmp_path / "other", sample=1)
     line = proofs(beside)[0]
     at_side = {**line["drawn"][0], "values": [450.0]}
-    text = (beside / MANIFEST).read_text().replace(json.dumps(line), json.dumps({**line, "thin": [at_side]}))
+    text = (beside / MANIFEST).read_text().replace(json.dumps(line), written_line({**line, "thin": [at_side]}))
     (beside / MANIFEST).write_text(text)
     atlas = open_atlas(merge(beside, other, tmp_path / "merged"))
     own, others = sample_of(open_atlas(built)).drawn, sample_of(open_atlas(other)).drawn
@@ -209,7 +210,7 @@ def test_numbers_of_proofs_that_are_none_are_refused(sample: Any, copy: Path) ->
 def test_proofs_of_another_hand_are_refused_in_words(change: Callable[[dict[str, Any]], object], copy: Path) -> None:
     lines = [json.loads(line) for line in (copy / MANIFEST).read_text().splitlines()]
     change(lines[-1])
-    (copy / MANIFEST).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (copy / MANIFEST).write_text("".join(written_line(line) + "\n" for line in lines))
     with pytest.raises(PeriluneError, match="damaged"):
         sample_of(open_atlas(copy))
     assert run(["atlas", "info", str(copy)]) == 2

@@ -1,30 +1,44 @@
 """What the lines of a manifest may say, so that one of another hand is refused in words before it is used.
 
-Whether what they say is so, the shards tell; these are looked at where they are read (`perilune.atlas.store`).
+Each ends with a checksum of all else in it: of one digit that has changed nothing else would tell. Whether what they
+say is so, the shards tell; these are looked at where they are read (`perilune.atlas.store`).
 """
 
 from __future__ import annotations
 
 import json
 import math
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from perilune.io.files import finite
 from perilune.io.reading import tree
 from perilune.problem.extremal import Nature
 from perilune.words.outcome import PeriluneError
 
+_CHECKSUM = "crc32"
 _MOST_TIMES = 4096
 _MOST_UNKNOWNS, _MOST_SHEETS, _MOST_CHARTS = 10_000, 10_000, 10_000
 
 
+def written_line(said: Mapping[str, Any]) -> str:
+    """A line as it is written, with its checksum and without its end."""
+    text = json.dumps(finite({name: value for name, value in said.items() if name != _CHECKSUM}), allow_nan=False)
+    return f'{text[:-1]}, "{_CHECKSUM}": {zlib.crc32(text.encode())}}}'
+
+
 def read_line(line: bytes) -> dict[str, Any] | None:
-    """What a line says; None of one that is none, of a writer that was killed in the middle before another went on.
+    """What a line says; None of one that is not as it was written, or not whole: its writer was killed in the middle.
 
     There is a line for each brick, and `refuse_no_brick` looks at all that is used of it: these are read without the
     care that other documents need, eight times as fast.
     """
+    text, told, checksum = line.rpartition(f', "{_CHECKSUM}": '.encode())
+    if not told or b"%d}" % zlib.crc32(text + b"}") != checksum:
+        return None
+    line = text + b"}"
     try:
         found = json.loads(line)
         if not (isinstance(found, dict) and found.get("kind") == "brick"):

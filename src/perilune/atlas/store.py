@@ -3,9 +3,9 @@
 ``atlas.json`` says what is mapped, over which region and how finely. A *shard* is one array in a file of NumPy's own
 format (``.npy``, a structured array that names its columns); it is written to the side and renamed, so that it is there
 whole or not at all. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of
-its shards and their SHA-256. A line is added by one write, after the shards that it names. So a kill at any moment
-costs the bricks that were being computed; several builders may work on one directory, each on bricks that it has
-locked; and a reader sees what is in the manifest when it looks.
+its shards and their SHA-256, and a checksum of its own. A line is added by one write, after the shards that it names.
+So a kill at any moment costs the bricks that were being computed; several builders may work on one directory, each on
+bricks that it has locked; and a reader sees what is in the manifest when it looks.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.lines import read_line, refuse_no_brick, refuse_no_survey, told_of_damage
+from perilune.atlas.lines import read_line, refuse_no_brick, refuse_no_survey, told_of_damage, written_line
 from perilune.io.files import finite, json_text, refuse_name_of_file
 from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import tree
@@ -38,7 +38,7 @@ except ImportError:  # Windows: two builders may compute the same brick there
     fcntl = None
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
-FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 5}
+FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 6}
 CHECKSUM = "sha256"  # of all else in the header
 _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
 _ANEW = "build the atlas anew: perilune atlas build ... --force"
@@ -166,7 +166,7 @@ class Store:
                 self._lines.append(found)
                 if found.get("kind") == "brick":
                     self._names.add(str(found.get("name")))
-            elif line.count(b"{") == line.count(b"}") and line.strip():  # else a writer was killed in the middle of it
+            elif line.rstrip().endswith(b"}"):  # else a writer was killed in the middle of it
                 self.unreadable += 1
         return self._lines
 
@@ -228,7 +228,7 @@ class Store:
         PeriluneError
             If there is no space left.
         """
-        content = (json.dumps(finite(dict(line)), allow_nan=False) + "\n").encode()
+        content = (written_line(line) + "\n").encode()
         try:
             handle = os.open(self.directory / MANIFEST, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
             try:
@@ -247,8 +247,7 @@ class Store:
 
     def write_lines(self, lines: Iterable[Mapping[str, Any]]) -> None:
         """Write the whole manifest at once, in the place of one that is there."""
-        text = "".join(json.dumps(finite(dict(line)), allow_nan=False) + "\n" for line in lines)
-        self._put(MANIFEST, text.encode())
+        self._put(MANIFEST, "".join(written_line(line) + "\n" for line in lines).encode())
 
     def has(self, name: str, said: Mapping[str, Any]) -> bool:
         """Whether a shard of a name is there, and has the content that is said of another."""
