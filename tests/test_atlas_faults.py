@@ -22,7 +22,7 @@ from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.atlas import building, extending, merging, read
 from perilune.atlas.extending import extend
-from perilune.atlas.lines import written_line
+from perilune.atlas.lines import read_line, written_line
 from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
@@ -61,6 +61,12 @@ def test_a_refused_build_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(PeriluneError, match="nothing to map"):
         build(cho_landing(), weak, tmp_path / "empty")
     assert (tmp_path / "empty").is_dir() and not snapshot(tmp_path / "empty")
+
+
+def test_a_range_in_which_numbers_are_one_is_too_narrow(tmp_path: Path) -> None:
+    with pytest.raises(PeriluneError, match=r"the range of vehicle\.thrust is too narrow"):
+        build(cho_landing(), {"vehicle.thrust": (430.0, 430.0000000000001)}, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
 
 
 def test_an_atlas_is_replaced_only_by_one_that_can_be_made(copy: Path) -> None:
@@ -348,6 +354,42 @@ def test_lines_that_cannot_be_read_any_more_are_named(copy: Path) -> None:
     (copy / MANIFEST).write_bytes(b"".join([lines[0], lines[1][:90] + b"\n", broken, *lines[2:]]))
     found = verify_atlas(open_atlas(copy), 0)
     assert not found.passed and len(found.damaged) == 1 and found.damaged[0].startswith("1 line of manifest.jsonl")
+
+
+def test_a_line_of_which_one_bit_has_changed_says_nothing(copy: Path) -> None:
+    """Edges of bricks that had moved led points into cells of others: wrong answers, each with its proof."""
+    lines = (copy / MANIFEST).read_bytes().splitlines(keepends=True)
+    edges = {**json.loads(lines[0]), "edges": [{"first": 0, "at": [425.0, 450.0]}]}
+    whole = (written_line(edges) + "\n").encode()
+    for place in range(len(whole) - 2):  # a line without its end is one of a builder that was killed
+        for bit in (1, 16):
+            broken = whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :]
+            if b"\n" not in broken[:-1] and b"\r" not in broken:
+                assert read_line(broken.strip()) is None, broken
+    assert read_line(whole.strip()) == {name: value for name, value in edges.items() if name != "crc32"}
+
+
+def test_a_brick_that_is_lost_is_named_and_nothing_answers_in_its_place(built: Path, copy: Path) -> None:
+    """Also where another sheet of the place is there: what is left need not be the best."""
+    lines = (copy / MANIFEST).read_bytes().splitlines(keepends=True)
+    lost = next(json.loads(line) for line in lines if json.loads(line)["kind"] == "brick")
+    (copy / MANIFEST).write_bytes(b"".join(line for line in lines if json.loads(line).get("name") != lost["name"]))
+    atlas = open_atlas(copy)
+    low, high = atlas.region.box(tuple(lost["brick"]))
+    middle = 0.5 * (low + high)
+    assert open_atlas(built).query_many(middle[None]).good.all()
+    assert atlas.unbuilt == {(lost["chart"], *lost["brick"])}
+    assert atlas.query_many(middle[None]).answered[0] == Answered.NOT_BUILT
+    with pytest.raises(PeriluneError, match="not built yet"):
+        atlas.query(**dict(zip(atlas.region.names, middle.tolist(), strict=True)))
+    assert "1 brick is not there" in str(verify_atlas(atlas, 0))
+    extend(copy, {}, sample=0)
+    again = open_atlas(copy)
+    assert not again.unbuilt and again.query_many(middle[None]).good.all()
+    vars(again)["unbuilt"] = {(1, *lost["brick"])}  # of another chart
+    assert again.query_many(middle[None]).answered[0] == Answered.NOT_BUILT
+    with pytest.raises(PeriluneError, match="not built yet"):
+        again.query(**dict(zip(atlas.region.names, middle.tolist(), strict=True)))
 
 
 def test_a_damaged_shard_of_the_survey_is_found(copy: Path) -> None:

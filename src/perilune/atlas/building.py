@@ -23,7 +23,7 @@ from perilune.atlas.flooding import Key
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, refuse_moving_ranges, region_of
 from perilune.atlas.sampling import demand_count, sampled, thin_ones
-from perilune.atlas.store import MANIFEST, Store, clear, digest_of
+from perilune.atlas.store import MANIFEST, PATIENCE, Store, clear, digest_of
 from perilune.atlas.survey import Found, Survey, said_of, seeds
 from perilune.atlas.tasks import Task, computed, first_tasks, prepared, tasks_going_on
 from perilune.families.elsewhere import Call, Submits, answers, begin_processes, here, told_of_loss
@@ -39,7 +39,6 @@ from perilune.words.watch import Watch, silent
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
 _ROUNDS = 8  # of going on from bricks into their neighbours, at most
 _AHEAD = 200  # bricks at work, each with a file that is open
-_PATIENCE = 0.2  # seconds between looks at what another builder does
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
 
@@ -174,7 +173,7 @@ def _complete(
         known = len(there)
         there = _written(kept, region, survey)
         if len(there) == known and not there.keys() >= named.keys():
-            time.sleep(_PATIENCE)  # what is missing is at work elsewhere; who dies there lets go of it
+            time.sleep(PATIENCE)  # what is missing is at work elsewhere; who dies there lets go of it
 
 
 def _written(kept: Store, region: Region, survey: Mapping[str, Any]) -> dict[str, int]:
@@ -238,7 +237,7 @@ def _surveyed(
     while anew or (known := kept.survey()) is None:
         with kept.claimed("survey") as ours:
             if not ours:
-                time.sleep(_PATIENCE)
+                time.sleep(PATIENCE)
             elif anew or kept.survey() is None:
                 try:
                     begin_processes(executor, (prepared, problem, region.names, region.high - region.low))

@@ -86,6 +86,12 @@ def widths_of(chart: Mapping[str, Any], region: Region) -> Vector:
     return np.array(chart.get("widths", region.high - region.low), dtype=float)
 
 
+def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
+    """Numbers of the bricks that a chart may have."""
+    without = {tuple(place) for place in chart.get("without", ())}
+    return [brick for brick in region.bricks if brick not in without]
+
+
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
     """The sheets that the survey's line lists for a chart."""
     return tuple(

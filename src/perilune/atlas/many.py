@@ -219,7 +219,7 @@ class _Work:
         damaged = self._where(some, lambda place: bool(atlas.damage(place)))
         self.answered[some[found]] = Answered.YES
         self.answered[some[doubtful]] = Answered.ENDS
-        self.answered[some[damaged | (~found & self._where(some, atlas.missing))]] = Answered.NOT_BUILT
+        self.answered[some[damaged | self._where(some, atlas.missing)]] = Answered.NOT_BUILT
         self.answered[some[~self.allowed[some]]] = Answered.IMPOSSIBLE
 
     def _doubted(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import cached_property
 from numbers import Integral
 from pathlib import Path
@@ -18,6 +19,7 @@ from perilune.atlas.columns import (
     header_problem,
     header_region,
     node_type,
+    places_of,
     seed_type,
     survey_region,
 )
@@ -174,7 +176,7 @@ class Reader:
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
         self._boxes: dict[tuple[int, ...], tuple[Vector, Vector, Vector]] = {}
-        for name in ("allowed", "charted", "descents", "_surveyed"):
+        for name in ("allowed", "charted", "descents", "unbuilt"):
             self.__dict__.pop(name, None)
 
     @cached_property
@@ -228,23 +230,28 @@ class Reader:
 
     @called_in_words
     def missing(self, brick: tuple[int, ...]) -> bool:
-        """Whether the survey has a sheet for a place of which no brick is there, or is not there itself."""
+        """Whether the survey has a sheet for a place whose brick is not there, or is not there itself.
+
+        What is there then need not be the best.
+        """
         place = self._place(brick)
-        if not self.survey["charts"]:
-            return True
-        here = [(number, *place) for number in range(len(self.survey["charts"]))]
-        return not any(key in self.said for key in here) and any(key in self._surveyed for key in here)
+        return not self.survey["charts"] or (bool(self.unbuilt) and place in {key[1:] for key in self.unbuilt})
 
     @cached_property
-    def _surveyed(self) -> set[tuple[int, ...]]:
-        """Bricks at whose corners the survey has a sheet, by chart and numbers."""
+    def unbuilt(self) -> set[tuple[int, ...]]:
+        """Bricks at whose corners the survey has a sheet and that are not there, by chart and numbers.
+
+        Where a shard of the survey is damaged nobody knows them: `verify_atlas` names it.
+        """
         d, found = len(self.region.axes), set[tuple[int, ...]]()
         for number, chart in enumerate(self.survey["charts"]):
-            rows = self.store.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
-            within = rows["place"].any(axis=1)
-            beside = (rows["corner"][~within][:, None] - bits(d)[None]).reshape(-1, d)
-            found |= {(number, *place) for place in np.vstack([beside, rows["corner"][within]]).tolist()}
-        return found
+            with suppress(PeriluneError):
+                rows = self.store.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+                within = rows["place"].any(axis=1)
+                beside = (rows["corner"][~within][:, None] - bits(d)[None]).reshape(-1, d)
+                there = set(map(tuple, np.vstack([beside, rows["corner"][within]]).tolist()))
+                found |= {(number, *place) for place in there.intersection(places_of(self.region, chart))}
+        return found - self.said.keys()
 
     @called_in_words
     def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:

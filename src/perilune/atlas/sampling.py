@@ -11,6 +11,7 @@ wrong there would seldom be met by a draw among all.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +24,7 @@ from perilune.atlas.mapped import Mapped
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import MANIFEST, Store
+from perilune.atlas.store import MANIFEST, PATIENCE, Store
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -220,25 +221,32 @@ def sampled(
     watch: Watch,
     problem_from_scenario: Callable[[str], Problem] | None = None,
 ) -> None:
-    """Draw the sample of an atlas that is complete, as far as it was not yet; it is kept in the manifest."""
+    """Draw the sample of an atlas that is complete, as far as it was not yet; it is kept in the manifest.
+
+    Where another builder draws it is waited for, who may want fewer, or die.
+    """
     if count == 0:
         return
     atlas = open_atlas(kept.directory, problem_from_scenario)
     nodes = _nodes(atlas)
     count = min(USUAL, 1 + nodes // _ONE_OF) if count is None else count
-    with kept.claimed("sample") as ours:
-        asked = sum(line["asked"] for line in sample_lines(atlas))
-        if ours and count > asked and atlas.said:
-            rng = np.random.default_rng()  # another each time, so that nobody can choose what is looked at
-            refused = Refused()
-            drawn = certified(drawn_at_random(atlas, count - asked, rng, refused), executor, watch)
-            thin = certified(drawn_thin(atlas, count - asked, rng), executor, watch)
-            said = {"survey": atlas.survey["digest"], "nodes": nodes, "asked": count - asked, "level": LEVEL}
-            said["refused"] = len(refused)
-            proofs = {"drawn": [vars(one) for one in drawn], "thin": [vars(one) for one in thin]}
-            kept.add({"kind": "sample", **said, **proofs})
-        if ours:
-            kept.settled("sample")
+    while atlas.said and count > sum(line["asked"] for line in sample_lines(atlas)):
+        with kept.claimed("sample") as ours:
+            missing = count - sum(line["asked"] for line in sample_lines(atlas))
+            if ours and missing > 0:
+                rng = np.random.default_rng()  # another each time, so that nobody can choose what is looked at
+                refused = Refused()
+                drawn = certified(drawn_at_random(atlas, missing, rng, refused), executor, watch)
+                thin = certified(drawn_thin(atlas, missing, rng), executor, watch)
+                said = {"survey": atlas.survey["digest"], "nodes": nodes, "asked": missing, "level": LEVEL}
+                said["refused"] = len(refused)
+                proofs = {"drawn": [vars(one) for one in drawn], "thin": [vars(one) for one in thin]}
+                kept.add({"kind": "sample", **said, **proofs})
+            if ours:
+                kept.settled("sample")
+                return
+        watch("another builder draws the sample that is proved")
+        time.sleep(PATIENCE)
 
 
 def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:

@@ -39,6 +39,7 @@ except ImportError:  # Windows: two builders may compute the same brick there
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
 FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 6}
+PATIENCE = 0.2  # seconds between looks at what another builder does
 CHECKSUM = "sha256"  # of all else in the header
 _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
 _ANEW = "build the atlas anew: perilune atlas build ... --force"
@@ -390,7 +391,9 @@ def _unreadable(name: str, error: OSError) -> PeriluneError:
 
 
 def _damaged(name: str, got: str) -> PeriluneError:
+    again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
+    if name.startswith("survey-"):  # without its line nobody knows where sheets are
+        again = "remove its line from manifest.jsonl, and give the order that built it again: atlas build ... --resume"
     return PeriluneError(
-        f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written",
-        advice="the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again",
-    )  # fmt: skip
+        f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written", advice=again
+    )

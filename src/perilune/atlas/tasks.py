@@ -17,7 +17,7 @@ from perilune.atlas.branches import ANSWERING, covered
 from perilune.atlas.brick import Brick
 from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, leaves_of, some
 from perilune.atlas.chart import Chart
-from perilune.atlas.columns import cell_type, node_type, seed_type, sheets_of, widths_of
+from perilune.atlas.columns import cell_type, node_type, places_of, seed_type, sheets_of, widths_of
 from perilune.atlas.course import Course, course_from
 from perilune.atlas.flooding import Key, Shards, spilled
 from perilune.atlas.hermite import bits
@@ -128,7 +128,7 @@ def first_tasks(
         within = np.any(known["place"], axis=1).tolist()
         for row, corner in enumerate(known["corner"].tolist()):
             (inside if within[row] else at).setdefault(tuple(corner), []).append(row)
-        for brick in _places(region, chart):
+        for brick in places_of(region, chart):
             beside = [tuple((np.array(brick) + side).tolist()) for side in bits(d)]
             rows = [row for corner in beside for row in at.get(corner, ())] + inside.get(brick, [])
             here = np.sort(rows).astype(np.int64)
@@ -158,7 +158,7 @@ def tasks_going_on(
         scale = _tools(problem, region.names, widths, course_from(chart), tuple(chart["times"]))[0].scale
         return _passed_over(_cut_of(*known, len(chart["sheets"])), (high - low) / scale / WHOLE, sheets[key[0]], nodes)
 
-    keys = [(number, *brick) for number, chart in enumerate(charts) for brick in _places(region, chart)]
+    keys = [(number, *brick) for number, chart in enumerate(charts) for brick in places_of(region, chart)]
     sheets = [sheets_of(chart) for chart in charts]
     for key, nodes in spilled(keys, shards, sheets.__getitem__, passed_over):
         seeds = nodes["sheet"].astype(np.int64), nodes["place"].astype(np.int64), nodes["terms"][:, 0, :-1]
@@ -178,12 +178,6 @@ def _passed_over(before: Cut, step: Vector, sheets: Sequence[Sheet], found: Any)
         alike = [branch for branch, own in enumerate(before.own) if sheets[own].alike(sheets[sheet])]
         out[here] = ~covered(sided, nodes, step, alike, place[here], found["terms"][here, 0, :-1])
     return out
-
-
-def _places(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
-    """Numbers of the bricks that a chart may have."""
-    without = {tuple(place) for place in chart.get("without", ())}
-    return [brick for brick in region.bricks if brick not in without]
 
 
 def _task(

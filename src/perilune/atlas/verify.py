@@ -42,6 +42,8 @@ class Verified:
         How many of the drawn answers are proved to level 3.
     unproved
         Which were not, and why, in sentences.
+    unbuilt
+        How many bricks are not there: of them nothing is said.
     refused
         How many places were drawn beside these at which a query has no answer: of them nothing is said.
     refusals
@@ -55,6 +57,7 @@ class Verified:
     proved: int
     drawn: int
     unproved: tuple[str, ...]
+    unbuilt: int
     refused: int
     refusals: tuple[str, ...]
 
@@ -74,6 +77,7 @@ class Verified:
     def __str__(self) -> str:
         lines = [
             f"{self.shards} shards, {len(self.damaged)} damaged; {self.nodes} nodes, {self.answers} of them answers",
+            *([_unbuilt_text(self.unbuilt)] if self.unbuilt else []),
             proved_text(self.proved, self.drawn),
             *refused_text(self.refused, self.drawn),
         ]
@@ -129,6 +133,11 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
     unproved = tuple(unproved_text(atlas, one) for one in found if not one.proved)
     return Verified(
         shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
-        drawn=len(found), unproved=unproved, refused=len(refused),
+        drawn=len(found), unproved=unproved, unbuilt=len(atlas.unbuilt), refused=len(refused),
         refusals=tuple(f"at {atlas.region.told(at)}: {why}" for at, why in list(refused.items())[:_TOLD]),
     )  # fmt: skip
+
+
+def _unbuilt_text(count: int) -> str:
+    bricks = "1 brick is" if count == 1 else f"{count} bricks are"
+    return f"{bricks} not there, or not yet: perilune atlas extend DIR builds what is missing"
