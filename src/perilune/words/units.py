@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from numbers import Real
+from typing import Any
 
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand
 from perilune.words.outcome import PeriluneError
 
 Dimension = tuple[float, float, float, float]  # exponents of length, time, mass, temperature; halves are exact
@@ -111,6 +112,25 @@ def _powers(text: str) -> Iterator[tuple[str, float]]:
                 advice='write for example "km", "m/s", "km^3/s^2" or "rad/s"',
             )
         yield match.group(1), float(match.group(2) or 1) * (1 if operator == "*" else -1)
+
+
+def demand_si_unit(text: Any, what: str) -> None:
+    """Refuse a unit that is not SI: inside, one that would scale a number is a mistake waiting to happen.
+
+    Raises
+    ------
+    PeriluneError
+        Named by `what` it is the unit of.
+    """
+    demand(text, str, f"the unit of {what}", 'write for example "m/s"')
+    factor, dimension = unit(text)
+    if factor != 1.0:
+        raise PeriluneError(
+            f"inside a problem numbers are in SI: {what}",
+            got=f"the unit {text!r}",
+            expected=repr(dimension_text(dimension)),
+            advice="convert the number, or read it with units.parse_quantity",
+        )
 
 
 def dimension_text(dimension: Dimension) -> str:
