@@ -130,7 +130,9 @@ def demand_row(values: Any, what: str, *kinds: Any) -> None:
         raise refused(values, f"({named}, ...)", f"a row of {what}", "a row of one ends with a comma: (one,)")
     for value in values:
         if not isinstance(value, kinds):
-            raise refused(value, named, f"{_article(one)} {one}")
+            by_name = isinstance(value, str) and kinds[-1] not in _SPOKEN
+            advice = f"{kinds[-1].__name__}(name={_shown(value)}, ...)" if by_name else ""
+            raise refused(value, named, f"{_article(one)} {one}", advice)
 
 
 def demand_records(*pairs: tuple[Any, type]) -> None:
