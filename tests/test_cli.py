@@ -262,6 +262,7 @@ def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None
     told = capsys.readouterr().out
     assert "cannot hover" in told
     assert "at ignition: 0.903772 (at least 1)" in told
+    assert "perilune altitude: 15 km (at most 347.628 km)" in told
 
 
 def test_sweep_reports_what_is_impossible_and_goes_on(

@@ -119,7 +119,7 @@ def test_a_fall_is_not_refused_for_what_only_a_burn_cannot() -> None:
         return load_file(EXAMPLES / "precision_landing.toml", pairs).problem
 
     hovers = [f.name for f in preflight(stated(throttle__lower="0.85")) if f.verdict == "impossible"]
-    assert hovers == ["speed of descent against the lift of the throttle floor"]
+    assert hovers == ["speed of descent that reaches the site with the throttle at its floor"]
     refuse_impossible(preflight(stated(throttle__lower="0.85", approach__longest_coast="60 s")))
     far = ["vehicle.dry_mass=9 t", "site.latitude=-20 deg"]
     polar = EXAMPLES / "polar_descent.toml"

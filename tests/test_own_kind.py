@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -103,6 +103,17 @@ from perilune.models import Section
 """
 
 
+@pytest.fixture
+def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], object]]:
+    """What installs for this process a package whose kind K is made by a text."""
+    installed(tmp_path, "bad_kind:K")
+    for place in (tmp_path, PLACE):
+        monkeypatch.syspath_prepend(place)
+    monkeypatch.delitem(sys.modules, "bad_kind", raising=False)
+    yield lambda text: (tmp_path / "bad_kind.py").write_text(_DECLARED + text, encoding="utf-8")
+    KINDS.pop("lunar_hop", None)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -111,42 +122,55 @@ from perilune.models import Section
         ("K = replace(LUNAR_HOP, sections={**LUNAR_HOP.sections, 'hop': int})", "cannot be loaded.*what a file has"),
         ("K = replace(LUNAR_HOP, sections={'hop': Section(record=int)})", "cannot be loaded.*stated by a record"),
         ("K = replace(LUNAR_HOP, sections={'hop': LUNAR_HOP.sections['hop']})", "cannot be loaded.*problem, which"),
+        ("K = replace(LUNAR_HOP, example=None)", "cannot be loaded.*what the example of the kind lunar_hop can be"),
+        ("K = replace(LUNAR_HOP, example={'nosuch': 3})", "cannot be loaded.*bad_kind:K of .*example.*'nosuch'"),
         ("K = replace(LUNAR_HOP, make=lambda **records: 1 / 0)", "lunar_hop fails.*bad_kind:K of .*ZeroDivision"),
         ("K = replace(LUNAR_HOP, make=lambda problem: None)", "lunar_hop fails.*unexpected keyword"),
         ("K = replace(LUNAR_HOP, make=lambda **records: None)", "makes no problem.*NoneType"),
     ],
 )
-def test_a_fault_of_a_package_is_named_as_its_own(
-    text: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_fault_of_a_package_is_named_as_its_own(text: str, words: str, brought: Callable[[str], object]) -> None:
+    brought(text)
+    with pytest.raises(PeriluneError, match=f"(?s){words}"):
+        load_file(PLACE / "hop.toml")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("hopper.mass", "2 m", "hopper.mass - the unit has the wrong dimension"),
+        ("hopper.mass", "-2 kg", "hopper.mass must be positive"),
+        ("proof.time", "2 kg", "proof.time - the unit has the wrong dimension"),
+        ("hop.distance", 'a "hop"', "not valid TOML"),
+    ],
+)
+def test_an_example_that_is_no_scenario_is_the_fault_of_its_package(
+    key: str, value: str, words: str, brought: Callable[[str], object], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    installed(tmp_path, "bad_kind:K")
-    (tmp_path / "bad_kind.py").write_text(_DECLARED + text, encoding="utf-8")
-    for place in (tmp_path, PLACE):
-        monkeypatch.syspath_prepend(place)
-    monkeypatch.delitem(sys.modules, "bad_kind", raising=False)
-    try:
-        with pytest.raises(PeriluneError, match=f"(?s){words}"):
-            load_file(PLACE / "hop.toml")
-    finally:
-        KINDS.pop("lunar_hop", None)
+    brought(f"K = replace(LUNAR_HOP, example={{**LUNAR_HOP.example, {key!r}: {value!r}}})")
+    assert run(["new", "lunar_hop"]) == 2
+    said = capsys.readouterr()
+    assert not said.out and words in said.err
+    assert "the example of the kind of problem lunar_hop is no scenario" in said.err and "bad_kind:K of" in said.err
+
+
+@pytest.mark.usefixtures("at_hand")
+def test_help_names_the_kinds_of_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    for asked in (["new", "--help"], ["help", "new"], ["new", "-h"]):
+        assert run(asked) == 0
+        assert "lunar_hop" in capsys.readouterr().out
+    assert "lunar_hop" not in KINDS  # nothing of a package is loaded for it
 
 
 def test_its_author_is_shown_where_it_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    brought: Callable[[str], object], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    installed(tmp_path, "bad_kind:K")
-    (tmp_path / "bad_kind.py").write_text(_DECLARED + "K = replace(LUNAR_HOP, make=lambda **records: 1 / 0)")
-    for place in (tmp_path, PLACE):
-        monkeypatch.syspath_prepend(place)
-    monkeypatch.delitem(sys.modules, "bad_kind", raising=False)
-    try:
-        assert run(["check", str(PLACE / "hop.toml")]) == 2
-        assert "PERILUNE_TRACEBACK=1" in (said := capsys.readouterr().err) and "Traceback" not in said
-        monkeypatch.setenv("PERILUNE_TRACEBACK", "1")
-        assert run(["check", str(PLACE / "hop.toml")]) == 2
-        assert "1 / 0" in (said := capsys.readouterr().err) and "perilune: the kind of problem lunar_hop fails" in said
-    finally:
-        KINDS.pop("lunar_hop", None)
+    brought("K = replace(LUNAR_HOP, make=lambda **records: 1 / 0)")
+    assert run(["check", str(PLACE / "hop.toml")]) == 2
+    assert "PERILUNE_TRACEBACK=1" in (said := capsys.readouterr().err) and "Traceback" not in said
+    monkeypatch.setenv("PERILUNE_TRACEBACK", "1")
+    assert run(["check", str(PLACE / "hop.toml")]) == 2
+    assert "1 / 0" in (said := capsys.readouterr().err) and "perilune: the kind of problem lunar_hop fails" in said
 
 
 def test_two_packages_of_one_kind_are_both_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

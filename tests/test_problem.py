@@ -163,7 +163,7 @@ def test_wrong_number_of_rates() -> None:
             {"free": (Free(name="push", unit="m/s^2"), Free(name="time", unit="s"))},
             "given and free at once: *|got: push",
         ),
-        ({"given": {"push": Given(value=float("nan"), unit="m/s^2")}}, "value of push is not finite"),
+        ({"given": {"push": Given(value=float("inf"), unit="m/s^2")}}, "value of push is not finite"),
         ({"free": (Free(name="time", unit="s", lower=2.0, upper=1.0),)}, "bounds of time are empty"),
         ({"free": (Free(name="tme", unit="s"),)}, "did you mean 'tme'"),
     ],

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import pickle
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from perilune.scenario import load_file
 from perilune.words.outcome import PeriluneError
 
 LANDING = cho_landing()
+FREE, (DESCENT,) = LANDING.free[0], LANDING.phases
 VEHICLE = Vehicle(mass=300.0, thrust=440.0, specific_impulse=310.0)
 ORBIT = Orbit(parking_altitude=100e3, perilune_altitude=15e3)
 # As who types it without a type checker.
@@ -132,6 +134,51 @@ load_any: Any = load_file
          ("not a row of phases", "Phase")),
         (lambda: Loose.Problem(name="p", phases=("descent",), start=None, objective=None),
          ("not a phase", "'descent'")),
+        (lambda: replace(LOOSE, given={**LANDING.given, "vehicle_mass": 300.0}),
+         ("not what is given of vehicle_mass", "300.0", "Given", 'write pl.Given(value=300.0, unit="m/s")')),
+        (lambda: replace(LOOSE, given=None), ("not what given of a problem can be", "None", "Mapping", "pl.Given(")),
+        (lambda: replace(LOOSE, given={3: LANDING.given["vehicle_mass"]}), ("name of a given parameter", "3")),
+        (lambda: replace(LOOSE, free=None), ("not a row of free parameters", "None", "(Free(...), ...)")),
+        (lambda: replace(LOOSE, free=("T",)), ("not a free parameter", "'T'", "Free(...)", "try: Free(name='T', ...)")),
+        (lambda: replace(LOOSE, free=FREE), ("not a row of free parameters", "Free", "ends with a comma")),
+        (lambda: replace(LOOSE, links=3), ("not a row of links", "3", "(a function, ...)")),
+        (lambda: replace(LOOSE, phases=2 * LANDING.phases, links=("x",)), ("not a link", "'x'", "a function")),
+        (lambda: replace(LOOSE, scales=None), ("not what scales of a problem", "None", "Scales", "leave it out")),
+        (lambda: replace(LOOSE, scales=3), ("not what scales of a problem can be", "3", "Scales")),
+        (lambda: replace(LOOSE, views=3), ("not what views of a problem can be", "3", "Views")),
+        (lambda: replace(LOOSE, ranges=3), ("not what ranges of a problem can be", "3", "a function, or None")),
+        (lambda: replace(LOOSE, declared=("x",)), ("not what declares numbers", "'x'", "@record")),
+        (lambda: replace(LOOSE, result_variables=("x",)), ("not a result variable", "'x'")),
+        (lambda: replace(DESCENT, states=cast("Any", None)), ("not a row of states", "None", "(Variable(...), ...)")),
+        (lambda: replace(DESCENT, states=cast("Any", ("x",))), ("not a state", "'x'", "Variable(...)")),
+        (lambda: replace(DESCENT, controls=cast("Any", None)), ("a row of controls", "Direction(...) or Bounded(...)")),
+        (lambda: replace(DESCENT, controls=cast("Any", ("thrust",))), ("not a control", "try: Bounded(name='thrust',")),
+        (lambda: replace(DESCENT, end_conditions=cast("Any", None)), ("not a row of end conditions", "None")),
+        (lambda: replace(DESCENT, path_conditions=cast("Any", ("x",))), ("not a path condition", "'x'")),
+        *((lambda make=make, unit=unit: make(unit), ("not the unit of", repr(unit), "a text", '"m/s"'))
+          for unit in (3, [], None)
+          for make in (lambda unit: Loose.Variable(name="a", unit=unit), lambda unit: Loose.Given(value=1.0, unit=unit),
+                       lambda unit: Loose.Free(name="a", unit=unit), lambda unit: Loose.Bounded(name="a", unit=unit))),
+        (lambda: Loose.Free(name=3), ("not the name of a free parameter", "3")),
+        (lambda: pl.Bounded(name="thrust", unit="kN"), ("numbers are in SI: thrust", "'kN'")),
+        (lambda: pl.Bounded(name="a", lower=math.nan), ("not the lower bound of a", "nan", "a number in SI")),
+        (lambda: pl.Variable(name="a", upper=math.nan), ("not the upper bound of a", "nan")),
+        (lambda: pl.Free(name="a", lower=math.nan), ("not the lower bound of a", "nan")),
+        (lambda: pl.Free(name="a", typical=math.nan), ("not the typical value of a", "nan")),
+        (lambda: pl.Given(value=math.nan), ("not a given value", "nan")),
+        (lambda: LANDING.with_given(vehicle_thrust=math.nan), ("not a value of vehicle_thrust", "nan")),
+        *((lambda called=called: getattr(Loose, called)(3), (f"{called} takes none of its values without",))
+          for called in ("Check", "Curve", "Extremal", "Family", "FamilyPoint", "Finding", "NamedArc", "Result",
+                         "Solution", "Statistics", "Trajectory", "Verification")),
+        (lambda: Loose.Curve(), ("Curve needs time, values, rates",)),
+        (lambda: Loose.NamedArc(), ("NamedArc needs phase, begin, end, words",)),
+        (lambda: Loose.views.Space(body=3), ("not what body of Space can be", "3", "a text")),
+        (lambda: Loose.views.Space(epoch=3), ("not what epoch of Space can be", "3", "a text")),
+        (lambda: Loose.views.Space(chosen=3), ("not what chosen of Space can be", "3", "a text")),
+        (lambda: Loose.views.Space(epoch="nope"), ("the epoch is no time", "'nope'", "ISO 8601")),
+        (lambda: Loose.Views(space=3), ("not what space of Views can be", "3", "Space", "or None")),
+        (lambda: Loose.Views(histories=3), ("not a row of figures", "3", "History(...)")),
+        (lambda: Loose.Views(height=3), ("not what height of Views can be", "3", "a text")),
         (lambda: replace(LANDING, name=" "), ("a name of one line", "' '", 'as "landing"')),
         (lambda: replace(LANDING, name="a\nb"), ("a name of one line", "'a\\nb'")),
         (lambda: LOOSE.size_of("r"), ("not a state, condition", "'r'", "problem.phases[0].states[0]")),

@@ -67,7 +67,7 @@ def test_the_best_of_those_that_miss_is_named() -> None:
     error = refusal(known(NotConvergedError(NEAREST, partial=partial)), [WIDE, LOW])
     assert isinstance(error, InfeasibleError) and error.exit_code == 3
     assert error.what == "the best of 2 found misses height by 3 m" and partial["missed"][0] in error.got
-    assert error.reason == "the best of n found misses it" and error.reason in str(error)
+    assert error.reason == "the best found misses it" and error.reason in str(error)
     assert error.partial == {**partial, "tried": ["costates on the unit sphere: 2 extremals"]}
     undecided = refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
     assert isinstance(undecided, NotConvergedError) and "not settled" in undecided.what
@@ -179,7 +179,7 @@ def test_what_must_land_is_more_than_the_best_that_lands(dry: float, missed: flo
     )
     with pytest.raises(InfeasibleError, match=rf"the best of 3 found misses m by {missed:g} kg") as caught:
         solve(heavy)
-    assert caught.value.reason == "the best of n found misses it" and caught.value.exit_code == 3
+    assert caught.value.reason == "the best found misses it" and caught.value.exit_code == 3
 
 
 def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_a_change_may_add_a_section() -> None:
         ("vehicle.Thrust=3 N", "no key of this name in [vehicle]", "'thrust'"),
         ("vehicel.thrust=3 N", "no section of this name", "'vehicle'"),
         ("vehicle.mass=300", "vehicle.mass - this is not a quantity", "quotes"),
-        ("vehicle.mass=nan kg", "vehicle.mass - this is not a quantity", ""),
+        ("vehicle.mass=nan kg", "vehicle.mass - the value is not finite", "ordinary size"),
         ("vehicle.mass=-300 kg", "vehicle.mass is out of range", ""),
         ("vehicle.mass=0 kg", "vehicle.mass is out of range", ""),
         ("vehicle.mass=300 stone", "vehicle.mass - this is not a unit", ""),
@@ -191,6 +191,10 @@ def test_a_change_may_add_a_section() -> None:
         ("orbit.parking_altitude=100 m", "lower than the terrain", "m in place of km"),
         ("landing.altitude=-2000 km", "deeper than any valley", "km in place of m"),
         ("vehicle.mass=1e999 kg", "not finite", "ordinary size"),
+        ("vehicle.mass=-inf kg", "not finite", "ordinary size"),
+        ("vehicle.mass=300 s", "wrong dimension", "write it in kg, or"),
+        ("landing.altitude=30 degrees", "not a unit", 'did you mean "deg"'),
+        ("vehicle.mass=300 stones", "not a unit", 'write for example "300 kg"'),
         ("vehicle.mass=" + "9" * 300 + " kg", "too long", "nothing else"),
         ("retro.delta_v=-1 m/s", "retro.delta_v is out of range", ""),
         ("thrust=3 N", "this is not a change", "vehicle.thrust"),
@@ -362,7 +366,7 @@ def test_the_range_of_a_sweep() -> None:
 @pytest.mark.parametrize(
     ("key", "text", "what"),
     [
-        ("retro.delta_v", "nan:100:1 m/s", "retro.delta_v - this is not a quantity"),
+        ("retro.delta_v", "nan:100:1 m/s", "retro.delta_v - the value is not finite"),
         ("retro.delta_v", "0:100", "three parts"),
         ("retro.delta_v", "", "three parts"),
         ("retro.delta_v", "0:100:-50 m/s", "no end"),

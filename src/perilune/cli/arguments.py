@@ -50,7 +50,7 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
         words = [*words[1:2], "--help"]
     if words[:1] == ["new"]:  # of which argparse would not see the FILE in `new KIND --force FILE`
         words.sort(key=lambda word: word.startswith("-"))
-    parser, known = _parsers()
+    parser, known = _parsers(_kinds() if words[:1] == ["new"] and {"-h", "--help"} & {*words} else "")
     commands = list(dict.fromkeys(name.split()[0] for name in known))
     if words and not words[0].startswith("-") and words[0] not in commands:
         raise unknown_name("command", words[0], commands)
@@ -106,8 +106,15 @@ class _Version(argparse.Action):
         raise Told(f"perilune {__version__}")
 
 
-def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
-    """That of the whole program, and that of each command."""
+def _kinds() -> str:
+    """What `perilune new` can write, those of installed packages included: looked for only where it is asked."""
+    from perilune.scenario import kind_names
+
+    return f"{', '.join(kind_names())}; or examples. Usually hybrid_landing.".replace("%", "%%")
+
+
+def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
+    """That of the whole program, and that of each command; `kinds` are what help says there are of problems."""
     parser = _Parser(
         prog="perilune",
         description="Optimal finite-thrust landings, each with its proof.",
@@ -241,7 +248,6 @@ def _parsers() -> tuple[_Parser, dict[str, _Parser]]:
         FORCE,
         NO_CACHE,
     )
-    kinds = "hybrid_landing (unless given), powered_descent, precision_landing, deorbit_entry; or examples."
     place = "Where to write; if left out, a template to stdout, the examples of the manual to examples."
     command(
         "new",

@@ -17,6 +17,7 @@ from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
 from perilune.cli.stopping import advised, heed
 from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.words.units import told
 
 if TYPE_CHECKING:
     from perilune.problem.solution import Solution
@@ -117,8 +118,8 @@ def _check(typed: Namespace) -> Answer:
     ]
     lines = [problem.heading]
     for row in rows:
-        value = f"{row['value']:.6g} {row['unit']}".removesuffix(" 1")
-        lines.append(f"  {row['verdict']:10} {row['name']}: {value} ({row['relation']} {row['limit']:.6g})")
+        value, limit = (told(row[side], row["unit"]) for side in ("value", "limit"))
+        lines.append(f"  {row['verdict']:10} {row['name']}: {value} ({row['relation']} {limit})")
         lines += [f"             {row['meaning']}"] if row["meaning"] else []
     try:
         refuse_impossible(found)

@@ -11,7 +11,7 @@ import numpy as np
 
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.words.asked import refused
+from perilune.words.asked import called_in_words, refused
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import Outcome, PeriluneError, unknown_name
 from perilune.words.units import told_range
@@ -22,6 +22,7 @@ Over = Mapping[str, Sequence[float]] | Sequence[Mapping[str, float]]
 _FAILURES = {outcome.exit_code: outcome for outcome in (Outcome.NOT_CONVERGED, Outcome.INFEASIBLE, Outcome.REFUSED)}
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class FamilyPoint:
     """One member: the parameters' values in SI, the solution, or (`failure`, `message`) why there is none."""
@@ -65,6 +66,7 @@ def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint
     return FamilyPoint(values=values, solution=None, message=str(error), failure=_FAILURES[error.exit_code])
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Family:
     """Solutions along some parameters, in the order that was asked for.

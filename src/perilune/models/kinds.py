@@ -21,6 +21,7 @@ from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Retro, Throttle, Vehicle
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
+from perilune.words.asked import demand
 from perilune.words.declared import Key, keys_of, parameter_name, record
 from perilune.words.outcome import PeriluneError, UnknownKindError, unknown_name
 
@@ -103,6 +104,8 @@ class Kind:
     example
         Values that together are a problem worth solving, where they differ from the examples of the records; a key or
         a section that may be left out is shown in the template as one to be used if it is here.
+    package
+        Which package brings it, as is found where it is loaded; "" of perilune's own.
     """
 
     name: str
@@ -110,6 +113,7 @@ class Kind:
     sections: Mapping[str, Section]
     make: Callable[..., Problem]
     example: Mapping[str, str]
+    package: str = ""
 
     def __post_init__(self) -> None:
         """Refuse what no file could state."""
@@ -124,6 +128,11 @@ class Kind:
                 f"the sections of the kind {self.name} are not what a file has", got=", ".join(map(str, sections)),
                 expected=f"problem, which states the kind, among them, and {PROOF} not: every file may have that",
             )  # fmt: skip
+        demand(self.example, Mapping, f"what the example of the kind {self.name} can be", '{"section.key": "value"}')
+        known = [f"{name}.{key}" for name, section in self.in_file.items() for key in section.keys]
+        for key in self.example:
+            if key not in known:
+                raise unknown_name(f"key, which the example of the kind {self.name} has,", key, known)
 
     @property
     def in_file(self) -> Mapping[str, Section]:
@@ -333,11 +342,11 @@ def kind_named(name: str) -> Kind:
         found = entry.load()
     except (Exception, SystemExit) as error:
         raise PeriluneError(
-            f"the kind of problem {name} cannot be loaded", got=f"{package}: {_in_a_line(error)}"
+            f"the kind of problem {name} cannot be loaded", got=f"{package}: {in_a_line(error)}"
         ) from error
     if not isinstance(found, Kind) or found.name != name:
         raise PeriluneError(f"what {package} brings is no kind of problem", expected=f"Kind(name={name!r}, ...)")
-    found = replace(found, make=_of_package(found, package))
+    found = replace(found, make=_of_package(found, package), package=package)
     KINDS[name] = found  # its keys are known like those of the others from now on
     _keys.cache_clear()
     return found
@@ -347,7 +356,8 @@ def _told(entry: EntryPoint) -> str:
     return f"{entry.value} of {entry.dist.name if entry.dist is not None else 'a package'}"
 
 
-def _in_a_line(error: BaseException) -> str:
+def in_a_line(error: BaseException) -> str:
+    """What an error of a package says, to be told as a part of what is wrong with the package."""
     return f"{type(error).__name__}: {'; '.join(map(str.strip, str(error).splitlines()))}"[:300]
 
 
@@ -362,7 +372,7 @@ def _of_package(kind: Kind, package: str) -> Callable[..., Problem]:
             raise
         except Exception as error:
             raise PeriluneError(
-                f"the kind of problem {kind.name} fails", got=f"{package}: {_in_a_line(error)}",
+                f"the kind of problem {kind.name} fails", got=f"{package}: {in_a_line(error)}",
                 advice="it is called with the record of each section by its name; PERILUNE_TRACEBACK=1 shows where",
             ) from error  # fmt: skip
         if not isinstance(made, Problem):

@@ -158,7 +158,7 @@ def _throttle_floor(p: Any, m: Any) -> Finding:
     weight = -without_thrust(_on_vertical(0.0), (0.0, 0.0, 0.0), p, m)[2]
     lift = p.throttle_lower * p.vehicle_thrust * m.cos(p.corridor_tilt) / p.vehicle_mass - weight
     return Finding(
-        name="speed of descent against the lift of the throttle floor",
+        name="speed of descent that reaches the site with the throttle at its floor",
         value=m.fmax(-p.approach_up_speed, 0.0),
         limit=m.sqrt(2 * m.fmax(lift, 0.0) * p.approach_up * 0.99),
         at_least=True,

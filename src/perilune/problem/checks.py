@@ -7,7 +7,7 @@ The functions here take a `Problem`, whose file stands above this one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,19 +16,43 @@ from perilune.problem.dimensions import Clash, clash, mixed_comparison
 from perilune.problem.form import Stated, stated
 from perilune.problem.names import check_names
 from perilune.problem.phase import Phase
-from perilune.problem.views import check_views
-from perilune.words.asked import demand, refused
+from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.views import Views, check_views
+from perilune.words.asked import demand, demand_callable, demand_row, refused
 from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import Scales, unit
 
+HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
+
+
+def check_parts(problem: Any) -> None:
+    """Refuse parts that are of another kind than those of a problem."""
+    demand_row(problem.phases, "phases", Phase)
+    demand_row(problem.links, "links", Callable)
+    demand_row(problem.free, "free parameters", Free)
+    demand_row(problem.result_variables, "result variables", Variable)
+    for name, kind, advice in (
+        ("given", Mapping, 'given={"mass": pl.Given(value=300.0, unit="kg")}'),
+        ("declared", Sequence, ""),
+        ("views", Views, "pl.Views(...), or leave it out"),
+        ("scales", Scales, "pl.Scales(length=1e3, time=60.0, mass=300.0), or leave it out"),
+    ):
+        demand(getattr(problem, name), kind, f"what {name} of a problem can be", advice)
+    for name in HOOKS:
+        demand_callable(getattr(problem, name), f"what {name} of a problem can be")
+    for record in problem.declared:
+        if not hasattr(record, "__section__"):
+            raise refused(record, "a record of a class below @record(...)", "what declares numbers of a problem")
+    for name, value in problem.given.items():
+        demand(name, str, "the name of a given parameter")
+        shown = value if isinstance(value, float | int) else 3000.0
+        advice = f'write pl.Given(value={shown}, unit="m/s"), with its own SI unit'
+        demand(value, Given, f"what is given of {name}", advice)
+
 
 def check_structure(problem: Any) -> None:
     """Refuse phases, links, parameters and views that do not fit together."""
-    if isinstance(problem.phases, str) or not isinstance(problem.phases, Sequence):
-        raise refused(problem.phases, "(Phase(...), ...)", "a row of phases")
-    for phase in problem.phases:
-        demand(phase, Phase, "a phase")
     if not problem.phases:
         raise PeriluneError("a problem needs at least one phase", got="none")
     check_names(problem)
@@ -119,7 +143,7 @@ def _check_scales(problem: Any) -> None:
 def check_free(problem: Any) -> None:
     """Refuse ranges of free parameters that are empty."""
     for f in problem.free:
-        if not f.lower <= f.upper or math.isnan(f.typical):
+        if not f.lower <= f.upper:
             raise PeriluneError(
                 f"bounds of {f.name} are empty", got=f"[{f.lower}, {f.upper}]", expected="lower <= upper"
             )

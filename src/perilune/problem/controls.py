@@ -20,7 +20,7 @@ import numpy as np
 from perilune.words.asked import called_in_words, computing_in_words, demand_identifier, demand_si, refused
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import Scales
+from perilune.words.units import Scales, demand_si_unit
 
 Regime = Literal["lower", "interior", "upper", "held", "direction", "singular"]
 # A limit: a number in SI, or the name of the parameter that holds it.
@@ -165,6 +165,7 @@ class Bounded:
     freedom: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
+        demand_si_unit(self.unit, self.name)
         demand_limits(self)
 
     @property

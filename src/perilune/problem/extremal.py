@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from perilune.words.asked import called_in_words
+
 
 class Nature(Enum):
     """What an extremal is for the objective, in its free parameters (the control being optimal along each).
@@ -39,6 +41,7 @@ class Nature(Enum):
         return {"global optimum": cls.BEST, "global optimum, at a bound": cls.BEST_AT_BOUND}.get(str(value))
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Extremal:
     """One root of the necessary conditions: free parameters [SI], objective, and what it is.

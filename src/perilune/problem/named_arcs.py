@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from perilune.words.asked import called_in_words
 
+
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class NamedArc:
     """Something that holds for a while on a phase, or for a moment.

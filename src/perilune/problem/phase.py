@@ -6,16 +6,21 @@ from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from perilune.problem.controls import Control
 from perilune.problem.shown import ShownPhase
 from perilune.problem.variables import Variable
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand_row
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Physics, Vector
+
+_ROWS = (
+    "states", "end_conditions", "path_conditions", "held_conditions",
+    "output_variables", "integral_variables", "mark_variables",
+)  # fmt: skip
 
 
 @called_in_words
@@ -78,6 +83,11 @@ class Phase(ShownPhase):
     inertial: Physics | None = None
     track: Physics | None = None
     typical_end: Physics | None = None
+
+    def __post_init__(self) -> None:
+        demand_row(self.controls, "controls", *get_args(Control))
+        for row in _ROWS:
+            demand_row(getattr(self, row), row.replace("_", " "), Variable)
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, unknown_name
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Finding:
     """One comparison: ``value <= limit``, or ``value >= limit`` where `at_least`.

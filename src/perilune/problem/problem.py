@@ -27,7 +27,7 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any, get_args
 
-from perilune.problem.checks import check_free, check_given, check_homogeneous, check_structure
+from perilune.problem.checks import HOOKS, check_free, check_given, check_homogeneous, check_parts, check_structure
 from perilune.problem.controls import Control, scalars
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
 from perilune.problem.phase import Phase
@@ -44,7 +44,6 @@ from perilune.words.units import Scales
 
 _TRACED = ("form", "structure")  # what is found of a problem once, and may be known
 _SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Control))
-_HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
 
 
 @called_in_words
@@ -126,6 +125,7 @@ class Problem(ShownProblem):
     title: str = ""
 
     def __post_init__(self) -> None:
+        check_parts(self)
         object.__setattr__(self, "given", _given(self.given))
         object.__setattr__(self, "objective_scale", positive_scale("the objective", self.objective_scale))
         check_given(self)
@@ -235,7 +235,7 @@ class Problem(ShownProblem):
     def __getstate__(self) -> dict[str, Any]:
         own = self.expressed
         state = {f.name: getattr(own, f.name) for f in fields(own)}
-        hooks = {name: _by_name(state[name]) for name in _HOOKS}
+        hooks = {name: _by_name(state[name]) for name in HOOKS}
         hooks["declared"] = _by_name(self.declared) or ()
         return {**state, "given": dict(self.given), "form": self.form, **hooks}
 

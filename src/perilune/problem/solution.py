@@ -35,6 +35,7 @@ _TIMES = "a time at which to look at a curve"
 _ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Curve(ShownCurve):
     """A vector function of time: values and rates at nodes, cubic Hermite between them. Its arrays are read-only.
@@ -113,6 +114,7 @@ class Curve(ShownCurve):
         return out if np.ndim(t) else out[0]
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Trajectory(ShownTrajectory):
     """One phase of a solution, in SI, time from the phase's ignition.
@@ -152,6 +154,7 @@ def _read_only(values: Any) -> Any:
     return array
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """A number that was asked of a solution, in SI; `label` is its name where that is not the result's with blanks."""
@@ -162,6 +165,7 @@ class Result:
     label: str = ""
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
     """How the answer was found; `claimed` where a file says so and nobody here saw it.
@@ -180,6 +184,7 @@ class Statistics:
     claimed: bool = False
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Solution(ShownSolution):
     """An answer of any method. Solutions are equal when everything in them is.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Limit, demand_limits, limit_value
-from perilune.words.asked import called_in_words, demand_identifier, demand_si
+from perilune.words.asked import called_in_words, demand, demand_identifier, demand_si
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import dimension_text, unit
+from perilune.words.units import demand_si_unit
 
 
 def positive_scale(name: str, scale: Any) -> float | None:
@@ -33,18 +33,6 @@ def positive_scale(name: str, scale: Any) -> float | None:
             advice="state how large it becomes, in its unit; without a scale the unit's own is taken (Problem.scales)",
         )
     return float(scale)
-
-
-def _in_si(name: str, text: str) -> None:
-    """Inside, every number is in SI: a unit that would scale it is a mistake waiting to happen."""
-    factor, dimension = unit(text)
-    if factor != 1.0:
-        raise PeriluneError(
-            f"inside a problem numbers are in SI: {name}",
-            got=f"the unit {text!r}",
-            expected=repr(dimension_text(dimension)),
-            advice="convert the number, or read it with units.parse_quantity",
-        )
 
 
 @called_in_words
@@ -70,7 +58,7 @@ class Variable:
 
     def __post_init__(self) -> None:
         demand_identifier(self.name)
-        _in_si(self.name, self.unit)
+        demand_si_unit(self.unit, self.name)
         object.__setattr__(self, "scale", positive_scale(self.name, self.scale))
         demand_limits(self)
         if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):
@@ -108,7 +96,7 @@ class Given:
     stated: str = ""
 
     def __post_init__(self) -> None:
-        _in_si("a given value", self.unit)
+        demand_si_unit(self.unit, "a given value")
         if not self.stated:
             object.__setattr__(self, "stated", stated_text(self.value))
         demand_si(self.value, "a given value")
@@ -137,7 +125,8 @@ class Free:
     typical: float = 1.0
 
     def __post_init__(self) -> None:
-        _in_si(self.name, self.unit)
+        demand(self.name, str, "the name of a free parameter")
+        demand_si_unit(self.unit, self.name)
         for side in ("lower", "upper"):
             demand_si(getattr(self, side), f"the {side} bound of {self.name}", f"leave {side} out where there is none")
         demand_si(self.typical, f"the typical value of {self.name}")

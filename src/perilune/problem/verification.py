@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from perilune.problem.tolerance import Tolerance
+from perilune.words.asked import called_in_words
 from perilune.words.face import method
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked", "theorem")
@@ -18,6 +19,7 @@ LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # that may be asked for
 THEOREM = 5  # with those up to 3
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Check:
     """One test of a solution.
@@ -69,6 +71,7 @@ def slips_told(passed: Sequence[bool]) -> str:
     return f", NOT_PROVED: {passed.count(False)} of {len(passed)} checks failed" if False in passed else ""
 
 
+@called_in_words
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Verification:
     """All checks made of one solution.

@@ -7,11 +7,13 @@ which quantities are worth a figure. A problem that states no views gets each st
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from string import Formatter
+from typing import Any
 
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand, demand_row
 from perilune.words.face import listed
+from perilune.words.instants import instant
 from perilune.words.outcome import unknown_name
 
 __all__ = ["Beside", "Corridor", "Dispersion", "Disturbance", "Ground", "History", "Space", "Views"]
@@ -155,6 +157,11 @@ class Space:
     height: str = ""
     chosen: str = ""
 
+    def __post_init__(self) -> None:
+        _demand_texts(self, "Space", *(f.name for f in fields(self)))
+        if self.epoch:
+            instant(self.epoch)
+
 
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
@@ -202,6 +209,22 @@ class Views:
     corridor: Corridor | None = None
     dispersion: Dispersion | None = None
     space: Space | None = None
+
+    def __post_init__(self) -> None:
+        demand_row(self.histories, "figures", History)
+        demand_row(self.peaks, "peaks", str)
+        _demand_texts(self, "Views", "height", "radius", "frame", "label", "floor")
+        for name, kind in _PARTS.items():
+            if (part := getattr(self, name)) is not None:
+                demand(part, kind, f"what {name} of Views can be", f"pl.views.{kind.__name__}(...), or None")
+
+
+_PARTS = {"beside": Beside, "ground": Ground, "corridor": Corridor, "dispersion": Dispersion, "space": Space}
+
+
+def _demand_texts(record: Any, called: str, *names: str) -> None:
+    for name in names:
+        demand(getattr(record, name), str, f"what {name} of {called} can be")
 
 
 def check_views(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 
-from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names, unknown_kind
-from perilune.scenario.reader import names_of
+from perilune.models.kinds import KINDS, Kind, Section, in_a_line, kind_named, kind_names, unknown_kind
+from perilune.scenario.reader import names_files, names_of, problem_of, tolerance_of
+from perilune.scenario.text import parse
 from perilune.words.asked import called_in_words, refused
 from perilune.words.declared import Key, Quantity
+from perilune.words.outcome import PeriluneError
 
 _COMMENT_COLUMN = 38
 _HEAD = """\
@@ -26,7 +28,7 @@ def template(kind: str = "hybrid_landing") -> str:
     Raises
     ------
     PeriluneError
-        If there is no such kind of problem.
+        If there is no such kind of problem, or the example of one that a package brings is no scenario.
     """
     if not isinstance(kind, str):
         raise refused(kind, "a text", "a kind of problem")
@@ -35,7 +37,23 @@ def template(kind: str = "hybrid_landing") -> str:
     found = kind_named(kind)
     sections = ("\n".join(_section(found, name, section)) for name, section in found.in_file.items())
     body = "\n\n".join(sections)
+    if found.package:
+        _refuse_no_scenario(found, body)
     return _HEAD.format(about=found.about, change=_first_quantity(found, body)) + "\n" + body + "\n"
+
+
+def _refuse_no_scenario(kind: Kind, body: str) -> None:
+    """Refuse the example of a package that cannot be read back; one that names a file lies beside none yet."""
+    try:
+        document = parse(body)
+        if not names_files(document):
+            problem_of(document)
+        tolerance_of(document)
+    except PeriluneError as error:
+        raise PeriluneError(
+            f"the example of the kind of problem {kind.name} is no scenario", got=f"{kind.package}: {in_a_line(error)}",
+            expected="Kind(example=...) whose values are a problem", advice="tell it who wrote the package",
+        ) from error  # fmt: skip
 
 
 def _first_quantity(kind: Kind, body: str) -> str:

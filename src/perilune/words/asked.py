@@ -18,6 +18,7 @@ from perilune.words.outcome import PeriluneError, unknown_name
 Asked = TypeVar("Asked", bound=Callable[..., Any])
 Kind = TypeVar("Kind")
 _FEW = 4  # of a list that is shown whole
+_SPOKEN: dict[Any, str] = {str: "a text", Callable: "a function"}
 
 
 def called_in_words(asked: Asked) -> Asked:
@@ -113,7 +114,25 @@ def demand(value: Any, kind: type, what: str, advice: str = "") -> None:
         If it is anything else.
     """
     if not isinstance(value, kind):
-        raise refused(value, kind.__name__, what, advice)
+        raise refused(value, _SPOKEN.get(kind, kind.__name__), what, advice)
+
+
+def demand_row(values: Any, what: str, *kinds: Any) -> None:
+    """Refuse what is no row of records of these kinds: one of them alone is none.
+
+    Raises
+    ------
+    PeriluneError
+        Named by `what`, their plural.
+    """
+    one, named = what.removesuffix("s"), " or ".join(_SPOKEN.get(kind, f"{kind.__name__}(...)") for kind in kinds)
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise refused(values, f"({named}, ...)", f"a row of {what}", "a row of one ends with a comma: (one,)")
+    for value in values:
+        if not isinstance(value, kinds):
+            by_name = isinstance(value, str) and kinds[-1] not in _SPOKEN
+            advice = f"{kinds[-1].__name__}(name={_shown(value)}, ...)" if by_name else ""
+            raise refused(value, named, f"{_article(one)} {one}", advice)
 
 
 def demand_records(*pairs: tuple[Any, type]) -> None:
@@ -194,7 +213,7 @@ def _is_number(value: Any) -> bool:
 
 
 def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
-    """Refuse what is no single real number: truth values and texts are none, though Python makes floats of them.
+    """Refuse what is no single real number: NaN, truth values and texts are none, though Python makes floats of them.
 
     Raises
     ------
@@ -202,7 +221,7 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
         Named.
     """
     plain = value.item() if getattr(value, "ndim", None) == 0 else value  # of NumPy and xarray
-    if not _is_number(plain):
+    if not _is_number(plain) or plain != plain:  # as NaN alone is
         raise refused(value, "a number in SI", what, advice)
 
 
@@ -276,7 +295,7 @@ def demand_whole(settings: Any, **least: int) -> None:
 
 
 def _article(name: str) -> str:
-    return "an" if name[:1] in "AEIO" else "a"
+    return "an" if name[:1].upper() in "AEIO" else "a"
 
 
 def _shown(value: Any) -> str:

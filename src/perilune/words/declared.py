@@ -93,15 +93,7 @@ class Quantity:
                 expected=f'for example "{self.example}"',
                 advice="a number and a unit, nothing else",
             )
-        try:
-            number = parse_quantity(value, self.unit)
-        except PeriluneError as error:
-            raise PeriluneError(
-                error.what,
-                got=error.got,
-                expected=f'for example "{self.example}"',
-                advice=self.hint or error.advice or "write a number of ordinary size",
-            ) from None
+        number = parse_quantity(value, self.spoken_unit, self.example, self.hint)
         self.check(number, repr(value))
         return Stated(number, value.strip())
 

@@ -35,7 +35,7 @@ class Outcome(Enum):
 _SHORT_LIST = 6  # names, which a reader takes in at a glance, in their own order
 # The two reasons of a refusal: a bound that holds for every flight, and a search that found none.
 CANNOT_BE_FLOWN = "cannot be flown"
-BEST_MISSES = "the best of n found misses it"
+BEST_MISSES = "the best found misses it"
 
 _EXIT_CODES = {
     "PROVED": 0,

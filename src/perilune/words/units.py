@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from numbers import Real
+from typing import Any
 
-from perilune.words.asked import called_in_words
+from perilune.words.asked import called_in_words, demand
 from perilune.words.outcome import PeriluneError
 
 Dimension = tuple[float, float, float, float]  # exponents of length, time, mass, temperature; halves are exact
@@ -65,7 +66,8 @@ _UNITS: dict[str, tuple[float, tuple[int, ...]]] = {
 
 _NUMBER = r"[+-]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][+-]?\d{1,3})?"
 _FACTOR = re.compile(r"([A-Za-z]+0?|1|%)(?:\^(-?\d(?:\.[05])?))?", re.ASCII)
-_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.{{0,60}}?)\s*", re.DOTALL | re.ASCII)
+_NO_FINITE = "[+-]?(?i:nan|inf|infinity)(?![A-Za-z])"  # read too, so that this is what is said of it
+_QUANTITY = re.compile(rf"\s*({_NUMBER}|{_NO_FINITE})\s*(.{{0,60}}?)\s*", re.DOTALL | re.ASCII)
 _BASE_NAMES = ("m", "s", "kg", "K")
 
 
@@ -107,10 +109,38 @@ def _powers(text: str) -> Iterator[tuple[str, float]]:
             raise PeriluneError(
                 "this is not a unit perilune knows",
                 got=repr(text[:60]),
-                expected="products and powers of " + ", ".join(u for u in _UNITS if u != "1"),
-                advice='write for example "km", "m/s", "km^3/s^2" or "rad/s"',
+                expected="products and powers of " + ", ".join(u for u in _UNITS if u != "1") + ', as "km^3/s^2"',
+                advice=_nearest(match.group(1) if match else part),
             )
         yield match.group(1), float(match.group(2) or 1) * (1 if operator == "*" else -1)
+
+
+def _nearest(name: str) -> str:
+    """The advice of the unit that is spelt most like a name, if any is."""
+    import difflib  # which nothing needs that is right
+
+    found = {known.lower(): known for known in _UNITS}
+    near = difflib.get_close_matches(name.lower(), found, n=1)
+    return f'did you mean "{found[near[0]]}"?' if near else ""
+
+
+def demand_si_unit(text: Any, what: str) -> None:
+    """Refuse a unit that is not SI: inside, one that would scale a number is a mistake waiting to happen.
+
+    Raises
+    ------
+    PeriluneError
+        Named by `what` it is the unit of.
+    """
+    demand(text, str, f"the unit of {what}", 'write for example "m/s"')
+    factor, dimension = unit(text)
+    if factor != 1.0:
+        raise PeriluneError(
+            f"inside a problem numbers are in SI: {what}",
+            got=f"the unit {text!r}",
+            expected=repr(dimension_text(dimension)),
+            advice="convert the number, or read it with units.parse_quantity",
+        )
 
 
 def dimension_text(dimension: Dimension) -> str:
@@ -141,7 +171,7 @@ def quotient(numerator: str, denominator: str) -> str:
     return dimension_text((a, b, c, d))
 
 
-def parse_quantity(text: str, expected_unit: str) -> float:
+def parse_quantity(text: str, expected_unit: str, example: str = "", hint: str = "") -> float:
     """Value in SI of a quantity such as ``"15 km"``.
 
     Parameters
@@ -150,6 +180,8 @@ def parse_quantity(text: str, expected_unit: str) -> float:
         Number and unit.
     expected_unit
         Any unit of the dimension that is wanted here, for the check and the message.
+    example, hint
+        For the message: such a quantity, and what a wrong number or dimension comes from.
 
     Returns
     -------
@@ -162,25 +194,30 @@ def parse_quantity(text: str, expected_unit: str) -> float:
         If it is no quantity, is not finite, or has another dimension.
     """
     match = _QUANTITY.fullmatch(text)
+    such = f'for example "{example or _example(expected_unit)}"'
     if match is None or not (match.group(2) or expected_unit == "1"):
         raise PeriluneError(
             "this is not a quantity: a number and a unit",
             got=repr(text[:60]),
-            expected=f"for example {_example(expected_unit)!r}",
-            advice="put the number and its unit in one pair of quotes",
+            expected=such,
+            advice=hint or "put the number and its unit in one pair of quotes",
         )
-    factor, dimension = unit(match.group(2))
-    wanted = unit(expected_unit)[1]
-    if dimension != wanted:
+    try:
+        factor, dimension = unit(match.group(2))
+    except PeriluneError as error:
+        advice = error.advice or f"write {such}"
+        raise PeriluneError(error.what, got=error.got, expected=error.expected, advice=advice) from None
+    if dimension != unit(expected_unit)[1]:
         raise PeriluneError(
             "the unit has the wrong dimension",
             got=f"{text!r}, which is in {dimension_text(dimension)}",
-            expected=f"a quantity in {expected_unit}",
-            advice=f"write for example {_example(expected_unit)!r}",
+            expected=such,
+            advice=hint or f"write it in {expected_unit}, or in another unit of that dimension",
         )
     value = float(match.group(1)) * factor
     if not math.isfinite(value):
-        raise PeriluneError("the value is not finite", got=repr(text[:60]), expected="a finite number")
+        advice = hint or "write a number of ordinary size"
+        raise PeriluneError("the value is not finite", got=repr(text[:60]), expected=such, advice=advice)
     return value
 
 

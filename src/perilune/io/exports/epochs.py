@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 from perilune.problem.problem import Problem
-from perilune.words.asked import refused
+from perilune.words.instants import EXAMPLE, instant
 from perilune.words.outcome import PeriluneError
-
-_EXAMPLE = "2030-01-01T00:00:00"
 
 
 def epoch_of(problem: Problem, stated: str | datetime | None) -> datetime | None:
@@ -21,11 +19,9 @@ def epoch_of(problem: Problem, stated: str | datetime | None) -> datetime | None
     """
     own = problem.views.space.epoch if problem.views.space is not None else ""
     if stated is None:
-        return _instant(own) if own else None
-    if isinstance(stated, type) or not isinstance(stated, str | datetime):
-        raise refused(stated, f'a text such as "{_EXAMPLE}", or a datetime', "an epoch")
-    found = _instant(stated)
-    if own and found != _instant(own):
+        return instant(own) if own else None
+    found = instant(stated)
+    if own and found != instant(own):
         raise PeriluneError(
             "the problem has an epoch of its own", got=str(stated), expected=own,
             advice="leave the epoch out, or solve the problem at the other one",
@@ -46,19 +42,9 @@ def needed_epoch(problem: Problem, stated: str | datetime | None, form: str) -> 
         raise PeriluneError(
             f"{form} needs the time at which the flight begins, and {problem.name} states none",
             expected="UTC in ISO 8601",
-            advice=f'--epoch {_EXAMPLE} (in Python epoch="{_EXAMPLE}")',
+            advice=f'--epoch {EXAMPLE} (in Python epoch="{EXAMPLE}")',
         )
     return found
-
-
-def _instant(stated: str | datetime) -> datetime:
-    try:
-        found = datetime.fromisoformat(stated) if isinstance(stated, str) else stated
-        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
-    except (ValueError, OverflowError):
-        raise PeriluneError(
-            "the epoch is no time", got=repr(stated)[:60], expected=f'UTC in ISO 8601, as "{_EXAMPLE}"'
-        ) from None
 
 
 def stamp(epoch: datetime, seconds: float) -> str:

@@ -257,15 +257,17 @@ class Atmosphere:
     ap: float | None = quantity("1", "4", default=None, least=0.0, most=400.0, about="daily geomagnetic index")
 
     def __post_init__(self) -> None:
-        for model, names in AIRS.items():
-            for name in ("density", "scale_height", "file", "f107", "f107a", "ap"):
-                stated, own = getattr(self, name) is not None, name in names
-                if model == self.model and stated != own:
-                    raise PeriluneError(
-                        f"atmosphere.{name} is missing" if own else f"atmosphere.{name} belongs to another model",
-                        got=f'model = "{model}"',
-                        expected="with it " + (", ".join(names) or "nothing else"),
-                    )
+        own, known = AIRS.get(self.model, ()), [name for names in AIRS.values() for name in names]
+        stated = [name for name in known if getattr(self, name) is not None]
+        missing, others = [n for n in own if n not in stated], [n for n in stated if n not in own]
+        if missing or others:
+            wrong = "is missing" if missing else "belongs to another model"
+            raise PeriluneError(
+                f"atmosphere.{(missing or others)[0]} {wrong}",
+                got=f'model = "{self.model}"',
+                expected="with it " + (", ".join(own) or "nothing else"),
+                advice="take out " + ", ".join(f"atmosphere.{name}" for name in others) if others else "",
+            )
 
 
 @record("separation")

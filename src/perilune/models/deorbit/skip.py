@@ -62,7 +62,7 @@ def leaves_again(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
 
 def _beside_interface(which: str, top: float, *, binding: bool, meaning: str) -> Finding:
     return Finding(
-        name=f"height above the interface to which {which} without lift rises again", value=max(top, 0.0) / 1e3,
+        name=f"how far {which} without lift rises again above the interface", value=max(top, 0.0) / 1e3,
         limit=0.0, at_least=False, unit="km", binding=binding, meaning=meaning,
         advice="a steeper interface.angle, or a lower speed at the interface",
     )  # fmt: skip
