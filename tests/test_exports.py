@@ -28,6 +28,7 @@ from perilune.scenario import load_file
 from perilune.words.outcome import PeriluneError
 
 EPOCH = "2030-01-01T00:00:00"
+LATE = "2199-12-31T23:59:59"
 Loose: Any = pl
 
 
@@ -42,7 +43,14 @@ Loose: Any = pl
         (lambda s, f: pl.export(s, f, "oem"), ("(OEM) needs the time", "--epoch 2030-01-01T00:00:00", "epoch=")),
         (lambda s, f: pl.export(s, f, "czml"), ("CZML needs the time", "hybrid_landing states none")),
         (lambda s, f: pl.export(s, f, "oem", epoch="tomorrow"), ("epoch is no time", "'tomorrow'")),
-        (lambda s, f: pl.export(s, f, "oem", epoch="9999-12-31T23:59:59"), ("behind the year 9999", "earlier")),
+        (lambda s, f: pl.export(s, f, "oem", epoch="9999-12-31T23:59:59"), ("no time", "1900 on and before 2200")),
+        (lambda s, f: pl.export(s, f, "czml", epoch="1899-12-31T23:59:59Z"), ("no time", "1900 on and before 2200")),
+        (lambda s, f: pl.export(s, f, "csv", epoch=datetime(2200, 1, 1)), ("no time", "1900 on and before 2200")),
+        (lambda s, f: s.to_xarray(epoch="9999-12-31T23:59:59"), ("no time", "1900 on and before 2200")),
+        *((lambda s, f, form=form: pl.export(s, f, form, epoch=LATE), ("behind the year 2199", "earlier"))
+          for form in ("oem", "czml", "netcdf")),
+        (lambda s, f: s.to_xarray(epoch=LATE), ("behind the year 2199", "earlier")),
+        (lambda s, f: pl.export(s, f, "oem", epoch=f"{EPOCH}.123456789"), ("more digits", "microseconds at most")),
         (lambda s, f: Loose.export(s, f, "oem", epoch=2030), ("not an epoch", "2030")),
         (lambda s, f: Loose.export(s, f, epoch=datetime), ("not an epoch", "the class datetime")),
         (lambda s, f: Loose.export(s, f, scenario_text=3), ("not the text of a scenario", "3")),
@@ -143,7 +151,13 @@ def test_a_column_that_netcdf_cannot_call_is_refused_in_words(hybrid: Solution, 
 
 def test_an_epoch_is_read_as_it_is_meant(hybrid: Solution, tmp_path: Path) -> None:
     east = timezone(timedelta(hours=2))
-    said = [EPOCH, "2030-01-01T02:00:00+02:00", datetime(2030, 1, 1, 2, tzinfo=east), datetime(2030, 1, 1)]
+    said = [
+        EPOCH,
+        f"{EPOCH}.000000000",
+        "2030-01-01T02:00:00+02:00",
+        datetime(2030, 1, 1, 2, tzinfo=east),
+        datetime(2030, 1, 1),
+    ]
     files = [pl.export(hybrid, tmp_path / f"{i}", "csv", epoch=epoch) for i, epoch in enumerate(said)]
     assert len({file.read_bytes() for file in files}) == 1
     assert files[0].read_text().splitlines()[1].split(",")[1] == "2030-01-01T00:00:00.000000000"
