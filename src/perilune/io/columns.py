@@ -108,9 +108,14 @@ def nodes(trajectory: Trajectory) -> Vector:
 
 def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
     """So many even times, and both sides of every switch: what jumps there is seen as a step, and not as a ramp."""
+    return np.union1d(np.linspace(0.0, trajectory.duration, count), sides(trajectory))
+
+
+def sides(trajectory: Trajectory) -> Matrix:
+    """Times before and behind every switch, of whatever curve."""
     curves = (trajectory.state, trajectory.control, *filter(None, (trajectory.costate,)))
     switches = np.concatenate([curve.time[1:][np.diff(curve.time) == 0] for curve in curves])
-    return np.union1d(np.linspace(0.0, trajectory.duration, count), (np.nextafter(switches, 0.0), switches))
+    return np.array([np.nextafter(switches, 0.0), switches])
 
 
 def per_unit(objective_unit: str, unit: str) -> str:

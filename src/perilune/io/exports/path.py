@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from perilune.io.columns import sides
 from perilune.problem.solution import Solution
 from perilune.problem.views import Space
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 LOST = 1e-3  # m, between two times
+JUMP = 1e-6  # s; what changes faster than in so short a time jumps
 _HALVED = 12  # times, at most
 
 
@@ -82,8 +84,17 @@ def space_of(solution: Solution, form: str) -> Space:
     return problem.views.space
 
 
-def legs(solution: Solution) -> list[Leg]:
+def legs(solution: Solution, bent: float | None = None) -> list[Leg]:
     """The phases in inertial axes; a phase without length has none.
+
+    Parameters
+    ----------
+    solution
+        The flight.
+    bent
+        Most that linear interpolation of the thrust loses between two times, as a share of it: an angle [rad]. Then a
+        switch, at which the thrust jumps, is seen from both its sides, which are times next to each other. None where
+        the thrust does not matter.
 
     Raises
     ------
@@ -93,7 +104,7 @@ def legs(solution: Solution) -> list[Leg]:
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         if trajectory.duration > 0:
-            found.append(_leg(solution, k, begin))
+            found.append(_leg(solution, k, begin, bent))
         begin += trajectory.duration
     if not found or not all(np.isfinite([leg.position, leg.velocity, leg.push]).all() for leg in found):
         raise PeriluneError(
@@ -103,16 +114,33 @@ def legs(solution: Solution) -> list[Leg]:
     return found
 
 
-def _leg(solution: Solution, k: int, begin: float) -> Leg:
-    t = np.unique(solution.trajectories[k].time)
+def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
+    trajectory = solution.trajectories[k]
+    t = np.unique(trajectory.time) if bent is None else np.union1d(trajectory.time, sides(trajectory))
     for _ in range(_HALVED):
         r, v, push = solution.inertial(k, t)
         middle, width = 0.5 * (t[1:] + t[:-1]), np.diff(t)
         between = 0.5 * (r[:, 1:] + r[:, :-1]) - 0.125 * width * np.diff(v, axis=1)
         lost = np.linalg.norm(between - solution.inertial(k, middle)[0], axis=0)
-        if not (bad := lost > LOST).any():
+        bad = lost > LOST
+        if bent is not None:
+            bad |= (width > JUMP) & (_bent(solution, k, t, push) > bent)
+        if not bad.any():
             break
         t = np.union1d(t, middle[bad])
     return Leg(
         phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push, lost=float(lost.max())
     )
+
+
+def _bent(solution: Solution, k: int, t: Vector, push: Matrix) -> Vector:
+    """By what share of the thrust its linear interpolation is off between two times, at two places, shape (n - 1,).
+
+    A cubic that is off somewhere is so at one of these places, but not always in the middle.
+    """
+    found = np.zeros(len(t) - 1)
+    for part in (0.25, 0.75):
+        real = solution.inertial(k, t[:-1] + part * np.diff(t))[2]
+        off, size = push[:, :-1] + part * np.diff(push, axis=1) - real, np.linalg.norm(real, axis=0)
+        found = np.maximum(found, np.divide(np.linalg.norm(off, axis=0), size, out=np.zeros_like(size), where=size > 0))
+    return found
