@@ -128,7 +128,7 @@ def per_unit(objective_unit: str, unit: str) -> str:
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
-    """(time from the first ignition [s], column) for each phase that has the column, as `seen_at`."""
+    """(time from the begin of the flight [s], column) for each phase that has the column, as `seen_at`."""
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         t = seen_at(trajectory)

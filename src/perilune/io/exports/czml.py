@@ -26,6 +26,7 @@ from perilune.words.types import Matrix, Vector
 NAME = "CZML"
 _LONGEST = 0.05  # of the way, the longest arrow of thrust
 _TURNED = np.radians(0.1)  # that attitudes and arrows are off; Cesium takes those less than 0.003 rad apart for one
+_AXES = "axes that turn with the body (FIXED); at the begin of the flight they are the model's own, which do not turn"
 _PLAYED = 60.0  # s, that a flight takes when it is played
 
 
@@ -97,6 +98,7 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
 
 
 def _description(about: Mapping[str, str]) -> str:
+    about = {**about, "frame": ": ".join(filter(None, (_AXES, about.get("frame"))))}
     words = ("source", "method", "proof", "objective", "results", "body", "frame", "chosen", "scenario")
     return "".join(f"<h3>{name}</h3><pre>{escape(about[name])}</pre>" for name in words if name in about)
 
