@@ -21,7 +21,7 @@ from perilune.io.exports.epochs import stamp
 from perilune.io.exports.path import LOST, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
-from perilune.models.bodies import MARS, Body
+from perilune.models.bodies import MARS, MOON, Body
 from perilune.models.landing import Orbit, Vehicle, hybrid_landing
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file
@@ -122,7 +122,12 @@ def test_a_body_that_nobody_knows_is_not_placed(hybrid: Solution, tmp_path: Path
         pl.export(replace(hybrid, problem=hybrid.problem.changed(views=views)), tmp_path / "x", "oem", epoch=EPOCH)
     assert "moon" in str(refused.value)
     named = replace(own, name="moon")
-    for body, name in ((named, ""), (replace(MARS, name="red"), "mars")):
+    slow, back, still = (replace(MOON, rotation_rate=rate) for rate in (2.66e-6, -2.6617e-6, 0.0))
+    published = replace(MOON, gravitational_parameter=4902.7779e9, radius=1738.14e3, rotation_rate=2.6617e-6)
+    for body, name in (
+        (named, ""), (replace(MARS, name="red"), "mars"), (replace(MOON, gravitational_parameter=4990e9), ""),
+        (back, ""), (replace(MOON, rotation_rate=2.8e-6), ""), (slow, "moon"), (still, "moon"), (published, "moon"),
+    ):  # fmt: skip
         seen = hybrid_landing(replace(vehicle, thrust=2000.0), None, orbit, body).views.space
         assert seen is not None and seen.body == name
 

@@ -119,7 +119,11 @@ def told_orientation(body: str, epoch: datetime) -> str:
 def _elements(body: str) -> Elements:
     known = sorted((*ELEMENTS, "earth"))
     if body not in ELEMENTS:
-        raise unknown_name("body whose orientation in space is known", body or "a body without a name", known)
+        raise unknown_name(
+            "body whose orientation in space is known",
+            body or "a body of another mass or rotation, or without a name",
+            known,
+        )
     return ELEMENTS[body]
 
 
