@@ -75,16 +75,12 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
         return [head, vehicle]
     most = float(np.linalg.norm(flight.push, axis=0).max())
     stretch = _LONGEST * float(np.linalg.norm(np.ptp(flight.position, axis=1))) / most
-    arrow = stretch * flight.push
+    tip_at, tip_velocity = flight.position + stretch * flight.push, flight.velocity + stretch * flight.push_rate
     vehicle["orientation"] = {"epoch": utc(0.0), **held, "unitQuaternion": _attitudes(flight)}
     tip = {
         "id": "thrust", "name": "thrust", "availability": whole, "parent": "vehicle",
         "description": f"An arrow along the acceleration by thrust, {stretch:.6g} m long for each m/s^2.",
-        "position": {
-            **sampled, **curved, "cartesianVelocity": _rows(
-                flight.time, flight.position + arrow, flight.velocity + _rates(flight.time, arrow)
-            ),
-        },
+        "position": {**sampled, **curved, "cartesianVelocity": _rows(flight.time, tip_at, tip_velocity)},
         "polyline": {
             "positions": {"references": ["vehicle#position", "thrust#position"]}, "width": 6, "arcType": "NONE",
             "material": {"polylineArrow": {"color": {"rgba": [213, 94, 0, 255]}}},
@@ -115,12 +111,12 @@ def _joined(flown: list[Leg]) -> Leg:
     last = time[lasts[np.searchsorted(lasts, np.arange(len(time)))]]
     told = np.where(near, np.maximum(np.minimum(time, last - JUMP), time[0]), time)
     kept = np.append(True, ~near[:-1]) | ~near
-    position, velocity, push = (
-        np.concatenate([getattr(leg, name) for leg in flown], axis=1)[:, kept]
-        for name in ("position", "velocity", "push")
-    )
-    earlier = (time - told)[kept]
-    return replace(flown[0], time=told[kept], position=position - earlier * velocity, velocity=velocity, push=push)
+    found = {
+        name: np.concatenate([getattr(leg, name) for leg in flown], axis=1)[:, kept]
+        for name in ("position", "velocity", "push", "push_rate")
+    }
+    found["position"] -= (time - told)[kept] * found["velocity"]
+    return replace(flown[0], time=told[kept], **found)
 
 
 def _rows(time: Vector, *values: Matrix) -> list[float]:
@@ -131,15 +127,6 @@ def _rows(time: Vector, *values: Matrix) -> list[float]:
 def _smooth(time: Vector) -> list[np.ndarray]:
     """Numbers of the samples from one jump to the next."""
     return np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) < 1.5 * JUMP) + 1)
-
-
-def _rates(time: Vector, values: Matrix) -> Matrix:
-    """Rates of values (3, n) that jump here and there, by their differences."""
-    found = np.zeros_like(values)
-    for part in _smooth(time):
-        if len(part) > 1:
-            found[:, part] = np.gradient(values[:, part], time[part], axis=1, edge_order=2 if len(part) > 2 else 1)
-    return found
 
 
 def _attitudes(flight: Leg) -> list[float]:

@@ -18,6 +18,7 @@ from perilune.words.types import Matrix, Vector
 LOST = 1e-3  # m, between two times
 JUMP = 1e-6  # s; what changes faster than in so short a time jumps
 _HALVED = 12  # times, at most
+_NEAR = 1e-3  # of the way to the next time, at which a rate is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +31,8 @@ class Leg:
         Its name.
     time
         From the begin of the flight [s], shape (n,), increasing.
-    position, velocity, push
-        [m], [m/s], acceleration by thrust [m/s^2], each (3, n).
+    position, velocity, push, push_rate
+        [m], [m/s], acceleration by thrust [m/s^2] and its rate [m/s^3], each (3, n).
     lost
         Most that interpolation of position and velocity loses half-way between two times [m].
     """
@@ -41,6 +42,7 @@ class Leg:
     position: Matrix
     velocity: Matrix
     push: Matrix
+    push_rate: Matrix
     lost: float
 
     @property
@@ -50,18 +52,23 @@ class Leg:
 
     def turned(self, matrix: Matrix) -> Leg:
         """The same in other axes that do not turn."""
-        return replace(self, position=matrix @ self.position, velocity=matrix @ self.velocity, push=matrix @ self.push)
+        names = ("position", "velocity", "push", "push_rate")
+        return replace(self, **{name: matrix @ getattr(self, name) for name in names})
 
     def turning(self, rate: float) -> Leg:
-        """The same in axes that turn about z at a rate [rad/s]; velocities are beside them."""
+        """The same in axes that turn about z at a rate [rad/s]; velocities, and rates, are beside them."""
         sine, cosine = np.sin(rate * self.time), np.cos(rate * self.time)
-        x, y = rate * self.position[1], -rate * self.position[0]
-        beside = self.velocity + np.array([x, y, np.zeros_like(x)])
 
         def back(v: Matrix) -> Matrix:
             return np.array([cosine * v[0] + sine * v[1], cosine * v[1] - sine * v[0], v[2]])
 
-        return replace(self, position=back(self.position), velocity=back(beside), push=back(self.push))
+        def beside(v: Matrix, its_rate: Matrix) -> Matrix:
+            return back(its_rate + rate * np.array([v[1], -v[0], np.zeros_like(v[0])]))
+
+        return replace(
+            self, position=back(self.position), velocity=beside(self.position, self.velocity),
+            push=back(self.push), push_rate=beside(self.push, self.push_rate),
+        )  # fmt: skip
 
 
 def space_of(solution: Solution, form: str) -> Space:
@@ -129,8 +136,17 @@ def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
             break
         t = np.union1d(t, middle[bad])
     return Leg(
-        phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push, lost=float(lost.max())
-    )
+        phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push,
+        push_rate=_rates(solution, k, t, push), lost=float(lost.max()),
+    )  # fmt: skip
+
+
+def _rates(solution: Solution, k: int, t: Vector, push: Matrix) -> Matrix:
+    """Rates of the thrust, by how it goes on to the next time, or came from the one before where it jumps."""
+    width = np.append(np.diff(t), 0.0)
+    step = _NEAR * np.where(width > JUMP, width, -np.roll(width, 1))
+    moved, step = solution.inertial(k, t + step)[2] - push, (t + step) - t
+    return np.divide(moved, step, out=np.zeros_like(push), where=np.abs(step) > _NEAR * JUMP)
 
 
 def _bent(solution: Solution, k: int, t: Vector, push: Matrix) -> Vector:
