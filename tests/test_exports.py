@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from perilune.cli import run
+from perilune.io.exports.czml import attitudes, joined
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import LOST, legs
+from perilune.io.exports.path import LOST, Leg, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
 from perilune.models.bodies import MARS, MOON, Body
@@ -189,6 +191,20 @@ def test_the_way_in_space_loses_no_millimetre(ordinary: Solution) -> None:
     assert 0 < leg.lost < LOST and np.all(np.diff(leg.time) > 0)
     still = leg.turning(0.0)
     np.testing.assert_array_equal(still.velocity, leg.velocity)
+
+
+def test_a_thrust_that_turns_over_keeps_its_attitudes_apart() -> None:
+    """Half-way to its opposite a direction is none, and arcs may be shorter than what Cesium tells apart."""
+    times = [0.0, 1e-12, 1.0, np.nextafter(1.0, 2.0), 1.0 + 1e-7, 2.0, 3.0]
+    zeros = np.zeros((3, len(times)))
+    push = np.array([[0.0, 0.0, 1.0]] * 3 + [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]).T
+    leg = Leg(
+        phase="burn", time=np.array(times), position=zeros, velocity=zeros + 1, push=push, push_rate=zeros, lost=0
+    )
+    rows = np.array(attitudes(joined([leg]))).reshape(-1, 5)
+    assert rows[0, 0] == 0 and rows[-1, 0] == 3 and (np.diff(rows[:, 0]) > 0).all()
+    up = Rotation.from_quat(rows[:, 1:]).apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(up[[0, -4, -3, -2, -1]], push.T[[0, 2, 4, 5, 6]], atol=1e-12)
 
 
 def test_the_command_exports_what_was_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

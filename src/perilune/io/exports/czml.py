@@ -48,7 +48,7 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
     def utc(seconds: float) -> str:
         return f"{stamp(epoch, seconds)}Z"
 
-    flight = _joined(flown)
+    flight = joined(flown)
     begin, end = float(flight.time[0]), float(flight.time[-1])
     whole = f"{utc(begin)}/{utc(end)}"
     head = {
@@ -76,7 +76,7 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
     most = float(np.linalg.norm(flight.push, axis=0).max())
     stretch = _LONGEST * float(np.linalg.norm(np.ptp(flight.position, axis=1))) / most
     tip_at, tip_velocity = flight.position + stretch * flight.push, flight.velocity + stretch * flight.push_rate
-    vehicle["orientation"] = {"epoch": utc(0.0), **held, "unitQuaternion": _attitudes(flight)}
+    vehicle["orientation"] = {"epoch": utc(0.0), **held, "unitQuaternion": attitudes(flight)}
     tip = {
         "id": "thrust", "name": "thrust", "availability": whole, "parent": "vehicle",
         "description": f"An arrow along the acceleration by thrust, {stretch:.6g} m long for each m/s^2.",
@@ -103,10 +103,11 @@ def _colour(*rgb: int) -> dict[str, Any]:
     return {"solidColor": {"color": {"rgba": [*rgb, 255]}}}
 
 
-def _joined(flown: list[Leg]) -> Leg:
+def joined(flown: list[Leg]) -> Leg:
     """The whole flight with one sample of each time; of samples about a jump the last, and the first before it."""
     time = np.concatenate([leg.time for leg in flown])
-    near = np.append(np.diff(time) < 2 * JUMP, False)  # to the next
+    # To the next; twice as far as one is moved, which so keeps behind those before it.
+    near = np.append(np.diff(time) < 2 * JUMP, False)
     lasts = np.flatnonzero(~near)
     last = time[lasts[np.searchsorted(lasts, np.arange(len(time)))]]
     told = np.where(near, np.maximum(np.minimum(time, last - JUMP), time[0]), time)
@@ -129,7 +130,7 @@ def _smooth(time: Vector) -> list[np.ndarray]:
     return np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) < 1.5 * JUMP) + 1)
 
 
-def _attitudes(flight: Leg) -> list[float]:
+def attitudes(flight: Leg) -> list[float]:
     """Time and quaternion (x, y, z, w) from the axes of the vehicle to those of the body, of each sample."""
     size = np.linalg.norm(flight.push, axis=0)
     x, before, last, rows = flight.velocity[:, np.argmax(size > 0)], None, np.zeros(4), []
@@ -155,7 +156,8 @@ def _thinned(time: Vector, along: Matrix) -> list[int]:
         part = ((time[a + 1 : b] - time[a]) / (time[b] - time[a]))[:, None]
         half_turns = _angle(along[a], along[b]) / np.pi
         met = (1 - part) * np.sinc((1 - part) * half_turns) * along[a] + part * np.sinc(part * half_turns) * along[b]
-        off = _angle(met / np.linalg.norm(met, axis=1)[:, None], along[a + 1 : b])
+        length = np.maximum(np.linalg.norm(met, axis=1), np.finfo(float).tiny)  # half-way to the opposite it is none
+        off = _angle(met / length[:, None], along[a + 1 : b])
         if off.max() > 0.5 * _TURNED:
             worst = a + 1 + int(np.argmax(off))
             kept.add(worst)
