@@ -173,6 +173,7 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
         (lambda: Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0), "atmosphere.ap is missing"),
         (lambda: returning(air=QUIET), "not said when the air"),
         (lambda: returning(epoch="tomorrow"), "problem.epoch is no time"),
+        (lambda: returning(epoch="2026-06-01T12:00:00.1234567Z"), "problem.epoch has more digits"),
         (lambda: replace(SITE, latitude=None), "a longitude and a latitude"),
         (lambda: returning(manoeuvre=replace(PLACE, latitude=0.95)), "never comes to the latitude"),
         (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "where on its orbit"),

@@ -13,21 +13,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from perilune.cli import run
+from perilune.io.exports.czml import attitudes, joined
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import LOST, legs
+from perilune.io.exports.path import LOST, Leg, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
-from perilune.models.bodies import MARS, Body
+from perilune.models.bodies import MARS, MOON, Body
 from perilune.models.landing import Orbit, Vehicle, hybrid_landing
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file
 from perilune.words.outcome import PeriluneError
 
 EPOCH = "2030-01-01T00:00:00"
+LATE = "2199-12-31T23:59:59"
 Loose: Any = pl
 
 
@@ -42,7 +45,14 @@ Loose: Any = pl
         (lambda s, f: pl.export(s, f, "oem"), ("(OEM) needs the time", "--epoch 2030-01-01T00:00:00", "epoch=")),
         (lambda s, f: pl.export(s, f, "czml"), ("CZML needs the time", "hybrid_landing states none")),
         (lambda s, f: pl.export(s, f, "oem", epoch="tomorrow"), ("epoch is no time", "'tomorrow'")),
-        (lambda s, f: pl.export(s, f, "oem", epoch="9999-12-31T23:59:59"), ("behind the year 9999", "earlier")),
+        (lambda s, f: pl.export(s, f, "oem", epoch="9999-12-31T23:59:59"), ("no time", "1900 on and before 2200")),
+        (lambda s, f: pl.export(s, f, "czml", epoch="1899-12-31T23:59:59Z"), ("no time", "1900 on and before 2200")),
+        (lambda s, f: pl.export(s, f, "csv", epoch=datetime(2200, 1, 1)), ("no time", "1900 on and before 2200")),
+        (lambda s, f: s.to_xarray(epoch="9999-12-31T23:59:59"), ("no time", "1900 on and before 2200")),
+        *((lambda s, f, form=form: pl.export(s, f, form, epoch=LATE), ("behind the year 2199", "earlier"))
+          for form in ("oem", "czml", "netcdf")),
+        (lambda s, f: s.to_xarray(epoch=LATE), ("behind the year 2199", "earlier")),
+        (lambda s, f: pl.export(s, f, "oem", epoch=f"{EPOCH}.123456789"), ("more digits", "microseconds at most")),
         (lambda s, f: Loose.export(s, f, "oem", epoch=2030), ("not an epoch", "2030")),
         (lambda s, f: Loose.export(s, f, epoch=datetime), ("not an epoch", "the class datetime")),
         (lambda s, f: Loose.export(s, f, scenario_text=3), ("not the text of a scenario", "3")),
@@ -65,9 +75,13 @@ def test_a_pipe_stays_a_pipe_and_a_link_leads_to_its_file(hybrid: Solution, tmp_
     """Whatever may be replaced is a file: nothing else is turned into one."""
     pipe, link, behind = tmp_path / "pipe.csv", tmp_path / "link.csv", tmp_path / "behind.csv"
     os.mkfifo(pipe)
-    for place in (pipe, Path(os.devnull)):
-        with pytest.raises(PeriluneError, match="a device or a pipe, and no file"):
-            pl.export(hybrid, place, "csv", force=True)
+    out_of, into = os.pipe()  # as standard output may be
+    for place in (pipe, Path(os.devnull), Path(f"/dev/fd/{into}")):
+        if place.exists():
+            with pytest.raises(PeriluneError, match="a device or a pipe, and no file"):
+                pl.export(hybrid, place, "csv", force=True)
+    os.close(out_of)
+    os.close(into)
     assert pipe.is_fifo() and not Path(os.devnull).is_file()
     link.symlink_to(behind)
     pl.export(hybrid, link)
@@ -114,7 +128,12 @@ def test_a_body_that_nobody_knows_is_not_placed(hybrid: Solution, tmp_path: Path
         pl.export(replace(hybrid, problem=hybrid.problem.changed(views=views)), tmp_path / "x", "oem", epoch=EPOCH)
     assert "moon" in str(refused.value)
     named = replace(own, name="moon")
-    for body, name in ((named, ""), (replace(MARS, name="red"), "mars")):
+    slow, back, still = (replace(MOON, rotation_rate=rate) for rate in (2.66e-6, -2.6617e-6, 0.0))
+    published = replace(MOON, gravitational_parameter=4902.7779e9, radius=1738.14e3, rotation_rate=2.6617e-6)
+    for body, name in (
+        (named, ""), (replace(MARS, name="red"), "mars"), (replace(MOON, gravitational_parameter=4990e9), ""),
+        (back, ""), (replace(MOON, rotation_rate=2.8e-6), ""), (slow, "moon"), (still, "moon"), (published, "moon"),
+    ):  # fmt: skip
         seen = hybrid_landing(replace(vehicle, thrust=2000.0), None, orbit, body).views.space
         assert seen is not None and seen.body == name
 
@@ -143,7 +162,13 @@ def test_a_column_that_netcdf_cannot_call_is_refused_in_words(hybrid: Solution, 
 
 def test_an_epoch_is_read_as_it_is_meant(hybrid: Solution, tmp_path: Path) -> None:
     east = timezone(timedelta(hours=2))
-    said = [EPOCH, "2030-01-01T02:00:00+02:00", datetime(2030, 1, 1, 2, tzinfo=east), datetime(2030, 1, 1)]
+    said = [
+        EPOCH,
+        f"{EPOCH}.000000000",
+        "2030-01-01T02:00:00+02:00",
+        datetime(2030, 1, 1, 2, tzinfo=east),
+        datetime(2030, 1, 1),
+    ]
     files = [pl.export(hybrid, tmp_path / f"{i}", "csv", epoch=epoch) for i, epoch in enumerate(said)]
     assert len({file.read_bytes() for file in files}) == 1
     assert files[0].read_text().splitlines()[1].split(",")[1] == "2030-01-01T00:00:00.000000000"
@@ -166,6 +191,20 @@ def test_the_way_in_space_loses_no_millimetre(ordinary: Solution) -> None:
     assert 0 < leg.lost < LOST and np.all(np.diff(leg.time) > 0)
     still = leg.turning(0.0)
     np.testing.assert_array_equal(still.velocity, leg.velocity)
+
+
+def test_a_thrust_that_turns_over_keeps_its_attitudes_apart() -> None:
+    """Half-way to its opposite a direction is none, and arcs may be shorter than what Cesium tells apart."""
+    times = [0.0, 1e-12, 1.0, np.nextafter(1.0, 2.0), 1.0 + 1e-7, 2.0, 3.0]
+    zeros = np.zeros((3, len(times)))
+    push = np.array([[0.0, 0.0, 1.0]] * 3 + [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]).T
+    leg = Leg(
+        phase="burn", time=np.array(times), position=zeros, velocity=zeros + 1, push=push, push_rate=zeros, lost=0
+    )
+    rows = np.array(attitudes(joined([leg]))).reshape(-1, 5)
+    assert rows[0, 0] == 0 and rows[-1, 0] == 3 and (np.diff(rows[:, 0]) > 0).all()
+    up = Rotation.from_quat(rows[:, 1:]).apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(up[[0, -4, -3, -2, -1]], push.T[[0, 2, 4, 5, 6]], atol=1e-12)
 
 
 def test_the_command_exports_what_was_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,14 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
 
 import perilune as pl
 from command_line import ROOT
-from perilune.io.columns import columns
+from perilune.io.columns import columns, sides
+from perilune.io.exports.path import JUMP
 from perilune.models.orientation import axes_in_space
 from perilune.problem.solution import Solution
-from perilune.scenario import load_file
+from perilune.scenario import load_file, load_text
 
 NEEDS = "needs the extra 'test'"
 EPOCH = "2026-06-01T12:00:00"
@@ -38,6 +40,13 @@ def returned() -> Solution:
 def descent() -> Solution:
     """Its states are positions and velocities in axes that turn with the Moon."""
     return pl.solve(load_file(ROOT / "examples" / "polar_descent.toml").problem, level=0)
+
+
+@pytest.fixture(scope="module")
+def gated() -> Solution:
+    """At its gate the thrust swings upright, and before it the throttle is switched."""
+    text = (ROOT / "examples" / "precision_landing.toml").read_text(encoding="utf-8")
+    return pl.solve(load_text(text.replace("# [final]", "[final]").replace("# height", "height")), level=0)
 
 
 def expected(solution: Solution) -> dict[str, np.ndarray]:
@@ -78,6 +87,7 @@ def test_netcdf_is_read_by_another_library(returned: Solution, tmp_path: Path) -
         assert found["path_angle"].units == "degree" and "costate of vx" in found["lambda_vx"].long_name
         assert found["load"].coordinates == "time altitude longitude latitude"
         assert found["phase"].flag_meanings.split()[found["phase"][-1]] == "entry"
+        assert found.frame.startswith("inertial axes that are the body's own at the begin of the flight")
         assert "perilune" in found.source and found.proof == "level 0: unverified" and found.scenario == "a = 'ü'"
         assert json.loads(found.results)["flight_time"] == [returned.results["flight_time"].value, "s"]
 
@@ -179,9 +189,12 @@ def test_cesium_finds_position_attitude_and_thrust(descent: Solution, returned: 
         _, vehicle, thrust = packets = json.loads(text)
         for packet in packets:
             czml3.Packet(**packet)  # refuses what the format does not have
+        assert (
+            "<pre>axes that turn with the body (FIXED); at the begin of the flight they are" in vehicle["description"]
+        )
         assert vehicle["position"]["referenceFrame"] == "FIXED" and vehicle["position"]["epoch"].startswith(EPOCH)
         samples = np.array(vehicle["position"]["cartesianVelocity"]).reshape(-1, 7)
-        tips = np.array(thrust["position"]["cartesian"]).reshape(-1, 4)
+        tips = np.array(thrust["position"]["cartesianVelocity"]).reshape(-1, 7)
         turned = np.array(vehicle["orientation"]["unitQuaternion"]).reshape(-1, 5)
         begin = 0.0
         for k, trajectory in enumerate(solution.trajectories):
@@ -189,7 +202,7 @@ def test_cesium_finds_position_attitude_and_thrust(descent: Solution, returned: 
             state = body_fixed(solution, k, samples[inside, 0] - begin)
             sizes = np.abs(state).max(axis=0)
             np.testing.assert_allclose(samples[inside, 1:], state, rtol=0, atol=1e-9 * sizes.max())
-            arrows = tips[inside, 1:] - samples[inside, 1:4]
+            arrows = tips[inside, 1:4] - samples[inside, 1:4]
             if "toward_x" in solution.problem.phases[k].control_names:
                 along = solution.flown(k, samples[inside, 0] - begin)[1][:3].T
                 lengths = np.linalg.norm(arrows, axis=1)
@@ -200,3 +213,38 @@ def test_cesium_finds_position_attitude_and_thrust(descent: Solution, returned: 
             else:
                 assert not arrows.any() and not thrust["polyline"]["show"][k]["boolean"]
             begin += trajectory.duration
+
+
+@pytest.mark.parametrize("turned", ["descent", "returned", "gated"])
+def test_between_its_samples_cesium_turns_and_thrusts_as_it_is_flown(
+    turned: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Attitude and arrow to 0.1 deg, up to the moment before a gate or a switch of the throttle, and behind it."""
+    solution = request.getfixturevalue(turned)
+    given = None if solution.problem.views.space.epoch else EPOCH
+    _, vehicle, thrust = json.loads(pl.export(solution, tmp_path / "flight.czml", epoch=given).read_text())
+    samples, tips = (np.array(packet["position"]["cartesianVelocity"]).reshape(-1, 7).T for packet in (vehicle, thrust))
+    turns = np.array(vehicle["orientation"]["unitQuaternion"]).reshape(-1, 5)
+    assert len(turns) < 0.1 * samples.shape[1] and all((np.diff(time) > 0).all() for time in (samples[0], turns[:, 0]))
+    here, there = (CubicHermiteSpline(way[0], way[1:4].T, way[4:].T) for way in (samples, tips))
+    attitude = Slerp(turns[:, 0], Rotation.from_quat(turns[:, 1:]))
+    begin, scale = 0.0, []
+    for k, trajectory in enumerate(solution.trajectories):
+        jumps = np.unique([0.0, trajectory.duration, *sides(trajectory)[1]])
+        t = np.linspace(0.0, trajectory.duration, 5001)
+        t = np.concatenate(
+            [t[np.abs(t[:, None] - jumps).min(axis=1) > JUMP], jumps[:-1] + 2 * JUMP, jumps[1:] - 2 * JUMP]
+        )
+        push = solution.inertial(k, t)[2].T
+        if push.any():
+            strength, at = np.linalg.norm(push, axis=1), begin + t
+            flown = Rotation.from_rotvec(np.outer(-solution.parameters.body_rotation_rate * at, [0.0, 0.0, 1.0])).apply(
+                push
+            )
+            arrow, up = there(at) - here(at), attitude(np.clip(at, *turns[[0, -1], 0])).apply([0.0, 0.0, 1.0])
+            scale.append(np.linalg.norm(arrow, axis=1) / strength)
+            for seen in (up, arrow / np.linalg.norm(arrow, axis=1)[:, None]):
+                off = np.linalg.norm(seen - flown / strength[:, None], axis=1)
+                assert np.degrees(off.max()) < 0.1, (trajectory.phase, t[off.argmax()])
+        begin += trajectory.duration
+    np.testing.assert_allclose(np.concatenate(scale), scale[0][0], rtol=1e-3)

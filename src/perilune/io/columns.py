@@ -108,9 +108,14 @@ def nodes(trajectory: Trajectory) -> Vector:
 
 def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
     """So many even times, and both sides of every switch: what jumps there is seen as a step, and not as a ramp."""
+    return np.union1d(np.linspace(0.0, trajectory.duration, count), sides(trajectory))
+
+
+def sides(trajectory: Trajectory) -> Matrix:
+    """Times before and behind every switch, of whatever curve."""
     curves = (trajectory.state, trajectory.control, *filter(None, (trajectory.costate,)))
     switches = np.concatenate([curve.time[1:][np.diff(curve.time) == 0] for curve in curves])
-    return np.union1d(np.linspace(0.0, trajectory.duration, count), (np.nextafter(switches, 0.0), switches))
+    return np.array([np.nextafter(switches, 0.0), switches])
 
 
 def per_unit(objective_unit: str, unit: str) -> str:
@@ -123,7 +128,7 @@ def per_unit(objective_unit: str, unit: str) -> str:
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
-    """(time from the first ignition [s], column) for each phase that has the column, as `seen_at`."""
+    """(time from the begin of the flight [s], column) for each phase that has the column, as `seen_at`."""
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         t = seen_at(trajectory)

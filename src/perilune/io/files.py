@@ -111,11 +111,12 @@ def new_file(file: str | Path, what: str, force: bool = False) -> Path:
             "what is written is a file, and not standard output", got="-", expected=f"the name of the file of {what}",
             advice="./- is a file of this name",
         )  # fmt: skip
-    path = Path(os.path.realpath(path)) if path.is_symlink() else path
     if path.is_dir():
         raise PeriluneError("the file is a directory", got=str(path), advice="choose another name")
+    # Asked before the link is followed: /dev/stdout leads to a name that is nowhere where it is a pipe.
     if path.exists() and not path.is_file():
         raise PeriluneError("this is a device or a pipe, and no file", got=str(path), advice="choose another name")
+    path = Path(os.path.realpath(path)) if path.is_symlink() else path
     if path.exists() and not force:
         raise PeriluneError(
             "the file is there already", got=str(path), advice="choose another name, or --force (in Python force=True)"

@@ -14,6 +14,7 @@ _ZONAL: dict[int, dict[str, Any]] = {
     for n, low, high in ((2, -0.66, 0.33), (3, -0.25, 0.25), (4, -0.46, 0.2))
 }
 LIKE = 0.02  # of its radius and of its pull: constants of a body differ by less, from paper to paper
+_SAME = 1e-3  # of its pull and its rotation; radii are those of the mean, the equator or a site
 
 
 @record("body")
@@ -140,13 +141,18 @@ def known_like(body: Body) -> Body | None:
 
 
 def told_as(body: Body) -> str:
-    """Name under which other programs know a body: that of the known one of its size and pull, else its own.
+    """Name under which other programs know a body: that of the known one that pulls and turns as it does, else its own.
 
-    "" where its own is that of another.
+    A model may leave out that the body turns. "" where its own is that of another.
     """
     known = {**BODIES, **PLANETS}
-    like = next((k.name for k in known.values() if body.resembles(k)), "")
+    like = next((name for name, one in known.items() if body.resembles(one) and _same(body, one)), "")
     return like or ("" if body.name.lower() in known else body.name)
+
+
+def _same(body: Body, known: Body) -> bool:
+    pulls = math.isclose(body.gravitational_parameter, known.gravitational_parameter, rel_tol=_SAME)
+    return pulls and (body.rotation_rate == 0 or math.isclose(body.rotation_rate, known.rotation_rate, rel_tol=_SAME))
 
 
 def recognised(body: Body) -> Body:

@@ -18,11 +18,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from perilune.models.time_scales import tdb_minus_utc, told_tdb
 from perilune.words.outcome import unknown_name
 from perilune.words.types import Matrix
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
-_TDB = 69.184  # s, ahead of UTC since 2017; which leap seconds come nobody knows
 _SECONDS = np.pi / 180 / 3600  # of arc
 
 
@@ -77,7 +77,10 @@ ELEMENTS = {
         told=_IAU,
     ),
 }  # fmt: skip
-_EARTH = "leading terms of its precession and nutation, UT1 taken as UTC, no polar motion: some 500 m on the ground"
+_EARTH = (
+    "leading terms of its precession and nutation, UT1 taken as UTC (leap seconds keep them within 0.9 s), no polar "
+    "motion: some 500 m on the ground"
+)
 
 
 def axes_in_space(body: str, epoch: datetime) -> Matrix:
@@ -98,7 +101,7 @@ def axes_in_space(body: str, epoch: datetime) -> Matrix:
     if body == "earth":
         return _earth(epoch)
     found = _elements(body)
-    days = ((epoch - _J2000).total_seconds() + _TDB) / 86400
+    days = ((epoch - _J2000).total_seconds() + tdb_minus_utc(epoch)) / 86400
     centuries = days / 36525
     angles = np.radians([constant + rate * centuries for constant, rate in found.angles])
     ascension = _sum(found.pole_right_ascension, centuries) + float(np.dot(found.right_ascension, np.sin(angles)))
@@ -108,15 +111,19 @@ def axes_in_space(body: str, epoch: datetime) -> Matrix:
     return _about_z(node) @ _about_x(tilt) @ _about_z(turn)
 
 
-def told_orientation(body: str) -> str:
+def told_orientation(body: str, epoch: datetime) -> str:
     """By what the orientation of a body is known, and how well, in words."""
-    return _EARTH if body == "earth" else _elements(body).told
+    return _EARTH if body == "earth" else f"{_elements(body).told}; {told_tdb(epoch)}"
 
 
 def _elements(body: str) -> Elements:
     known = sorted((*ELEMENTS, "earth"))
     if body not in ELEMENTS:
-        raise unknown_name("body whose orientation in space is known", body or "a body without a name", known)
+        raise unknown_name(
+            "body whose orientation in space is known",
+            body or "a body of another mass or rotation, or without a name",
+            known,
+        )
     return ELEMENTS[body]
 
 
@@ -126,7 +133,7 @@ def _sum(coefficients: Sequence[float], x: float) -> float:
 
 def _earth(epoch: datetime) -> Matrix:
     days = (epoch - _J2000).total_seconds() / 86400
-    t = (days + _TDB / 86400) / 36525
+    t = (days + tdb_minus_utc(epoch) / 86400) / 36525
     node = np.radians(125.04455501 - 1934.13626197 * t)
     twice_sun = 2 * np.radians(280.4665 + 36000.7698 * t)  # mean longitude
     x = 2004.191898 * t - 0.4297829 * t**2 - 0.016617 - 6.844318 * np.sin(node) - 0.523908 * np.sin(twice_sun)

@@ -106,13 +106,15 @@ def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: An
     return free_acceleration(position, (0.0, 0.0, 0.0), axis, p, m)
 
 
-INERTIAL_AXES = "inertial axes that are the body's own at ignition: z along its rotation, x to longitude 0"
+INERTIAL_AXES = (
+    "inertial axes that are the body's own at the begin of the flight: z along its rotation, x to longitude 0"
+)
 
 
 def seen_inertially(
     position: Sequence[Any], velocity: Sequence[Any], push: Sequence[Any], t: Any, p: Any, m: Any
 ) -> tuple[Any, ...]:
-    """Position, velocity and a third vector in `INERTIAL_AXES`, t seconds after ignition, as nine values.
+    """Position, velocity and a third vector in `INERTIAL_AXES` as nine values, t seconds after the begin of the flight.
 
     From the axes that turn with the body, z along its rotation; `velocity` is relative to these.
     """

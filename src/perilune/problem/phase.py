@@ -55,7 +55,7 @@ class Phase(ShownPhase):
         ``marks(x, p, m)`` of the end state of the phase returns further results (speed where the air begins).
     inertial
         ``inertial(x, u, t, p, m)`` returns nine values in inertial axes with the body at their origin, t seconds after
-        the first ignition: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
+        the begin of the flight: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
     track
         ``track(x, p, m)`` returns how far the flight has come along its way, how far to the left of it, how high, and
         where `Views.floor` names one, the least height there [m].

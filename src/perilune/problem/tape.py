@@ -33,7 +33,7 @@ ARITY = {
     **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES},
 }  # fmt: skip
 _REAL_ELSEWHERE = {"fabs", "atan2"}  # only those of `m` carry a complex step
-# What physics takes: states, controls, parameters, the time since the first ignition, the first and the last state.
+# What physics takes: states, controls, parameters, the time from the begin of the flight, first and last state.
 ROLES = ("x", "u", "p", "t", "first", "last")
 
 # (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands

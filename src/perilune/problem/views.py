@@ -183,8 +183,8 @@ class Views:
     beside
         What to draw with it, or None.
     peaks
-        Names of outputs whose largest value along the flight is a result, ``peak_load``, with its time from the first
-        ignition, ``peak_load_time``.
+        Names of outputs whose largest value along the flight is a result, ``peak_load``, with its time from the begin
+        of the flight, ``peak_load_time``.
     ground
         What a map shows, or None.
     corridor

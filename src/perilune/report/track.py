@@ -37,7 +37,7 @@ def track(flights: Mapping[str, Solution]) -> Figure:
 
 
 def path(solution: Solution) -> tuple[Vector, Matrix]:
-    """Times from the first ignition [s], shape (n,), and values of `Phase.track` then [m], shape (3 or 4, n)."""
+    """Times from the begin of the flight [s], shape (n,), and values of `Phase.track` then [m], shape (3 or 4, n)."""
     times, parts, begin = [], [], 0.0
     for k, (phase, trajectory) in enumerate(zip(solution.problem.phases, solution.trajectories, strict=True)):
         t = seen_at(trajectory)

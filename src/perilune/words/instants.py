@@ -1,29 +1,42 @@
-"""Instants as people state them: ISO 8601, UTC unless it says otherwise."""
+"""Times of day and year as people state them: ISO 8601 or a datetime, in years for which the models hold."""
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 
 from perilune.words.asked import refused
 from perilune.words.outcome import PeriluneError
 
+# How bodies are turned in space is told by polynomials about J2000, which are of use for a century or two.
+FIRST, END = (datetime(year, 1, 1, tzinfo=UTC) for year in (1900, 2200))
 EXAMPLE = "2030-01-01T00:00:00"
+_FINER = re.compile(r"[.,]\d{6}\d*[1-9]")  # than a microsecond, which a datetime would cut
 
 
-def instant(stated: str | datetime) -> datetime:
-    """The instant in UTC.
+def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
+    """UTC of a time, which it is in unless it says otherwise.
 
     Raises
     ------
     PeriluneError
-        If what is stated is no time.
+        If it is no time, not before `END` and from `FIRST` on, or finer than a microsecond; `name` is what is stated.
     """
     if isinstance(stated, type) or not isinstance(stated, str | datetime):
-        raise refused(stated, f'a text such as "{EXAMPLE}", or a datetime', "an epoch")
+        raise refused(stated, f'a text such as "{EXAMPLE}", or a datetime', name)
+    if _FINER.search(str(stated)):
+        raise PeriluneError(
+            f"{name} has more digits than are kept", got=str(stated)[:60], expected="microseconds at most",
+            advice="round it",
+        )  # fmt: skip
     try:
         found = datetime.fromisoformat(stated) if isinstance(stated, str) else stated
-        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+        found = found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+        if not FIRST <= found < END:
+            raise ValueError
+        return found
     except (ValueError, OverflowError):
         raise PeriluneError(
-            "the epoch is no time", got=repr(stated)[:60], expected=f'UTC in ISO 8601, as "{EXAMPLE}"'
-        ) from None
+            f"{name} is no time that is computed with", got=repr(stated)[:60],
+            expected=f'ISO 8601 from {FIRST.year} on and before {END.year}, as "{EXAMPLE}"',
+        ) from None  # fmt: skip

@@ -9,6 +9,7 @@ turns it from one burn to the next.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from html import escape
 from pathlib import Path
@@ -17,14 +18,15 @@ from typing import Any
 import numpy as np
 
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import Leg, legs, space_of
+from perilune.io.exports.path import JUMP, Leg, legs, space_of
 from perilune.io.files import json_text
 from perilune.problem.solution import Solution
-from perilune.words.types import Matrix
+from perilune.words.types import Matrix, Vector
 
 NAME = "CZML"
 _LONGEST = 0.05  # of the way, the longest arrow of thrust
-_TURNED = 0.02  # rad; Cesium takes attitudes that are less than 0.003 rad apart for one
+_TURNED = np.radians(0.1)  # that attitudes and arrows are off; Cesium takes those less than 0.003 rad apart for one
+_AXES = "axes that turn with the body (FIXED); at the begin of the flight they are the model's own, which do not turn"
 _PLAYED = 60.0  # s, that a flight takes when it is played
 
 
@@ -38,7 +40,7 @@ def write_czml(solution: Solution, about: Mapping[str, str], epoch: datetime, pa
     """
     space = space_of(solution, NAME)
     rate = float(getattr(solution.parameters, space.rotation)) if space.rotation else 0.0
-    flown = [leg.turning(rate) for leg in legs(solution)]
+    flown = [leg.turning(rate) for leg in legs(solution, _TURNED / 4)]
     path.write_text(json_text(_document(flown, about, epoch)), encoding="utf-8")
 
 
@@ -46,9 +48,9 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
     def utc(seconds: float) -> str:
         return f"{stamp(epoch, seconds)}Z"
 
-    begin, end = float(flown[0].time[0]), float(flown[-1].time[-1])
+    flight = joined(flown)
+    begin, end = float(flight.time[0]), float(flight.time[-1])
     whole = f"{utc(begin)}/{utc(end)}"
-    powered = [leg for leg in flown if leg.powered]
     head = {
         "id": "document", "name": about["title"], "version": "1.0",
         "clock": {
@@ -65,20 +67,20 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
     curved = {"interpolationAlgorithm": "HERMITE", "interpolationDegree": 3}
     vehicle: dict[str, Any] = {
         "id": "vehicle", "name": about["title"], "description": _description(about), "availability": whole,
-        "position": {**sampled, **curved, "cartesianVelocity": _rows(flown, "position", "velocity")},
+        "position": {**sampled, **curved, "cartesianVelocity": _rows(flight.time, flight.position, flight.velocity)},
         "path": {"width": 2, "material": _colour(0, 114, 178), "resolution": (end - begin) / 600},
         "point": {"pixelSize": 8, "color": {"rgba": [255, 255, 255, 255]}},
     }  # fmt: skip
-    if not powered:
+    if not flight.powered:
         return [head, vehicle]
-    way = np.concatenate([leg.position for leg in flown], axis=1)
-    most = max(float(np.linalg.norm(leg.push, axis=0).max()) for leg in powered)
-    stretch = _LONGEST * float(np.linalg.norm(np.ptp(way, axis=1))) / most
-    vehicle["orientation"] = {"epoch": utc(0.0), **held, "unitQuaternion": _attitudes(powered)}
+    most = float(np.linalg.norm(flight.push, axis=0).max())
+    stretch = _LONGEST * float(np.linalg.norm(np.ptp(flight.position, axis=1))) / most
+    tip_at, tip_velocity = flight.position + stretch * flight.push, flight.velocity + stretch * flight.push_rate
+    vehicle["orientation"] = {"epoch": utc(0.0), **held, "unitQuaternion": attitudes(flight)}
     tip = {
         "id": "thrust", "name": "thrust", "availability": whole, "parent": "vehicle",
         "description": f"An arrow along the acceleration by thrust, {stretch:.6g} m long for each m/s^2.",
-        "position": {**sampled, "cartesian": _rows(flown, "position", stretch=stretch)},
+        "position": {**sampled, **curved, "cartesianVelocity": _rows(flight.time, tip_at, tip_velocity)},
         "polyline": {
             "positions": {"references": ["vehicle#position", "thrust#position"]}, "width": 6, "arcType": "NONE",
             "material": {"polylineArrow": {"color": {"rgba": [213, 94, 0, 255]}}},
@@ -92,6 +94,7 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
 
 
 def _description(about: Mapping[str, str]) -> str:
+    about = {**about, "frame": ": ".join(filter(None, (_AXES, about.get("frame"))))}
     words = ("source", "method", "proof", "objective", "results", "body", "frame", "chosen", "scenario")
     return "".join(f"<h3>{name}</h3><pre>{escape(about[name])}</pre>" for name in words if name in about)
 
@@ -100,48 +103,80 @@ def _colour(*rgb: int) -> dict[str, Any]:
     return {"solidColor": {"color": {"rgba": [*rgb, 255]}}}
 
 
-def _rows(flown: list[Leg], *names: str, stretch: float = 0.0) -> list[float]:
-    """Time and values of each sample, one behind the other; where a leg begins it is the end of the one before."""
-    parts = []
-    for number, leg in enumerate(flown):
-        values = [getattr(leg, name) for name in names]
-        values[0] = values[0] + stretch * leg.push
-        row = np.concatenate([leg.time[None], *values])
-        # At a time that two legs share the later leg's is kept: Cesium has one sample of each time.
-        parts.append(row if number == len(flown) - 1 else row[:, :-1])
-    return np.concatenate(parts, axis=1).T.ravel().tolist()
+def joined(flown: list[Leg]) -> Leg:
+    """The whole flight with one sample of each time; of samples about a jump the last, and the first before it."""
+    time = np.concatenate([leg.time for leg in flown])
+    # To the next; twice as far as one is moved, which so keeps behind those before it.
+    near = np.append(np.diff(time) < 2 * JUMP, False)
+    lasts = np.flatnonzero(~near)
+    last = time[lasts[np.searchsorted(lasts, np.arange(len(time)))]]
+    told = np.where(near, np.maximum(np.minimum(time, last - JUMP), time[0]), time)
+    kept = np.append(True, ~near[:-1]) | ~near
+    found = {
+        name: np.concatenate([getattr(leg, name) for leg in flown], axis=1)[:, kept]
+        for name in ("position", "velocity", "push", "push_rate")
+    }
+    found["position"] -= (time - told)[kept] * found["velocity"]
+    return replace(flown[0], time=told[kept], **found)
 
 
-def _attitudes(powered: list[Leg]) -> list[float]:
+def _rows(time: Vector, *values: Matrix) -> list[float]:
+    """Time and values of each sample, one behind the other."""
+    return np.concatenate([time[None], *values]).T.ravel().tolist()
+
+
+def _smooth(time: Vector) -> list[np.ndarray]:
+    """Numbers of the samples from one jump to the next."""
+    return np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) < 1.5 * JUMP) + 1)
+
+
+def attitudes(flight: Leg) -> list[float]:
     """Time and quaternion (x, y, z, w) from the axes of the vehicle to those of the body, of each sample."""
-    time = np.concatenate([leg.time for leg in powered])
-    push = np.concatenate([leg.push for leg in powered], axis=1).T
-    velocity = powered[0].velocity[:, 0]
-    on = np.concatenate([np.diff(time) > 0, [True]]) & (np.linalg.norm(push, axis=1) > 0)
-    time, along = time[on], push[on] / np.linalg.norm(push[on], axis=1)[:, None]
-    x, last, rows = _beside(velocity, along[0]), np.zeros(4), []
-    for i in _thinned(along):
-        z = along[i]
-        x = _beside(x, z)
-        quaternion = _quaternion(np.column_stack([x, np.cross(z, x), z]))
-        last = quaternion if quaternion @ last >= 0 else -quaternion
-        rows += [float(time[i]), *last.tolist()]
+    size = np.linalg.norm(flight.push, axis=0)
+    x, before, last, rows = flight.velocity[:, np.argmax(size > 0)], None, np.zeros(4), []
+    for part in _smooth(flight.time):
+        on = part[size[part] > 0]
+        time, along = flight.time[on], (flight.push[:, on] / size[on]).T
+        for i in _thinned(time, along) if len(on) else ():
+            z = along[i]
+            x = _beside(x if before is None else _turned(x, before, z), z)
+            quaternion = _quaternion(np.column_stack([x, np.cross(z, x), z]))
+            before, last = z, quaternion if quaternion @ last >= 0 else -quaternion
+            rows += [float(time[i]), *last.tolist()]
     return rows
 
 
-def _thinned(along: np.ndarray) -> list[int]:
-    """Numbers of those directions that are further than `_TURNED` from each other, with both sides of every jump."""
-    found = [0]
-    for i in range(1, len(along)):
-        if i == len(along) - 1 or _angle(along[found[-1]], along[i]) > _TURNED:
-            if found[-1] < i - 1 and _angle(along[i - 1], along[i]) > 0.5 * _TURNED:
-                found.append(i - 1)
-            found.append(i)
-    return found
+def _thinned(time: Vector, along: Matrix) -> list[int]:
+    """Numbers of those directions (n, 3) between which an even turn is nowhere off by more than half of `_TURNED`."""
+    kept, spans = {0, len(time) - 1}, [(0, len(time) - 1)]
+    while spans:
+        a, b = spans.pop()
+        if b <= a + 1:
+            continue
+        part = ((time[a + 1 : b] - time[a]) / (time[b] - time[a]))[:, None]
+        half_turns = _angle(along[a], along[b]) / np.pi
+        met = (1 - part) * np.sinc((1 - part) * half_turns) * along[a] + part * np.sinc(part * half_turns) * along[b]
+        length = np.maximum(np.linalg.norm(met, axis=1), np.finfo(float).tiny)  # half-way to the opposite it is none
+        off = _angle(met / length[:, None], along[a + 1 : b])
+        if off.max() > 0.5 * _TURNED:
+            worst = a + 1 + int(np.argmax(off))
+            kept.add(worst)
+            spans += [(a, worst), (worst, b)]
+    return sorted(kept)
 
 
-def _angle(one: np.ndarray, other: np.ndarray) -> float:
-    return 2 * np.arcsin(min(1.0, 0.5 * float(np.linalg.norm(one - other))))
+def _angle(one: np.ndarray, other: np.ndarray) -> Any:
+    """Between unit vectors, in the last axis of both [rad]."""
+    return 2 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(one - other, axis=-1)))
+
+
+def _turned(vector: Vector, before: Vector, behind: Vector) -> Vector:
+    """A vector as it goes with the least turn that brings one direction to another."""
+    axis, cosine = np.cross(before, behind), before @ behind
+    if cosine < 1e-9 - 1:  # about any axis, that of the vector too
+        return vector
+    across = np.cross(axis, vector)
+    return vector + across + np.cross(axis, across) / (1 + cosine)
 
 
 def _beside(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:

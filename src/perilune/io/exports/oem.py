@@ -34,14 +34,14 @@ def write_oem(solution: Solution, about: Mapping[str, str], epoch: datetime, pat
     body = space_of(solution, NAME).body.lower()
     matrix = axes_in_space(body, epoch)
     flown = [leg.turned(matrix) for leg in legs(solution)]
-    lines = ["CCSDS_OEM_VERS = 2.0", *_comments(_told(solution, about, body, max(leg.lost for leg in flown)))]
+    lines = ["CCSDS_OEM_VERS = 2.0", *_comments(_told(solution, about, body, epoch, max(leg.lost for leg in flown)))]
     lines += [f"CREATION_DATE = {datetime.now(UTC):%Y-%m-%dT%H:%M:%S}", "ORIGINATOR = PERILUNE", ""]
     for leg in flown:
         lines += _segment(leg, solution.problem.name, body, epoch)
     path.write_text("\n".join(lines), encoding="ascii", newline="\n")
 
 
-def _told(solution: Solution, about: Mapping[str, str], body: str, lost: float) -> Iterator[str]:
+def _told(solution: Solution, about: Mapping[str, str], body: str, epoch: datetime, lost: float) -> Iterator[str]:
     yield about["title"]
     yield about["source"]
     yield f"method {about['method']}; proof: {about['proof']}; J = {about['objective']}"
@@ -52,7 +52,7 @@ def _told(solution: Solution, about: Mapping[str, str], body: str, lost: float) 
         yield space.chosen
     yield (
         "The model flies in inertial axes that are those of the body at the begin of the flight. Axes of the body in "
-        f"the ICRF at that time: {told_orientation(body)}."
+        f"the ICRF at that time: {told_orientation(body, epoch)}."
     )
     yield f"Hermite interpolation of degree 3 between two lines loses at most {1e3 * lost:.1g} mm."
     yield "Times are the epoch and the seconds of the model: no leap second is put in."

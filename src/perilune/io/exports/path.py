@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from perilune.io.columns import sides
 from perilune.problem.solution import Solution
 from perilune.problem.views import Space
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
 LOST = 1e-3  # m, between two times
+JUMP = 1e-6  # s; what changes faster than in so short a time jumps
 _HALVED = 12  # times, at most
+_NEAR = 1e-3  # of the way to the next time, at which a rate is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +31,8 @@ class Leg:
         Its name.
     time
         From the begin of the flight [s], shape (n,), increasing.
-    position, velocity, push
-        [m], [m/s], acceleration by thrust [m/s^2], each (3, n).
+    position, velocity, push, push_rate
+        [m], [m/s], acceleration by thrust [m/s^2] and its rate [m/s^3], each (3, n).
     lost
         Most that interpolation of position and velocity loses half-way between two times [m].
     """
@@ -39,6 +42,7 @@ class Leg:
     position: Matrix
     velocity: Matrix
     push: Matrix
+    push_rate: Matrix
     lost: float
 
     @property
@@ -48,18 +52,23 @@ class Leg:
 
     def turned(self, matrix: Matrix) -> Leg:
         """The same in other axes that do not turn."""
-        return replace(self, position=matrix @ self.position, velocity=matrix @ self.velocity, push=matrix @ self.push)
+        names = ("position", "velocity", "push", "push_rate")
+        return replace(self, **{name: matrix @ getattr(self, name) for name in names})
 
     def turning(self, rate: float) -> Leg:
-        """The same in axes that turn about z at a rate [rad/s]; velocities are beside them."""
+        """The same in axes that turn about z at a rate [rad/s]; velocities, and rates, are beside them."""
         sine, cosine = np.sin(rate * self.time), np.cos(rate * self.time)
-        x, y = rate * self.position[1], -rate * self.position[0]
-        beside = self.velocity + np.array([x, y, np.zeros_like(x)])
 
         def back(v: Matrix) -> Matrix:
             return np.array([cosine * v[0] + sine * v[1], cosine * v[1] - sine * v[0], v[2]])
 
-        return replace(self, position=back(self.position), velocity=back(beside), push=back(self.push))
+        def beside(v: Matrix, its_rate: Matrix) -> Matrix:
+            return back(its_rate + rate * np.array([v[1], -v[0], np.zeros_like(v[0])]))
+
+        return replace(
+            self, position=back(self.position), velocity=beside(self.position, self.velocity),
+            push=back(self.push), push_rate=beside(self.push, self.push_rate),
+        )  # fmt: skip
 
 
 def space_of(solution: Solution, form: str) -> Space:
@@ -82,8 +91,17 @@ def space_of(solution: Solution, form: str) -> Space:
     return problem.views.space
 
 
-def legs(solution: Solution) -> list[Leg]:
+def legs(solution: Solution, bent: float | None = None) -> list[Leg]:
     """The phases in inertial axes; a phase without length has none.
+
+    Parameters
+    ----------
+    solution
+        The flight.
+    bent
+        Most that linear interpolation of the thrust loses between two times, as a share of it: an angle [rad]. Then a
+        switch, at which the thrust jumps, is seen from both its sides, which are times next to each other. None where
+        the thrust does not matter.
 
     Raises
     ------
@@ -93,7 +111,7 @@ def legs(solution: Solution) -> list[Leg]:
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         if trajectory.duration > 0:
-            found.append(_leg(solution, k, begin))
+            found.append(_leg(solution, k, begin, bent))
         begin += trajectory.duration
     if not found or not all(np.isfinite([leg.position, leg.velocity, leg.push]).all() for leg in found):
         raise PeriluneError(
@@ -103,16 +121,42 @@ def legs(solution: Solution) -> list[Leg]:
     return found
 
 
-def _leg(solution: Solution, k: int, begin: float) -> Leg:
-    t = np.unique(solution.trajectories[k].time)
+def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
+    trajectory = solution.trajectories[k]
+    t = np.unique(trajectory.time) if bent is None else np.union1d(trajectory.time, sides(trajectory))
     for _ in range(_HALVED):
         r, v, push = solution.inertial(k, t)
         middle, width = 0.5 * (t[1:] + t[:-1]), np.diff(t)
         between = 0.5 * (r[:, 1:] + r[:, :-1]) - 0.125 * width * np.diff(v, axis=1)
         lost = np.linalg.norm(between - solution.inertial(k, middle)[0], axis=0)
-        if not (bad := lost > LOST).any():
+        bad = lost > LOST
+        if bent is not None:
+            bad |= (width > JUMP) & (_bent(solution, k, t, push) > bent)
+        if not bad.any():
             break
         t = np.union1d(t, middle[bad])
     return Leg(
-        phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push, lost=float(lost.max())
-    )
+        phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push,
+        push_rate=_rates(solution, k, t, push), lost=float(lost.max()),
+    )  # fmt: skip
+
+
+def _rates(solution: Solution, k: int, t: Vector, push: Matrix) -> Matrix:
+    """Rates of the thrust, by how it goes on to the next time, or came from the one before where it jumps."""
+    width = np.append(np.diff(t), 0.0)
+    step = _NEAR * np.where(width > JUMP, width, -np.roll(width, 1))
+    moved, step = solution.inertial(k, t + step)[2] - push, (t + step) - t
+    return np.divide(moved, step, out=np.zeros_like(push), where=np.abs(step) > _NEAR * JUMP)
+
+
+def _bent(solution: Solution, k: int, t: Vector, push: Matrix) -> Vector:
+    """By what share of the thrust its linear interpolation is off between two times, at two places, shape (n - 1,).
+
+    A cubic that is off somewhere is so at one of these places, but not always in the middle.
+    """
+    found = np.zeros(len(t) - 1)
+    for part in (0.25, 0.75):
+        real = solution.inertial(k, t[:-1] + part * np.diff(t))[2]
+        off, size = push[:, :-1] + part * np.diff(push, axis=1) - real, np.linalg.norm(real, axis=0)
+        found = np.maximum(found, np.divide(np.linalg.norm(off, axis=0), size, out=np.zeros_like(size), where=size > 0))
+    return found

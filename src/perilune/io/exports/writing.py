@@ -79,9 +79,9 @@ def write(
 ) -> Path:
     """As `export`, with what is to be said of the solution (`perilune.io.exports.provenance`)."""
     path, format = placed(file, format, force)
-    found = needed_epoch(solution.problem, epoch, _TIMED[format]) if format in _TIMED else None
+    found = needed_epoch(solution, epoch, _TIMED[format]) if format in _TIMED else None
     with fresh_file(path, "the export") as beside:
-        _writer(format)(solution, about, found or epoch_of(solution.problem, epoch), beside)
+        _writer(format)(solution, about, found or epoch_of(solution, epoch), beside)
     return path
 
 
@@ -124,7 +124,7 @@ def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xar
     from perilune.io.exports.tabular import dataset_of
 
     demand(solution, Solution, "a solution to export")
-    return dataset_of(flight_table(solution), provenance(solution), epoch_of(solution.problem, epoch))
+    return dataset_of(flight_table(solution), provenance(solution), epoch_of(solution, epoch))
 
 
 def to_dataframe(solution: Solution) -> pandas.DataFrame:

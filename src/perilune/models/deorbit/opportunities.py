@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -157,8 +157,7 @@ def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[fl
         beyond = away > turned + OFF_PLANE and not hasattr(p, "vehicle_lift_to_drag")
         verdict = OUT_OF_REACH if beyond else DOUBTFUL
     aim = next((record for record in problem.declared if isinstance(record, Aim)), Aim())
-    epoch = aim.instant()
-    utc = None if epoch is None else epoch.astimezone(UTC) if epoch.tzinfo else epoch.replace(tzinfo=UTC)
+    utc = aim.instant()
     settings = _settings(problem, p, orbit, start)
     if utc is not None:
         settings["problem.epoch"] = f"{utc + timedelta(seconds=start):%Y-%m-%dT%H:%M:%SZ}"

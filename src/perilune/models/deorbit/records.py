@@ -9,6 +9,7 @@ from typing import Any
 from perilune.models.aerodynamics import SUTTON_GRAVES
 from perilune.models.coast import SHORTEST
 from perilune.words.declared import quantity, record, words
+from perilune.words.instants import instant
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import told
@@ -19,7 +20,6 @@ AIRS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 BANKS = ("free", "reversed")
 PASSES = ("ascending", "descending")
-_YEARS = (1900, 2200)  # in which a return may be
 LONGEST_COAST = 10 * 86400.0  # s; what is longer is flown by no method, and begins better from a newer orbit
 _TURNS: dict[str, Any] = {"least": -4 * math.pi, "most": 4 * math.pi}
 _LATITUDE: dict[str, Any] = {
@@ -63,18 +63,8 @@ class Aim:
         self.instant()
 
     def instant(self) -> datetime | None:
-        """The epoch; refuses what is none."""
-        try:
-            found = None if self.epoch is None else datetime.fromisoformat(self.epoch)
-            if found is not None and not _YEARS[0] <= found.year < _YEARS[1]:
-                raise ValueError
-            return found
-        except ValueError:
-            raise PeriluneError(
-                "problem.epoch is no time",
-                got=repr(self.epoch)[:60],
-                expected=f'ISO 8601 from {_YEARS[0]} on and before {_YEARS[1]}, as "2026-06-01T12:00:00Z"',
-            ) from None
+        """The epoch in UTC; refuses what is none."""
+        return None if self.epoch is None else instant(self.epoch, "problem.epoch")
 
 
 @record("orbit")
