@@ -617,8 +617,8 @@ def atlas_objective(directory: str) -> float:
         ("450:430 N", "is empty"),
         ("430:450:10 N", "two parts"),
         ("430 N", "two parts"),
-        ("430:nan N", "not a quantity: a number and a unit\n  got: 'nan N'"),
-        ("-inf:450 N", "not a quantity: a number and a unit\n  got: '-inf N'"),
+        ("430:nan N", "the value is not finite\n  got: 'nan N'"),
+        ("-inf:450 N", "the value is not finite\n  got: '-inf N'"),
     ],
 )
 def test_ranges_that_are_none_are_refused(text: str, words: str, tmp_path: Path, capsys: Any) -> None:

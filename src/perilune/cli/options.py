@@ -57,7 +57,7 @@ def level(least: int, usual: int) -> Option:
 
 def prove(what: str, otherwise: str = "") -> Option:
     """The level to which something is proved on the way, usually not at all."""
-    help_ = f"{what}, to level 1 to {THEOREM}{otherwise}."
+    help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0, as usual, for none."
     return option("--prove", metavar="LEVEL", type=whole(0, THEOREM), default=0, help=help_)
 
 

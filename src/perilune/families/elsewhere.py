@@ -106,7 +106,7 @@ def told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
         yield from answers
     except BrokenExecutor as error:
         raise PeriluneError(
-            "a worker was lost",
+            "a worker was lost, or what hands work to it",
             got=f"{type(error).__name__}: {error}",
             advice="what was done is kept where it was to be stored (--out DIR): run it again there (--resume)",
         ) from error

@@ -23,7 +23,7 @@ def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
         If it is no time, not before `END` and from `FIRST` on, or finer than a microsecond; `name` is what is stated.
     """
     if isinstance(stated, type) or not isinstance(stated, str | datetime):
-        raise refused(stated, f'a text such as "{EXAMPLE}", or a datetime', name)
+        raise refused(stated, f'a text such as "{EXAMPLE}", or a datetime', "an epoch")
     if _FINER.search(str(stated)):
         raise PeriluneError(
             f"{name} has more digits than are kept", got=str(stated)[:60], expected="microseconds at most",
