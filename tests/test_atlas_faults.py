@@ -22,7 +22,7 @@ from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.atlas import building, extending, merging, read
 from perilune.atlas.extending import extend
-from perilune.atlas.lines import read_line, written_line
+from perilune.atlas.lines import cut_off, read_line, written_line
 from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
@@ -366,7 +366,31 @@ def test_a_line_of_which_one_bit_has_changed_says_nothing(copy: Path) -> None:
             broken = whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :]
             if b"\n" not in broken[:-1] and b"\r" not in broken:
                 assert read_line(broken.strip()) is None, broken
+                assert not cut_off(broken.strip()), broken
+    assert all(cut_off(whole[:size]) for size in range(1, len(whole) - 1) if whole[size - 1 : size] != b"}")
     assert read_line(whole.strip()) == {name: value for name, value in edges.items() if name != "crc32"}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="POSIX forks")
+def test_a_worker_that_is_forked_holds_nothing_of_its_builders(tmp_path: Path) -> None:
+    """It may outlive a builder that was killed, and others would wait for it for ever."""
+    kept, (hears, says) = Store(tmp_path), os.pipe()
+    with kept.claimed("sample") as ours:
+        assert ours
+        child = os.fork()
+        if not child:
+            os.write(says, b"!")
+            time.sleep(20)
+            os._exit(0)
+        assert os.read(hears, 1) == b"!"
+    try:
+        with kept.claimed("sample") as again:
+            assert again
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        for end in (hears, says):
+            os.close(end)
 
 
 def test_a_brick_that_is_lost_is_named_and_nothing_answers_in_its_place(built: Path, copy: Path) -> None:
@@ -382,7 +406,8 @@ def test_a_brick_that_is_lost_is_named_and_nothing_answers_in_its_place(built: P
     assert atlas.query_many(middle[None]).answered[0] == Answered.NOT_BUILT
     with pytest.raises(PeriluneError, match="not built yet"):
         atlas.query(**dict(zip(atlas.region.names, middle.tolist(), strict=True)))
-    assert "1 brick is not there" in str(verify_atlas(atlas, 0))
+    found = verify_atlas(atlas, 0)
+    assert not found.passed and "1 brick is not there" in str(found)
     extend(copy, {}, sample=0)
     again = open_atlas(copy)
     assert not again.unbuilt and again.query_many(middle[None]).good.all()

@@ -226,11 +226,15 @@ def test_what_was_solved_is_kept_where_its_figures_are_not_finished(
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
     monkeypatch.setattr("perilune.report.figures.solution_figures", drawn)
     out = tmp_path / "out"
-    assert run(["solve", ORDINARY, "--out", str(out)]) != 0
+    out.mkdir()
+    (out / "solution.json").write_text("{}")  # what an earlier run left
+    (out / "figures").mkdir()
+    (out / "figures" / "mass.svg").write_text("<svg><dc:title>perilune</dc:title></svg>")
+    assert run(["solve", ORDINARY, "--out", str(out), "--force"]) != 0
     assert pl.load(out).objective == ordinary.objective
     assert snapshot(out).keys() == {"solution.json", "trajectory.csv"}
     stopped = isinstance(ending, KeyboardInterrupt)
-    assert (f"the solution is in {out}, without figures" in capsys.readouterr().err) == stopped
+    assert (f"the solution is in {out}; its figures" in capsys.readouterr().err) == stopped
 
 
 def test_a_report_that_is_not_ours_stays(tmp_path: Path) -> None:

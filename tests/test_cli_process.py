@@ -22,6 +22,7 @@ import perilune
 from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.cli.answer import Answer, deliver
 from perilune.cli.progress import progress
+from perilune.cli.stopping import put_off
 from perilune.direct import nlp
 from perilune.words.outcome import NotConvergedError
 
@@ -264,6 +265,17 @@ def test_a_stop_that_foreign_code_has_swallowed_is_met_at_the_next_line(monkeypa
         with pytest.raises(KeyboardInterrupt):
             watch("two")
     assert list(log) == ["one", "two"]
+
+
+def test_a_stop_waits_until_what_was_computed_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("perilune.cli.stopping.STOPPED", Event())
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    done = list[str]()
+    with pytest.raises(KeyboardInterrupt), put_off():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        done.append("kept")
+    assert done == ["kept"]
 
 
 @pytest.mark.parametrize("error", [NotImplementedError("Wrong number or type of arguments"), NotConvergedError("lost")])

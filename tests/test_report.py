@@ -317,7 +317,7 @@ def test_a_file_is_no_directory(tmp_path) -> None:
 
 def test_everything_is_written(hybrid: Solution, ordinary: Solution, tmp_path) -> None:
     """Solution, table, report and every figure twice; the report's pictures exist."""
-    write_all(hybrid, tmp_path / "out", scenario_text=SCENARIO, ordinary=lambda: ordinary)
+    write_all(hybrid, tmp_path / "out", scenario_text=SCENARIO, ordinary=ordinary)
     made = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert {"solution.json", "trajectory.csv", "report.md"} <= made
     report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")

@@ -48,6 +48,12 @@ def read_line(line: bytes) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
+def cut_off(line: bytes) -> bool:
+    """Whether a line that says nothing ends where its writer may have been killed, and is no whole one that changed."""
+    _, told, checksum = line.rpartition(f', "{_CHECKSUM}": '.encode())
+    return not checksum.strip(b"0123456789") if told else line.count(b"{") != line.count(b"}")
+
+
 @contextmanager
 def told_of_damage(name: str) -> Iterator[None]:
     """What a file of another hand holds in place of what was written, in plain words."""

@@ -23,7 +23,7 @@ from perilune.words.units import told, told_range
 
 MOST_AXES = 4
 _MOST_BRICKS = 10**6
-_NARROWEST = 1e-9  # range of an axis, as a share of its values
+_NARROWEST, _LEAST = 1e-9, 1e-280  # range of an axis, as a share of its values, and SI
 _LOOKS = 16  # at points within a region, beside its corners, between which a function may go and come back
 _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
 
@@ -213,7 +213,7 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
                 got=f"{told(low, problem.unit_of(name))} to {told(high, problem.unit_of(name))}",
                 expected="low < high, both finite",
             )  # fmt: skip
-        if high - low < _NARROWEST * max(abs(low), abs(high)):  # numbers between them would be one
+        if high - low < max(_NARROWEST * max(abs(low), abs(high)), _LEAST):  # numbers between them would be one
             raise PeriluneError(
                 f"the range of {key_of(name)} is too narrow", got=f"{low!r} to {high!r} {problem.unit_of(name)}",
                 expected=f"at least {_NARROWEST:g} of its values",

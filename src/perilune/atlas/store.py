@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.lines import read_line, refuse_no_brick, refuse_no_survey, told_of_damage, written_line
+from perilune.atlas.lines import cut_off, read_line, refuse_no_brick, refuse_no_survey, told_of_damage, written_line
 from perilune.io.files import finite, json_text, refuse_name_of_file
 from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import tree
@@ -167,7 +167,7 @@ class Store:
                 self._lines.append(found)
                 if found.get("kind") == "brick":
                     self._names.add(str(found.get("name")))
-            elif line.rstrip().endswith(b"}"):  # else a writer was killed in the middle of it
+            elif line.strip() and not cut_off(line):
                 self.unreadable += 1
         return self._lines
 
@@ -300,6 +300,7 @@ class Store:
             handle = os.open(self.directory / f".claim-{name}", os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise _unwritable(f".claim-{name}", error) from error
+        _claims.add(handle)
         try:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -308,6 +309,7 @@ class Store:
                 return
             yield True
         finally:
+            _claims.discard(handle)
             os.close(handle)
 
     def settled(self, name: str) -> None:
@@ -335,6 +337,20 @@ class Store:
             with contextlib.suppress(OSError):
                 temporary.unlink()
             raise _unwritable(name, error) from error
+
+
+_claims = set[int]()  # files by which this process holds what it computes
+
+
+def _let_go() -> None:
+    """A worker that is forked holds none of them: it may outlive its builder."""
+    for handle in _claims:
+        os.close(handle)
+    _claims.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_let_go)
 
 
 def digest_of(said: Any) -> str:

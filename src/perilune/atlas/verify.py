@@ -63,8 +63,8 @@ class Verified:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is damaged, and all that was drawn is proved."""
-        return not self.damaged and self.proved == self.drawn
+        """Whether nothing is damaged or missing, and all that was drawn is proved."""
+        return not self.damaged and not self.unbuilt and self.proved == self.drawn
 
     @property
     def share(self) -> float:

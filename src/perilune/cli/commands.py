@@ -7,7 +7,6 @@ from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,7 @@ from perilune.cli.answer import Answer, aside, deliver, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
-from perilune.cli.stopping import advised, heed
+from perilune.cli.stopping import advised, heed, put_off
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.units import told
 
@@ -51,19 +50,23 @@ def _solve(typed: Namespace) -> Answer:
     from perilune.solve import solve as solve_problem
 
     log: deque[str] = deque(maxlen=LONGEST_LOG)
-    with progress(typed.verbose, log) as watch:
+    kept = ""
+    with advised(lambda: kept), progress(typed.verbose, log) as watch:
         with failure_kept(scenario, out, typed.force, log):
             solution = solve_problem(
                 scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch
             )
+            if out is not None:
+                with put_off():
+                    from perilune.io.export import save
+
+                    save(solution, out, scenario.text, force=typed.force)
+                    kept = f"the solution is in {out}; its figures and the report may be missing"
         if out is not None:
-            from perilune.io.files import in_use
             from perilune.report import write_all
 
-            used, beside = in_use(out), partial(_beside, solution)
-            with advised(lambda: f"the solution is in {out}, without figures" if in_use(out) > used else ""):
-                watch("writing files and figures")
-                write_all(solution, out, scenario_text=scenario.text, ordinary=beside, force=typed.force)
+            watch("writing figures and the report")
+            write_all(solution, out, scenario_text=scenario.text, ordinary=_beside(solution), force=True)
     return _solution_answer(solution, typed.verbose, out)
 
 

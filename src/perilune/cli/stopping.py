@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from threading import Event
+from threading import Event, current_thread, main_thread
 from typing import NoReturn
 
 #: Set when the user stopped the program: who wraps foreign code may clear its exception with others.
@@ -23,6 +24,22 @@ def heed() -> None:
     """Ctrl-C, where what was computed may have lost it, or taken it for a fault: before an answer is made of that."""
     if STOPPED.is_set():
         raise KeyboardInterrupt
+
+
+@contextmanager
+def put_off() -> Iterator[None]:
+    """Ctrl-C waits until the block has ended, which puts what was computed where it is kept."""
+    if current_thread() is not main_thread():
+        yield
+        return
+    pressed = Event()
+    before = signal.signal(signal.SIGINT, lambda *_: pressed.set())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if pressed.is_set():
+        stop()
 
 
 @contextmanager

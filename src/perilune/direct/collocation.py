@@ -22,9 +22,6 @@ import numpy as np
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
-# Of one segment: beyond, its dense blocks make a program slow that many short segments make fast.
-MOST_POINTS = 200
-
 Scheme = Literal["gauss", "radau"]
 
 
@@ -79,17 +76,12 @@ def rule(scheme: Scheme, degree: int) -> Rule:
     Raises
     ------
     PeriluneError
-        If the scheme is unknown, or the degree is below 2 or above `MOST_POINTS`.
+        If the scheme is unknown or the degree is below 2.
     """
     if scheme not in ("gauss", "radau"):
         raise PeriluneError("unknown collocation scheme", got=repr(scheme), expected="'gauss' or 'radau'")
     if degree < 2:
         raise PeriluneError("a segment needs at least two collocation points", got=str(degree), expected=">= 2")
-    if degree > MOST_POINTS:
-        raise PeriluneError(
-            "a segment has too many collocation points", got=str(degree), expected=f"<= {MOST_POINTS}",
-            advice="refinement cuts segments where a mesh is not accurate enough",
-        )  # fmt: skip
     if scheme == "gauss":
         points, weights = _gauss(degree)
         support = np.concatenate([[-1.0], points])

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from perilune.direct.segments import Segment
 
 
+# Of one segment: beyond, its dense blocks make a program slow that many short segments make fast.
+_MOST_NODES = 200
+
+
 @dataclass(frozen=True, kw_only=True)
 class Transcription:
     """What a direct run is made with; `perilune.methods.pseudospectral.Pseudospectral` says what each means."""
@@ -40,6 +44,11 @@ class Transcription:
         demand_whole(self, nodes=1, segments=1, refine=0, iterations=1)
         if not isinstance(self.scheme, str):
             raise refused(self.scheme, "'gauss' or 'radau'", "a collocation scheme")
+        if self.nodes > _MOST_NODES:
+            raise PeriluneError(
+                "a segment has too many collocation points", got=str(self.nodes), expected=f"<= {_MOST_NODES}",
+                advice="refinement cuts segments where a mesh is not accurate enough",
+            )  # fmt: skip
         rule(self.scheme, self.nodes)
         for name in ("tolerance", "nlp_tolerance"):
             demand_number(getattr(self, name), name)

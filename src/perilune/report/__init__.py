@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 from perilune.problem.solution import Solution
@@ -16,7 +14,7 @@ def write_all(
     out_dir: str | Path,
     *,
     scenario_text: str | None,
-    ordinary: Callable[[], Solution | None] | None = None,
+    ordinary: Solution | None = None,
     force: bool = False,
 ) -> None:
     """Write everything about a solution: ``solution.json``, ``trajectory.csv``, figures, ``report.md``.
@@ -26,12 +24,11 @@ def write_all(
     solution
         What to write.
     out_dir
-        Directory; its files appear together, when all are complete. Where figures or the report end by an error, or by
-        Ctrl-C, the flight and its trajectory appear without them: what was computed is not lost.
+        Directory; its files appear together, when all are complete.
     scenario_text
         The scenario that the problem was made of, with every change made to it; None where it alone is not all of it.
     ordinary
-        Gives a plainer flight of the same problem, drawn into the same figures, or None.
+        A plainer flight of the same problem, drawn into the same figures.
     force
         Whether what an earlier run wrote there may be replaced.
 
@@ -41,30 +38,15 @@ def write_all(
         If the directory cannot be written, or is not empty and `force` is false.
     """
     from perilune.io.export import write_solution_files
-    from perilune.io.files import FIGURES, fresh_directory
-
-    unfinished: BaseException | None = None
-    with fresh_directory(out_dir, force) as work:
-        write_solution_files(solution, work, scenario_text)
-        try:
-            _write_report(solution, work, scenario_text, None if ordinary is None else ordinary())
-        except OSError:
-            raise  # the flight could not be put in its place either
-        except BaseException as error:
-            unfinished = error
-            shutil.rmtree(work / FIGURES, ignore_errors=True)  # some would be taken for all
-    if unfinished is not None:
-        raise unfinished
-
-
-def _write_report(solution: Solution, work: Path, scenario_text: str | None, ordinary: Solution | None) -> None:
-    from perilune.io.files import FIGURES
+    from perilune.io.files import fresh_directory
     from perilune.report.figures import save, solution_figures
     from perilune.report.summary import solution_markdown
 
-    (work / FIGURES).mkdir()
-    drawn = solution_figures(solution, ordinary)
-    for name, figure in drawn.items():
-        save(figure, work / FIGURES, name)
-    report = solution_markdown(solution, drawn, scenario_text or "")
-    (work / REPORT_FILE).write_text(report, encoding="utf-8")
+    with fresh_directory(out_dir, force) as work:
+        write_solution_files(solution, work, scenario_text)
+        (work / "figures").mkdir()
+        drawn = solution_figures(solution, ordinary)
+        for name, figure in drawn.items():
+            save(figure, work / "figures", name)
+        report = solution_markdown(solution, drawn, scenario_text or "")
+        (work / REPORT_FILE).write_text(report, encoding="utf-8")

@@ -221,8 +221,10 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
         Named.
     """
     plain = value.item() if getattr(value, "ndim", None) == 0 else value  # of NumPy and xarray
-    if not _is_number(plain) or plain != plain:  # as NaN alone is
+    if not _is_number(plain):
         raise refused(value, "a number in SI", what, advice)
+    if plain != plain:  # as NaN alone is
+        raise refused(value, "a finite number in SI", what)
 
 
 def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:

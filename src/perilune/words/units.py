@@ -120,7 +120,8 @@ def _nearest(name: str) -> str:
     import difflib  # which nothing needs that is right
 
     found = {known.lower(): known for known in _UNITS}
-    near = difflib.get_close_matches(name.lower(), found, n=1)
+    near = [known for known in found if len(known) > 2 and name.lower().startswith(known)]  # of degrees, deg
+    near = near or difflib.get_close_matches(name.lower(), found, n=1, cutoff=0.75)  # of short ones few are meant
     return f'did you mean "{found[near[0]]}"?' if near else ""
 
 
