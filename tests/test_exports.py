@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import sys
@@ -207,7 +208,9 @@ def test_a_thrust_that_turns_over_keeps_its_attitudes_apart() -> None:
     np.testing.assert_allclose(up[[0, -4, -3, -2, -1]], push.T[[0, 2, 4, 5, 6]], atol=1e-12)
 
 
-def test_the_command_exports_what_was_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_exports_what_was_solved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     place, file = str(tmp_path / "run"), tmp_path / "flight.czml"
     scenario = load_file(HYBRID)
     pl.save(pl.solve(scenario.problem, level=1), place, scenario.text)
@@ -231,6 +234,9 @@ def test_the_command_exports_what_was_solved(tmp_path: Path, capsys: pytest.Capt
     assert run(["export", place, "--out", str(tmp_path / "flight.csv")]) == 0
     assert (tmp_path / "flight.csv").read_text().count(",") > 100
     (tmp_path / "flight.csv").unlink()
+    monkeypatch.setattr(importlib.import_module("perilune.solve"), "prove", None)  # it takes long, and is not begun
+    assert run([*ask, "--epoch", "no time", "--force", "--prove", "3"]) == 2
+    assert "no time that is computed with" in capsys.readouterr().err
     assert sorted(os.listdir(tmp_path)) == ["flight.czml", "run"]
 
 

@@ -230,6 +230,7 @@ def sampled(
     atlas = open_atlas(kept.directory, problem_from_scenario)
     nodes = _nodes(atlas)
     count = min(USUAL, 1 + nodes // _ONE_OF) if count is None else count
+    waits = False
     while atlas.said and count > sum(line["asked"] for line in sample_lines(atlas)):
         with kept.claimed("sample") as ours:
             missing = count - sum(line["asked"] for line in sample_lines(atlas))
@@ -245,7 +246,9 @@ def sampled(
             if ours:
                 kept.settled("sample")
                 return
-        watch("another builder draws the sample that is proved")
+        if not waits:
+            watch("another builder draws the sample that is proved: waiting for it")
+        waits = True
         time.sleep(PATIENCE)
 
 

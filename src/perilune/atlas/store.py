@@ -296,18 +296,19 @@ class Store:
         if fcntl is None:
             yield True
             return
+        file = self.directory / f".claim-{name}"
         try:
-            handle = os.open(self.directory / f".claim-{name}", os.O_RDWR | os.O_CREAT, 0o644)
+            handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
-            raise _unwritable(f".claim-{name}", error) from error
+            raise _unwritable(file.name, error) from error
         _claims.add(handle)
         try:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                ours = file.stat().st_ino == os.fstat(handle).st_ino  # else who held it before has removed it
             except OSError:
-                yield False
-                return
-            yield True
+                ours = False
+            yield ours
         finally:
             _claims.discard(handle)
             os.close(handle)

@@ -181,6 +181,7 @@ def _certified(solution: Solution, typed: Namespace) -> str:
 
 
 def _export(typed: Namespace) -> Answer:
+    from perilune.io.exports.epochs import epoch_of
     from perilune.io.exports.provenance import provenance
     from perilune.io.exports.writing import placed, write
     from perilune.io.reload import opened
@@ -188,6 +189,7 @@ def _export(typed: Namespace) -> Answer:
 
     _, form = placed(typed.out, typed.format, typed.force)
     loaded, document = opened(typed.directory)
+    epoch_of(loaded, typed.epoch)  # refused before the proof, which may take long
     solution = prove(loaded, typed.prove)
     heed()
     about = provenance(solution, document=document)
