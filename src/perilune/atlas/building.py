@@ -23,7 +23,7 @@ from perilune.atlas.flooding import Key
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, refuse_moving_ranges, region_of
 from perilune.atlas.sampling import demand_count, sampled, thin_ones
-from perilune.atlas.store import MANIFEST, PATIENCE, Store, clear, digest_of
+from perilune.atlas.store import MANIFEST, PATIENCE, Store, clear, digest_of, end_line
 from perilune.atlas.survey import Found, Survey, said_of, seeds
 from perilune.atlas.tasks import Task, computed, first_tasks, prepared, tasks_going_on
 from perilune.families.elsewhere import Call, Submits, answers, begin_processes, here, told_of_loss
@@ -136,6 +136,8 @@ def completed(
             break  # neighbours offer what does not lead on
         if not (tasks := dict(tasks_going_on(kept, problem, region, survey, tolerance, number))):
             break
+    if not kept.ended(survey, len(region.axes)):
+        kept.add(end_line(survey, kept.bricks(survey, len(region.axes))))
     kept.tidy()
 
 

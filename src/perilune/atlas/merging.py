@@ -33,7 +33,7 @@ from perilune.atlas.columns import (
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.sampling import LEVEL, lines_of_samples
-from perilune.atlas.store import HEADER, Store, clear, digest_of, seal_of
+from perilune.atlas.store import HEADER, Store, clear, digest_of, end_line, seal_of
 from perilune.io.files import fresh_directory
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand_path
@@ -57,6 +57,7 @@ class _Part:
     region: Region
     bricks: Mapping[tuple[int, ...], Mapping[str, Any]]
     samples: Sequence[Mapping[str, Any]]
+    ended: bool  # whether a builder came to its end
 
     @cached_property
     def wholes(self) -> set[Place]:
@@ -142,7 +143,11 @@ def merge(
     kept.prepare(None)
 
     def write(into: Store) -> None:
-        into.write_lines(_lines(into, one, other, region, seal_of(header), watch))
+        lines = list(_lines(into, one, other, region, seal_of(header), watch))
+        if one.ended and other.ended:
+            survey = next(line for line in lines if line["kind"] == "survey")
+            lines.append(end_line(survey, (line for line in lines if line["kind"] == "brick")))
+        into.write_lines(lines)
         into.begin(header)
 
     if (kept.directory / HEADER).exists():  # it stays until the whole of the new one lies beside it
@@ -162,7 +167,7 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
     region = survey_region(header_region(header_problem(header, problem_from_scenario), header), survey)
     bricks = kept.latest(survey, len(region.axes))
     samples = lines_of_samples(kept, survey["digest"], _nodes(bricks.values()), len(region.axes))
-    return _Part(kept, header, survey, region, bricks, samples)
+    return _Part(kept, header, survey, region, bricks, samples, kept.ended(survey, len(region.axes)))
 
 
 def _nodes(lines: Iterable[Mapping[str, Any]]) -> int:

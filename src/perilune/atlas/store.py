@@ -216,6 +216,10 @@ class Store:
         lines = (line for line in self.bricks(survey, d) if line.get("round", 0) <= rounds)
         return {(line["chart"], *line["brick"]): line for line in lines}
 
+    def ended(self, survey: Mapping[str, Any], d: int) -> bool:
+        """Whether a builder came to the end of a survey, and no line of a brick was lost since; errors of `survey`."""
+        return end_line(survey, self.bricks(survey, d)) in self.lines()
+
     def there(self, name: str) -> bool:
         """Whether a brick was written, perhaps by another builder meanwhile."""
         self.lines()
@@ -357,6 +361,11 @@ if hasattr(os, "register_at_fork"):
 def digest_of(said: Any) -> str:
     """What tells one tree from another, as JSON has them."""
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+
+def end_line(survey: Mapping[str, Any], bricks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """The line by which a builder says that these are all lines of bricks: of one that is lost nothing else tells."""
+    return {"kind": "end", "survey": survey["digest"], "bricks": len({line["name"] for line in bricks})}
 
 
 def sealed(header: Mapping[str, Any]) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from perilune.atlas.store import MANIFEST
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch, silent
 
+_UNENDED = "bricks are missing: the build has not ended, or they were lost; perilune atlas extend DIR builds them"
 _TOLD = 10  # places that a query refuses, in words
 
 
@@ -42,8 +43,8 @@ class Verified:
         How many of the drawn answers are proved to level 3.
     unproved
         Which were not, and why, in sentences.
-    unbuilt
-        How many bricks are not there: of them nothing is said.
+    ended
+        Whether all bricks are there that a builder came to: of others nothing is said.
     refused
         How many places were drawn beside these at which a query has no answer: of them nothing is said.
     refusals
@@ -57,14 +58,14 @@ class Verified:
     proved: int
     drawn: int
     unproved: tuple[str, ...]
-    unbuilt: int
+    ended: bool
     refused: int
     refusals: tuple[str, ...]
 
     @property
     def passed(self) -> bool:
         """Whether nothing is damaged or missing, and all that was drawn is proved."""
-        return not self.damaged and not self.unbuilt and self.proved == self.drawn
+        return not self.damaged and self.ended and self.proved == self.drawn
 
     @property
     def share(self) -> float:
@@ -77,7 +78,7 @@ class Verified:
     def __str__(self) -> str:
         lines = [
             f"{self.shards} shards, {len(self.damaged)} damaged; {self.nodes} nodes, {self.answers} of them answers",
-            *([_unbuilt_text(self.unbuilt)] if self.unbuilt else []),
+            *([] if self.ended else [_UNENDED]),
             proved_text(self.proved, self.drawn),
             *refused_text(self.refused, self.drawn),
         ]
@@ -128,16 +129,12 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
             f"{broken} line{'s' * (broken > 1)} of {MANIFEST} cannot be read, and what they told of is missing: remove"
             " them; perilune atlas build ... --resume computes it again"
         )
+    ended = not atlas.unbuilt and atlas.store.ended(atlas.survey, d)
     refused = Refused()
     found = certified(drawn_at_random(atlas, sample, np.random.default_rng(seed), refused), None, watch)
     unproved = tuple(unproved_text(atlas, one) for one in found if not one.proved)
     return Verified(
         shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
-        drawn=len(found), unproved=unproved, unbuilt=len(atlas.unbuilt), refused=len(refused),
+        drawn=len(found), unproved=unproved, ended=ended, refused=len(refused),
         refusals=tuple(f"at {atlas.region.told(at)}: {why}" for at, why in list(refused.items())[:_TOLD]),
     )  # fmt: skip
-
-
-def _unbuilt_text(count: int) -> str:
-    bricks = "1 brick is" if count == 1 else f"{count} bricks are"
-    return f"{bricks} not there, or not yet: perilune atlas extend DIR builds what is missing"
