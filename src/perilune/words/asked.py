@@ -224,7 +224,7 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
     if not _is_number(plain):
         raise refused(value, "a number in SI", what, advice)
     if plain != plain:  # as NaN alone is
-        raise refused(value, "a finite number in SI", what)
+        raise refused(value, "a number in SI that is finite", what)
 
 
 def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
