@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from perilune.atlas.hermite import bits
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.sheets import Sheet
@@ -90,6 +92,14 @@ def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]
     """Numbers of the bricks that a chart may have."""
     without = {tuple(place) for place in chart.get("without", ())}
     return [brick for brick in region.bricks if brick not in without]
+
+
+def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any]) -> set[tuple[int, ...]]:
+    """Bricks that a chart may have and in which, or at whose corners, its survey has a sheet, by its shard."""
+    within = seeds["place"].any(axis=1)
+    beside = (seeds["corner"][~within][:, None] - bits(len(region.axes))[None]).reshape(-1, len(region.axes))
+    there = set(map(tuple, np.vstack([beside, seeds["corner"][within]]).tolist()))
+    return there.intersection(places_of(region, chart))
 
 
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:

@@ -19,6 +19,7 @@ from perilune.problem.extremal import Nature
 from perilune.words.outcome import PeriluneError
 
 _CHECKSUM = "crc32"
+_LAST = f', "{_CHECKSUM}": '  # before its value, which ends the line
 _MOST_TIMES = 4096
 _MOST_UNKNOWNS, _MOST_SHEETS, _MOST_CHARTS = 10_000, 10_000, 10_000
 
@@ -26,7 +27,7 @@ _MOST_UNKNOWNS, _MOST_SHEETS, _MOST_CHARTS = 10_000, 10_000, 10_000
 def written_line(said: Mapping[str, Any]) -> str:
     """A line as it is written, with its checksum and without its end."""
     text = json.dumps(finite({name: value for name, value in said.items() if name != _CHECKSUM}), allow_nan=False)
-    return f'{text[:-1]}, "{_CHECKSUM}": {zlib.crc32(text.encode())}}}'
+    return f"{text[:-1]}{_LAST}{zlib.crc32(text.encode())}}}"
 
 
 def read_line(line: bytes) -> dict[str, Any] | None:
@@ -35,7 +36,7 @@ def read_line(line: bytes) -> dict[str, Any] | None:
     There is a line for each brick, and `refuse_no_brick` looks at all that is used of it: these are read without the
     care that other documents need, eight times as fast.
     """
-    text, told, checksum = line.rpartition(f', "{_CHECKSUM}": '.encode())
+    text, told, checksum = line.rpartition(_LAST.encode())
     if not told or b"%d}" % zlib.crc32(text + b"}") != checksum:
         return None
     line = text + b"}"
@@ -50,7 +51,7 @@ def read_line(line: bytes) -> dict[str, Any] | None:
 
 def cut_off(line: bytes) -> bool:
     """Whether a line that says nothing ends where its writer may have been killed, and is no whole one that changed."""
-    _, told, checksum = line.rpartition(f', "{_CHECKSUM}": '.encode())
+    _, told, checksum = line.rpartition(_LAST.encode())
     return not checksum.strip(b"0123456789") if told else line.count(b"{") != line.count(b"}")
 
 

@@ -27,6 +27,7 @@ from perilune.atlas.columns import (
     header_region,
     node_type,
     seed_type,
+    seeded_places,
     survey_region,
     widths_of,
 )
@@ -64,12 +65,9 @@ class _Part:
         """Places of which no chart lacks a brick that its survey has sheets for."""
         d, found = len(self.region.axes), set(self.region.bricks)
         for number, chart in enumerate(self.survey["charts"]):
-            corners = self.kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))["corner"]
-            left_out = {tuple(place) for place in chart.get("without", ())}
-            for place in found - left_out:
-                side = corners - np.array(place)
-                if ((side == 0) | (side == 1)).all(axis=1).any() and (number, *place) not in self.bricks:
-                    found.discard(place)
+            seeds = self.kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+            asked = seeded_places(self.region, chart, seeds)
+            found -= {place for place in asked if (number, *place) not in self.bricks}
         return found
 
     def moved(self, shift: NDArray[np.int64]) -> _Part:

@@ -19,12 +19,12 @@ from perilune.atlas.columns import (
     header_problem,
     header_region,
     node_type,
-    places_of,
     seed_type,
+    seeded_places,
     survey_region,
 )
 from perilune.atlas.descending import Descents
-from perilune.atlas.hermite import bits, interpolated
+from perilune.atlas.hermite import interpolated
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.physics import Allowed, allowed
 from perilune.atlas.reflight import SLACK
@@ -235,7 +235,7 @@ class Reader:
         What is there then need not be the best.
         """
         place = self._place(brick)
-        return not self.survey["charts"] or (bool(self.unbuilt) and place in {key[1:] for key in self.unbuilt})
+        return not self.survey["charts"] or any(key[1:] == place for key in self.unbuilt)
 
     @cached_property
     def unbuilt(self) -> set[tuple[int, ...]]:
@@ -246,11 +246,8 @@ class Reader:
         d, found = len(self.region.axes), set[tuple[int, ...]]()
         for number, chart in enumerate(self.survey["charts"]):
             with suppress(PeriluneError):
-                rows = self.store.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
-                within = rows["place"].any(axis=1)
-                beside = (rows["corner"][~within][:, None] - bits(d)[None]).reshape(-1, d)
-                there = set(map(tuple, np.vstack([beside, rows["corner"][within]]).tolist()))
-                found |= {(number, *place) for place in there.intersection(places_of(self.region, chart))}
+                seeds = self.store.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
+                found |= {(number, *place) for place in seeded_places(self.region, chart, seeds)}
         return found - self.said.keys()
 
     @called_in_words

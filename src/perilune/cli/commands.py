@@ -63,10 +63,10 @@ def _solve(typed: Namespace) -> Answer:
                     save(solution, out, scenario.text, force=typed.force)
                     kept = f"the solution is in {out}; its figures and the report may be missing"
         if out is not None:
-            from perilune.report import write_all
+            from perilune.report import add_report
 
             watch("writing figures and the report")
-            write_all(solution, out, scenario_text=scenario.text, ordinary=_beside(solution), force=True)
+            add_report(solution, out, scenario_text=scenario.text, ordinary=_beside(solution))
     return _solution_answer(solution, typed.verbose, out)
 
 

@@ -189,6 +189,11 @@ def write_solution_files(solution: Solution, directory: Path, scenario_text: str
         (directory / trajectory_name(solution, k)).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
 
 
+def solution_files(solution: Solution) -> list[str]:
+    """Names of what `write_solution_files` writes."""
+    return [SOLUTION_FILE, *(trajectory_name(solution, k) for k in range(len(solution.trajectories)))]
+
+
 def trajectory_name(solution: Solution, k: int) -> str:
     """Name of the table of phase k."""
     names = solution.problem.phases

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 from perilune.problem.solution import Solution
@@ -39,14 +40,32 @@ def write_all(
     """
     from perilune.io.export import write_solution_files
     from perilune.io.files import fresh_directory
-    from perilune.report.figures import save, solution_figures
-    from perilune.report.summary import solution_markdown
 
     with fresh_directory(out_dir, force) as work:
         write_solution_files(solution, work, scenario_text)
-        (work / "figures").mkdir()
-        drawn = solution_figures(solution, ordinary)
-        for name, figure in drawn.items():
-            save(figure, work / "figures", name)
-        report = solution_markdown(solution, drawn, scenario_text or "")
-        (work / REPORT_FILE).write_text(report, encoding="utf-8")
+        _write_report(solution, work, scenario_text, ordinary)
+
+
+def add_report(
+    solution: Solution, directory: Path, *, scenario_text: str | None, ordinary: Solution | None = None
+) -> None:
+    """Write the same beside what `perilune.save` wrote of the solution, which stays where this ends by an error."""
+    from perilune.io.export import solution_files
+    from perilune.io.files import fresh_directory
+
+    with fresh_directory(directory, force=True) as work:
+        for name in solution_files(solution):
+            shutil.copy2(directory / name, work)
+        _write_report(solution, work, scenario_text, ordinary)
+
+
+def _write_report(solution: Solution, work: Path, scenario_text: str | None, ordinary: Solution | None) -> None:
+    from perilune.report.figures import save, solution_figures
+    from perilune.report.summary import solution_markdown
+
+    (work / "figures").mkdir()
+    drawn = solution_figures(solution, ordinary)
+    for name, figure in drawn.items():
+        save(figure, work / "figures", name)
+    report = solution_markdown(solution, drawn, scenario_text or "")
+    (work / REPORT_FILE).write_text(report, encoding="utf-8")
