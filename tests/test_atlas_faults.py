@@ -21,6 +21,9 @@ import pytest
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.atlas import building, extending, merging, read
+from perilune.atlas.cells import Status
+from perilune.atlas.columns import cell_type
+from perilune.atlas.covering import covered
 from perilune.atlas.extending import extend
 from perilune.atlas.lines import cut_off, read_line, written_line
 from perilune.atlas.many import Answered
@@ -30,7 +33,7 @@ from perilune.atlas.store import HEADER, MANIFEST, Store
 from perilune.atlas.verify import verify_atlas
 from perilune.cli import run
 from perilune.models.kinds import key_of
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import NotConvergedError, PeriluneError
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
@@ -498,3 +501,41 @@ def test_numbers_of_bricks_that_are_none_are_refused(bricks: Any, tmp_path: Path
     with pytest.raises(PeriluneError, match="bricks"):
         build(cho_landing(), AXES, tmp_path / "out", bricks=bricks)
     assert not (tmp_path / "out").exists()
+
+
+# -- what answers nowhere ----------------------------------------------------------------------------------------------
+
+
+def silenced(directory: Path, keep: int = 0) -> None:
+    """Let the sheets of all bricks but the first few end in each of their cells."""
+    store = Store(directory)
+    survey = store.survey()
+    assert survey is not None
+    for line in list(store.latest(survey, 2).values())[keep:]:
+        cells = np.array(store.shard(line["cells"], cell_type(2)))
+        cells["status"] = np.where(cells["child"] >= 0, cells["status"], Status.ENDS)
+        store.add({**line, "cells": store.put(line["cells"]["file"], cells)})
+
+
+def test_how_much_of_the_region_has_cells_that_answer_is_told(copy: Path) -> None:
+    atlas = open_atlas(copy)
+    drawn = np.random.default_rng(7).uniform(atlas.region.low, atlas.region.high, (200, 2))
+    assert covered(atlas) == 1.0 and atlas.query_many(drawn).good.all()
+    silenced(copy, keep=4)
+    atlas = open_atlas(copy)
+    good = atlas.query_many(drawn).good.mean()
+    assert 0.1 < covered(atlas) < 0.4 and good == pytest.approx(covered(atlas), abs=0.08)
+
+
+def test_a_build_that_answers_nowhere_is_refused_and_kept(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    silenced(copy, keep=1)
+    build(cho_landing(), AXES, copy)  # one brick answers
+    silenced(copy)
+    whole = snapshot(copy)
+    with pytest.raises(NotConvergedError, match=r"answers nowhere.*\n  got: \d+ extremals in \d+ bricks\n"):
+        build(cho_landing(), AXES, copy)
+    assert {k: v for k, v in snapshot(copy).items() if "claim" not in k} == whole
+    assert run(["atlas", "build", str(HYBRID), *VARY, "--out", str(copy), "--resume", "--sample", "0"]) == 4
+    assert "answers nowhere" in capsys.readouterr().err
+    assert run(["atlas", "info", str(copy)]) == 0
+    assert "cells that answer: 0.0 % of the region, by 1000 points" in capsys.readouterr().out

@@ -19,6 +19,7 @@ from perilune.atlas.columns import (
     header_axes,
     survey_region,
 )
+from perilune.atlas.covering import refuse_nowhere
 from perilune.atlas.flooding import Key
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, refuse_moving_ranges, region_of
@@ -92,6 +93,8 @@ def build(
     ------
     PeriluneError
         If the region is none, the directory is of another atlas, or nothing in the region can be mapped.
+    NotConvergedError
+        If no cell answers, once all that there is to compute is there.
     """
     demand(problem, Problem, "a problem to map")
     demand_callable(watch, "a watch")
@@ -114,6 +117,7 @@ def build(
         header[COMPARISONS] = comparisons_document(problem, looks)
     survey = _surveyed(kept, header, problem, region, method or Indirect(), executor, say, force)
     completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
+    refuse_nowhere(kept, survey, len(region.axes))
     sampled(kept, sample, executor, say)
     return kept.directory
 

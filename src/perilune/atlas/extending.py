@@ -31,6 +31,7 @@ from perilune.atlas.columns import (
     widths_of,
 )
 from perilune.atlas.course import course_from
+from perilune.atlas.covering import refuse_nowhere
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Region, refuse_untaken, wider
 from perilune.atlas.sampling import demand_count, sampled
@@ -79,6 +80,8 @@ def extend(
     ------
     PeriluneError
         If there is no atlas, a name is no axis of it, or a range leaves out some of what is mapped.
+    NotConvergedError
+        If no cell answers, once all that there is to compute is there.
     """
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
@@ -111,6 +114,7 @@ def extend(
     with told_of_damage(HEADER):
         tolerance = float(header["tolerance"])
     completed(kept, problem, wide, survey, tolerance, executor, say)
+    refuse_nowhere(kept, survey, len(wide.axes))
     sampled(kept, sample, executor, say, problem_from_scenario)
     return kept.directory
 

@@ -314,6 +314,9 @@ class _Polish:
         self._reflight = Reflight(own.reflights, whole, p, self._choice, own.reflights.times)
         known = self._inverse, guess, reached, sides, *limits
         self._told = own.told.bind(whole, self._choice, *self._reflight.rows, *known)
+        self._going, self._close = self._advance.outputs[1][:, _GOING], self._advance.outputs[3][:, 0]
+        self._poor, self._varied = self._told.outputs[1][:, _POOR], np.array(chart.varied_at)
+        self._moves = bool(own.moving.any())
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
         """See `Polisher`; the next call may overwrite what is returned."""
@@ -321,27 +324,28 @@ class _Polish:
         self._values[:], self._guess[:], self._sides[:] = values, guess, own.sides[which]
         self._limits()
         self._opening()
-        y, course, whole, close = self._advance.outputs
+        y, course, whole, _ = self._advance.outputs
         for number in range(_MOST):  # a lane that is done stands still
             if number:
                 self._y[:], self._course[:] = y, course
             self._row[:] = self._flight()
             self._advance()
-            if not course[:, _GOING].any():
+            if not self._going.any():
                 break
         n = own.chart.shooting.plan.columns.n
         turned = orientation(self._inverse.reshape(-1, n, n))
-        reached = (close[:, 0] > 0.0) & (turned == own.orientations[which])
+        reached = (self._close > 0.0) & (turned == own.orientations[which])
         self._reached[:, 0] = reached
         flown = self._reflight()
         self._told()
         mended, told, passed = self._told.outputs
-        if (poor := np.nonzero(told[:, _POOR])[0]).size:  # what it misses says where to
+        if self._poor.any():  # what it misses says where to
+            poor = np.nonzero(self._poor)[0]
             whole[poor] = mended[poor]
             flown.replace(poor, own.reflights.finer(whole[poor], own.chart.p[None], self._choice[poor]))
             self._told()
-        slopes = flown.rates[:, own.chart.varied_at]
-        if own.moving[which].any() and (moves := own.borders.moves(self._sides, values)) is not None:
+        slopes = flown.rates[:, self._varied]
+        if self._moves and own.moving[which].any() and (moves := own.borders.moves(self._sides, values)) is not None:
             rises = np.hstack([flown.rates, -whole[:, own.multipliers]])
             slopes = slopes + np.einsum("ldk,lk->ld", moves, rises)
         return Polished(

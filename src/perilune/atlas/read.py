@@ -24,7 +24,7 @@ from perilune.atlas.columns import (
     survey_region,
 )
 from perilune.atlas.descending import Descents
-from perilune.atlas.hermite import interpolated
+from perilune.atlas.hermite import interpolated_at
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.physics import Allowed, allowed
 from perilune.atlas.reflight import SLACK
@@ -106,7 +106,7 @@ class Brick:
     def given(self, number: int, place: Vector) -> Vector:
         """What a cell with all its corners gives at a place: unknowns, J."""
         low, size, canonical, terms = self.cell(number)
-        return interpolated(terms, ((place - low) / size)[None], canonical)[0]
+        return interpolated_at(terms, (place - low) / size, canonical)
 
     def cell(self, number: int) -> _Cell:
         """One of the cells."""
@@ -116,18 +116,18 @@ class Brick:
                 self._seen.clear()
             said = self.cells[number]
             low, size = said["low"].astype(float), said["size"].astype(float)
-            terms = self.nodes["terms"][said["corners"]][None]
-            found = self._seen[number] = _Cell(low, size, (size * self.step)[None], terms)
+            terms = self.nodes["terms"][said["corners"]]
+            found = self._seen[number] = _Cell(low, size, size * self.step, terms.reshape(-1, terms.shape[-1]))
         return found
 
 
 class _Cell(NamedTuple):
-    """Its low corner and size, the size canonical, (1, d), and values and derivatives at its corners, for one point."""
+    """Its low corner and size, the size canonical, and values and derivatives at its corners, (corners * terms, k)."""
 
     low: Vector
     size: Vector
-    canonical: Matrix
-    terms: NDArray[np.float64]
+    canonical: Vector
+    terms: Matrix
 
 
 class Reader:

@@ -220,6 +220,7 @@ def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
 
 def _described(atlas: Atlas, **more: str) -> Answer:
     """What an atlas is, and how much of it is there; with exit code 5 where what was built is not all proved."""
+    from perilune.atlas.covering import LOOKED_AT, covered
     from perilune.atlas.sampling import sample_of
 
     axes = [
@@ -233,11 +234,12 @@ def _described(atlas: Atlas, **more: str) -> Answer:
         for sheet, label in enumerate(charted.labels)
         if any(key[0] == number and sheet in line.get("sheets", (sheet,)) for key, line in atlas.said.items())
     ]
-    total = len(atlas.region.bricks) * max(1, len(atlas.charted))
+    total, share = len(atlas.region.bricks) * max(1, len(atlas.charted)), covered(atlas)
     lines = [
         f"atlas of {atlas.problem.heading}",
         *(f"  {a.key}: {told(a.low, a.unit)} to {told(a.high, a.unit)}" for a in atlas.region.axes),
         f"{len(atlas.said)} of at most {total} bricks, {nodes} nodes, {size / 2**20:.1f} MiB",
+        f"cells that answer: {100 * share:.1f} % of the region, by {LOOKED_AT} points",
         "sheets",
         *(f"  {label}" for label in sheets),
     ]
@@ -253,7 +255,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     }  # fmt: skip
     document = {
         "problem": atlas.problem.name, "axes": axes, "tolerance": atlas.tolerance, "bricks": len(atlas.said),
-        "nodes": nodes, "bytes": size, "sheets": sheets, "proofs": proofs,
+        "nodes": nodes, "bytes": size, "covered": share, "sheets": sheets, "proofs": proofs,
         "notes": notes, **more,
     }  # fmt: skip
     return Answer(text="\n".join(lines), document=document, exit_code=5 if more and sample.unproved else 0)

@@ -1,0 +1,56 @@
+"""In how much of its region the cells of an atlas answer, told by the cells alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from perilune.atlas.cells import WHOLE
+from perilune.atlas.columns import cell_type, node_type
+from perilune.atlas.read import SERVING, Reader
+from perilune.atlas.reflight import SLACK
+from perilune.atlas.store import Store
+from perilune.words.outcome import NotConvergedError, PeriluneError
+
+LOOKED_AT = 1000  # points of a region
+
+
+def covered(atlas: Reader, points: int = LOOKED_AT) -> float:
+    """The share of points, drawn in the region and always the same, that lie in a cell of some sheet which answers.
+
+    Queries answer at no others, and may refuse some of these: another sheet can cast doubt on what is there.
+    """
+    region = atlas.region
+    drawn = np.random.default_rng(0).uniform(region.low, region.high, (points, len(region.axes)))
+    places, good = region.bricks_of(drawn), np.zeros(points, dtype=bool)
+    for place in map(tuple, np.unique(places, axis=0).tolist()):
+        lanes, (low, high) = np.nonzero((places == place).all(axis=1))[0], region.box(place)
+        inside = (drawn[lanes] - low) / (high - low) * WHOLE
+        for number in range(len(atlas.charted)):
+            if (brick := atlas.brick(number, place)) is not None:
+                for _, root in brick.minima:
+                    good[lanes] |= np.isin(brick.arrays[3][brick.leaves(root, inside)], SERVING)
+    return float(good.mean())
+
+
+def refuse_nowhere(kept: Store, survey: Mapping[str, Any], axes: int) -> None:
+    """Refuse an atlas, complete as it is, of which no cell answers: it would refuse every query."""
+    lines, nodes, poor = kept.latest(survey, axes).values(), 0, 0
+    for line in lines:
+        try:
+            cells = kept.shard(line["cells"], cell_type(axes))
+            known = kept.shard(line["nodes"], node_type(axes, survey["charts"][line["chart"]]["unknowns"]))
+        except PeriluneError:  # it is damaged, and may have answered
+            return
+        if np.isin(cells["status"], SERVING).any():
+            return
+        nodes, poor = nodes + len(known), poor + int((known["residual"] > SLACK).sum())
+    sensitive = f"; second flights of {poor} of them miss their ends by more than {SLACK:g}" if poor else ""
+    raise NotConvergedError(
+        "the atlas answers nowhere in its region: no sheet was followed from one of its extremals to another",
+        got=f"{nodes} extremals in {len(lines)} bricks{sensitive}",
+        expected="extremals that Newton's method follows, of flights that rounding does not throw off",
+        advice="another region, or perilune solve at single points",
+    )
