@@ -1,49 +1,74 @@
-"""Level 5 on the library of answered problems and a return: which are theorems, J to 30 digits, how long each took.
+"""Level 5 on the library of answered problems and a return: which are theorems, with J and what is free in 30 digits.
 
-``python benchmarks/rigorous.py [PART OF A NAME ...]`` prints one line for each.
+    python benchmarks/rigorous.py [PART OF A NAME ...] [--out FILE]
+
+It prints a line for each problem; with ``--out`` each is a row of JSON in FILE as well, of which
+``docs/make_validation.py --theorems FILE`` makes a table.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 import time
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import perilune as pl
 from perilune.reproductions.liu2019.case import site_free
-from perilune.rigorous.theorem import attempt
+from perilune.rigorous.theorem import Proved, attempt
+from perilune.rigorous.verified import with_attempt
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+DIGITS = 30
 
 
-def main() -> None:
-    """Attempt each."""
+def told(proved: Proved) -> dict[str, str]:
+    """J and the free parameters with their digits, in SI, and whether they are those of a local optimum."""
+    problem, y = proved.boundary.problem, dict(zip(proved.boundary.names, proved.root.y, strict=True))
+    values = [("J", proved.objective, problem.objective_unit), *((f.name, y[f.name], f.unit) for f in problem.free)]
+    return {
+        "theorem": "strict local optimum" if proved.optimum.proved else "extremal",
+        "values": "; ".join(f"{name} = {value.str(DIGITS)} {unit}".removesuffix(" 1") for name, value, unit in values),
+    }
+
+
+def rows(asked: list[str]) -> Iterator[dict[str, str]]:
+    """A row for each problem whose name has one of the parts that are asked for; all if none is."""
     from problems import LIBRARY
 
-    asked = sys.argv[1:]
-    rows = [(answered.name, answered.make, answered.methods[:1]) for answered in LIBRARY]
-    rows.append(("return to the interface, neighbour A", partial(site_free, "ascending"), ()))
-    for name, make, methods in rows:
+    claims = [(answered.name, answered.make, answered.methods[:1]) for answered in LIBRARY]
+    claims.append(("return to the interface, neighbour A", partial(site_free, "ascending"), ()))
+    for name, make, methods in claims:
         if asked and not any(part in name for part in asked):
             continue
         try:
             solution = pl.solve(make(), *methods, level=0)
         except pl.PeriluneError as error:
-            print(f"{name}: not solved: {error.what}", flush=True)
+            yield {"problem": name, "theorem": f"none: it is not solved, {error.what}"}
             continue
         began = time.process_time()
         found = attempt(solution, lambda _: None)
-        took = f"{time.process_time() - began:.1f} s of CPU"
-        if found.proved is None:
-            print(f"{name}: no theorem, {found.unsaid}; {took}", flush=True)
-            continue
-        proved = found.proved
-        missing = "; ".join(f"{s.words} {s.where}" for s in proved.missing)
-        verdict = f"only in part, not {missing}" if missing else "theorem"
-        optimum = "strict local optimum" if proved.optimum.proved else "extremal"
-        told = f"J = {proved.objective.str(30)}, {proved.distance:.1e} from the answer"
-        print(f"{name}: {verdict}, {optimum}; {told}; {took}", flush=True)
+        verification, seconds = with_attempt(solution.verification, found), f"{time.process_time() - began:.1f}"
+        if found.proved is None or verification.certificate is None:
+            yield {"problem": name, "theorem": f"none: {verification.notes[0].partition(': ')[2]}", "CPU s": seconds}
+        else:
+            yield {"problem": name, **told(found.proved), "CPU s": seconds}
+
+
+def main() -> None:
+    """Attempt each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*")
+    parser.add_argument("--out", type=Path)
+    typed = parser.parse_args()
+    for row in rows(typed.parts):
+        print(", ".join(f"{name} {value}" for name, value in row.items()), flush=True)
+        if typed.out is not None:
+            with typed.out.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
 
 
 if __name__ == "__main__":

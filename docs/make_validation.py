@@ -1,14 +1,17 @@
-"""Write the page of answered problems, ``docs/validation.md``: ``python docs/make_validation.py [ROWS]``; some minutes.
+"""Write the page of answered problems, ``docs/validation.md``: ``python docs/make_validation.py``; some minutes.
 
 Every problem of ``tests/problems``, and some that are too slow to be swept with these, is solved from nothing by each
 method that claims it and proved to level 3. Rows that miss their reference, or are not proved, are in the table like
-all others. ROWS is what ``benchmarks/random_landers.py --out`` wrote; without it what the page says of random landers
-stays as it is. ``tests/test_docs_made.py`` computes some rows again and compares what stands beside all of them.
+all others. ``--landers ROWS`` and ``--theorems ROWS`` put in what ``random_landers.py`` and ``rigorous.py`` of
+``benchmarks`` wrote by ``--out``, and leave the rest of the page as it is. ``tests/test_docs_made.py`` computes some
+rows again and compares what stands beside all of them.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import re
 import statistics
 import sys
 import time
@@ -41,6 +44,13 @@ not refused are proved to level 3, in {median:.2f} s of a processor in the media
 what physics says of an orbit that meets the ground before its site. *No answer* is exit code 4, all but once of a
 lander whose thrust does not hold half its weight: its best path rides along the ground, for a good part of an orbit.
 Two rows were computed once more, after a refusal of them had turned out to be wrong; they have no answer now.
+
+"""
+THEOREMS = """## Theorems
+
+[Level 5](theory-rigorous.md) of the same problems and of a return: proved by enclosures, $J$ and what is free in thirty
+digits, in SI, with the numbers of each problem taken as the doubles that they are. Times are of one processor.
+`python benchmarks/rigorous.py` computed them.
 
 """
 COLUMNS = ("problem", "method", "known", "uncertainty", "ours", "error", "level", "CPU s")
@@ -151,6 +161,13 @@ def landers(text: str) -> str:
     return told + table(head, body)
 
 
+def theorems(text: str) -> str:
+    """What of the rows of a file is a theorem."""
+    rows = [json.loads(line) for line in text.splitlines()]
+    columns = {"problem": "problem", "theorem": "theorem", "J and what is free": "values", "CPU s": "CPU s"}
+    return THEOREMS + table(columns, ([row.get(name, "") for name in columns.values()] for row in rows))
+
+
 def summary(rows: list[dict[str, str]]) -> str:
     """How many of the rows are good."""
     hit, proved = (sum("**" not in row[name] for row in rows) for name in ("error", "level"))
@@ -164,14 +181,35 @@ def short(rows: list[dict[str, str]]) -> str:
     return f"{what}: {'; '.join(told)}.\n" if told else ""
 
 
-if __name__ == "__main__":
-    sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
-    before = PAGE.read_text(encoding="utf-8").partition("## Landers")
-    drawn = landers(Path(sys.argv[1]).read_text(encoding="utf-8")) if sys.argv[1:] else "".join(before[1:])
-    drawn = drawn.partition("## Sources")[0].rstrip() + "\n"
+def answered() -> str:
+    """The page down to its first section."""
     rows = list[dict[str, str]]()
     for claim in claims():
         rows.append(known(*claim) | solved(*claim))
         print(line(rows[-1].values()), flush=True)
     results = table(COLUMNS, ([row[column] for column in COLUMNS] for row in rows))
-    PAGE.write_text("\n".join([HEAD, summary(rows), "", results, short(rows), drawn, sources()]), encoding="utf-8")
+    return "\n".join([HEAD, summary(rows), "", results, short(rows)])
+
+
+def main() -> None:
+    """Write what is asked for anew."""
+    parser = argparse.ArgumentParser(description="docs/validation.md")
+    parser.add_argument("--landers", type=Path)
+    parser.add_argument("--theorems", type=Path)
+    typed = parser.parse_args()
+    head, *parts = re.split("^(?=## )", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    sections = {part.partition("\n")[0]: part for part in parts}
+    for file, made in ((typed.theorems, theorems), (typed.landers, landers)):
+        if file is not None:
+            section = made(file.read_text(encoding="utf-8")) + "\n"
+            sections[section.partition("\n")[0]] = section
+    if typed.landers is None and typed.theorems is None:
+        head = answered() + "\n"
+    titles = [told.partition("\n")[0] for told in (THEOREMS, LANDERS)]
+    page = [head, *(sections[title] for title in titles if title in sections), sources()]
+    PAGE.write_text("".join(page), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
+    main()

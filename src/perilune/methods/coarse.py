@@ -38,7 +38,7 @@ def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterato
 
     Where such a share is left out, so are phases that have shrunk to nothing: they are all ends.
     """
-    least = _NO_LENGTH * sum(flown.duration for flown in flight.trajectories) if ends else 0.0
+    least = _NO_LENGTH * flight.duration if ends else 0.0
     for k, (phase, flown) in enumerate(zip(problem.phases, flight.trajectories, strict=True)):
         if flown.duration < least:
             continue
@@ -114,7 +114,7 @@ class Coarse:
         known = self.solution
         if known is None or known.statistics.residual <= (_FOLLOWED if wavering(known) else _CLOSE):
             return False
-        least = _NO_LENGTH * sum(flown.duration for flown in known.trajectories)
+        least = _NO_LENGTH * known.duration
         lengths = [k for k, flown in enumerate(known.trajectories) if flown.duration >= least]
         return not any(list(contacts(known, k, name)) for k in lengths for name in of_states(self.problem, k))
 

@@ -261,6 +261,11 @@ class Solution(ShownSolution):
         return self.problem.parameters(self.free)
 
     @property
+    def duration(self) -> float:
+        """How long the whole flight takes, all phases of it [s]."""
+        return sum(trajectory.duration for trajectory in self.trajectories)
+
+    @property
     def results(self) -> dict[str, Result]:
         """What the problem asks of its flight, by name: `results`, `marks` and `integrals` of phases, `views`.
 
@@ -274,7 +279,7 @@ class Solution(ShownSolution):
         first, last = (problem.phases[i].state_record(*self.trajectories[i].state.values[i]) for i in (0, -1))
         if problem.results is None:
             found = {
-                "flight_time": Result(value=sum(t.duration for t in self.trajectories), unit="s"),
+                "flight_time": Result(value=self.duration, unit="s"),
                 "objective": Result(value=float(self.objective), unit=problem.objective_unit, description="J"),
             }
         else:

@@ -175,7 +175,7 @@ class Arc:
     @cached_property
     def rate_scale(self) -> float:
         """Size of H [J/s]: J over the time of the whole flight, whatever units it was computed in."""
-        return self.objective_scale / sum(flown.duration for flown in self.solution.trajectories)
+        return self.objective_scale / self.solution.duration
 
     @cached_property
     def breaks(self) -> Vector:

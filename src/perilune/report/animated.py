@@ -82,7 +82,7 @@ def animate(
 
 def _way(solution: Solution, frames: int) -> _Way:
     """The way at times that are evenly apart."""
-    whole = sum(trajectory.duration for trajectory in solution.trajectories)
+    whole = solution.duration
     time = np.linspace(0.0, whole, max(frames, 2))
     problem = solution.problem
     if all(phase.inertial is not None for phase in problem.phases) and problem.views.radius:

@@ -113,9 +113,7 @@ def costates(solution: Solution) -> Figure:
         ax.set_ylabel(_costate_symbol(parts[0][1]) + f"\n({parts[0][1].unit})")
         ax.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
     figure.align_ylabels()
-    axes[-1].set(
-        xlabel=time_text(solution.problem), xlim=(0, sum(trajectory.duration for trajectory in solution.trajectories))
-    )
+    axes[-1].set(xlabel=time_text(solution.problem), xlim=(0, solution.duration))
     return figure
 
 

@@ -110,7 +110,7 @@ def _thrust_strokes(
     axes: Any, solution: Solution, plane: Matrix, radius: float, place: Any, colour: str, length: float
 ) -> None:
     """Strokes from the path along the exhaust, opposite the thrust, at equal times; none where the engine is off."""
-    whole = sum(trajectory.duration for trajectory in solution.trajectories)
+    whole = solution.duration
     for k, trajectory in enumerate(solution.trajectories):
         t = np.linspace(0.02, 0.98, max(2, round(12 * trajectory.duration / whole))) * trajectory.duration
         r, _, push = solution.inertial(k, t)

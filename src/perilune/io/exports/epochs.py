@@ -27,7 +27,7 @@ def epoch_of(solution: Solution, stated: str | datetime | None) -> datetime | No
             "the problem has an epoch of its own", got=str(stated), expected=own,
             advice="leave the epoch out, or solve the problem at the other one",
         )  # fmt: skip
-    if sum(trajectory.duration for trajectory in solution.trajectories) > (END - found).total_seconds():
+    if solution.duration > (END - found).total_seconds():
         raise PeriluneError(
             f"the flight goes on behind the year {END.year - 1}", got=f"an epoch of {found.isoformat()}",
             expected="an earlier one",
