@@ -303,3 +303,11 @@ def test_what_is_not_proved_is_called_no_optimum(time: float, nature: Nature, tm
     pl.save(solution, tmp_path / "endless")
     again = prove(pl.load(tmp_path / "endless"), 3)
     assert again.outcome is solution.outcome and "best" not in again.extremals[0].nature.value
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_a_flight_says_how_long_all_of_it_takes(split: bool) -> None:
+    """In one phase and in two, of which each is shorter."""
+    found = solve(tangent_steering(split), Indirect(), level=0)
+    assert found.duration == pytest.approx(0.554570878334603, rel=1e-12)
+    assert len(found.trajectories) == 1 + split
