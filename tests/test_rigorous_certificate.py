@@ -58,6 +58,15 @@ def _sine(told: Told) -> None:
     tape["outputs"][1] = 2
 
 
+def _no_side(told: Told) -> None:
+    """A range of 0 to 7 m whose name is that of a parameter, and the side on which it would be that."""
+    tape, end = told["problem"]["tapes"]["end 0"], {"name": "distance", "lower": "0", "upper": "7"}
+    tape["outputs"][0] = tape["instructions"].index(["x", "x"])
+    told["problem"]["phases"][0]["end"][0] = end
+    told["unknowns"][3]["name"] = "move.nu_distance"
+    told["on_bounds"]["ranges"] = [["move", "distance", "name"]]
+
+
 FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
     "place": (_beside, "leaves the box"),
     "J": (lambda told: told.update(objective="[2.0000000001 +/- 1e-15]"), "does not hold"),
@@ -73,6 +82,7 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
     "an end that is a range": (
         lambda told: told["problem"]["phases"][0]["end"][0].update(upper="7"), "no such condition",
     ),
+    "a side that is none": (_no_side, "no such side"),
     "a name": (lambda told: told["unknowns"][2].update(name="tf"), "named otherwise"),
     "a flight cut off": (_cut, "do not begin"),
     "an arc without an end": (lambda told: told["arcs"][1].update(switched="u"), "does not end where"),

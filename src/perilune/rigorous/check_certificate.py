@@ -249,6 +249,8 @@ class _Proof:
         self.constants = [[name for name in self.free if self.acts(k, name)] for k in range(len(self.phases))]
         self.sizes = [len(phase["states"]) + len(c) for phase, c in zip(self.phases, self.constants, strict=True)]
         self.ranges = {(phase, name): side for phase, name, side in told["on_bounds"]["ranges"]}
+        sides = {*told["on_bounds"]["free"].values(), *self.ranges.values()}
+        demand(sides <= {"lower", "upper", "inside"}, "a bound has no such side")
         self.quadratic = [self.formula(k, phase) for k, phase in enumerate(self.phases)]
         named = [[s["name"] for s in phase["states"]] + c for phase, c in zip(self.phases, self.constants, strict=True)]
         names = [f"{p['name']}.lambda_{n}(0)" for p, own in zip(self.phases, named, strict=True) for n in own]
