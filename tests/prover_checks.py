@@ -25,8 +25,10 @@ from perilune.words.units import parse_quantity
 from problems.ascents import tangent_steering
 from problems.integrators import least_time
 from problems.landings import meditch
+from problems.staging import ANSWERED, staged_burns
 
 BITS, DIGITS = 160, 1e-25
+METHODS = {staged_burns: ANSWERED[0].methods[0]}  # where it is not the indirect one
 
 
 def room(name: str) -> Any:
@@ -35,7 +37,7 @@ def room(name: str) -> Any:
 
 @cache
 def solved(make: Callable[..., pl.Problem], *options: Any) -> pl.Solution:
-    return pl.solve(make(*options), level=0)
+    return pl.solve(make(*options), METHODS.get(make), level=0)
 
 
 def settings(order: int = 30, tolerance: float = 1e-44) -> Any:
@@ -47,7 +49,7 @@ def settings(order: int = 30, tolerance: float = 1e-44) -> Any:
 def stated(solution: pl.Solution, off: float = 0.0) -> tuple[Any, list[Any]]:
     """The boundary value problem, and a guess that is off by a part of itself."""
     pieces, lengths = room("guess").pieces_of(solution)
-    boundary = room("boundary").boundary_problem(solution.problem, pieces)
+    boundary = room("boundary").boundary_problem(solution.problem, pieces, room("guess").sides_of(solution))
     return boundary, [value * (1 + off) for value in room("guess").unknowns_of(solution, boundary, lengths)]
 
 
@@ -79,6 +81,17 @@ def meditch_lands() -> bool:
     left = 1 - flow * burn / p["m"]
     met = height + speed * burn - p["g"] * burn**2 / 2 + p["c"] * p["m"] / flow * (left * left.log() + 1 - left)
     return near(met, arb(0)) and near(speed - p["g"] * burn - p["c"] * left.log(), arb(0))
+
+
+def stages_burn_out() -> bool:
+    """Both masses end on their bounds, by the rocket equation: mu = -c/m."""
+    boundary, _, root = proved(solved(staged_burns))
+    y = dict(zip(boundary.names, root.y, strict=True))
+    (J,) = boundary.objective.values(root.y, root.flight.ends[-1])
+    times = near(y["t_1"], arb(60)) and near(y["t_2"], arb(150))
+    multipliers = near(y["first.mu_m"], arb(-50)) and near(y["second.mu_m"], arb(-200))
+    kept = all(statement.proved and not statement.slack for statement in room("limits").Limits(boundary, root).all())
+    return times and multipliers and kept and near(J, -3000 * (arb(100) / 60 * 40 / 15).log())
 
 
 def tangent_is_linear() -> bool:
@@ -434,6 +447,7 @@ CHECKS: tuple[Callable[[], bool], ...] = (
     series_agree, a_step_over_a_pole_is_refused, a_step_over_a_jump_is_refused, growth_is_enclosed,
     tangents_are_enclosed, a_step_that_tangents_outgrow_is_refused, signs_are_seen, forms_are_positive,
     numbers_are_exact, J_is_that_of_the_root, what_is_missing_is_no_theorem, meditch_lands,
+    stages_burn_out,
     flights_stay_in_their_enclosures, frames_keep_remainders, a_frame_turns_with_the_flow,
     steps_follow_each_other, a_wide_box_is_refused,
     tangent_is_linear, a_wrong_centre_is_refused,

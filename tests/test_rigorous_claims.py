@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,9 @@ import perilune as pl
 pytest.importorskip("flint")
 from flint import arb, ctx
 
-from prover_checks import room, settings
+from problems.landings import meditch
+from problems.staging import staged_burns
+from prover_checks import room, settings, solved
 
 FREE = {"u": "interior", "v": "interior"}
 
@@ -185,6 +188,69 @@ def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
 
     assert not missing((lower, upper), told.get(side))
     assert len(missing(wrong if holds else (lower, upper), beyond if not holds else None)) == 1
+
+
+def approaching(side: str, gain: float, named: bool) -> pl.Problem:
+    """x moves towards its bound at 1 m/s for as long as pays, `gain` for each second."""
+    sign = 1 if side == "upper" else -1
+    bounds: dict[str, Any] = {side: "end" if named else float(sign)}
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m", **bounds),), duration="T",
+        dynamics=lambda x, u, p, m: (sign * p.w,),
+    )  # fmt: skip
+    return problem(phase, lambda x, p, m: -gain * p.w * p.T, {"w": (1.0, "m/s"), "end": (sign, "m")},
+                   free=(pl.Free(name="T", unit="s", lower=0.0, upper=9.0, typical=1.0),))  # fmt: skip
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+@pytest.mark.parametrize("named", [False, True])
+def test_a_bound_holds_an_end_only_where_it_would_cost_less_beyond(side: str, named: bool) -> None:
+    """Where a second costs, or nothing, the flight that ends on the bound is no extremal, though all else is met."""
+    sides = room("boundary").Sides(states={("go", "x"): side})
+    for gain in (2.0, 0.0, -2.0):
+        root, missing = proved(approaching(side, gain, named), {}, [-1.0, 0.9, 1.0], sides)
+        mu = gain if side == "upper" else -gain
+        assert root.y[1].overlaps(arb(1)) and root.y[2].overlaps(arb(mu)) and root.y[2].rad() < 1e-25
+        assert missing == (
+            [] if gain > 0 else [f"go: x at its end would cost less beyond its {side} bound, where it is"]
+        )
+    with pytest.raises(pl.PeriluneError, match="has no"):
+        other = {"lower": "upper", "upper": "lower"}[side]
+        proved(approaching(side, 2.0, named), {}, [-1.0, 0.9, 1.0], room("boundary").Sides(states={("go", "x"): other}))
+
+
+def test_a_bound_that_is_touched_and_not_crossed_is_not_seen_to_be_kept() -> None:
+    """x = q + (t - 1)^2 - 1 comes to 0 with q = 1 and a rate of 0, which no equation says."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="t", unit="s")),
+        dynamics=lambda x, u, p, m: (2 * p.a * (x.t - p.T), 1.0), duration="T",
+    )  # fmt: skip
+    stated = pl.Problem(
+        name="touching", phases=(phase,), start=lambda p, m: (p.q, 0.0), objective=lambda x, p, m: p.q,
+        given={"T": pl.Given(value=1.0, unit="s"), "a": pl.Given(value=1.0, unit="m/s^2")}, objective_unit="m",
+        free=(pl.Free(name="q", unit="m", lower=-9.0, upper=9.0, typical=1.0),),
+    )  # fmt: skip
+    sides = room("boundary").Sides(states={("go", "x"): "lower"})
+    root, missing = proved(stated, {}, [-1.0, 0.0, 0.9, -1.0], sides)
+    assert root.y[2].overlaps(arb(1)) and missing == ["x > 0.0 (go)"]
+
+
+def test_a_bound_that_is_met_anyway_or_holds_nothing_back_has_no_multiplier() -> None:
+    """Meditch's lander: h and v end by condition, m and the effort where it pays; and with bounds just there."""
+    solution = solved(meditch)
+    (flown,) = solution.trajectories
+    (phase,) = solution.problem.phases
+    h, v, m, effort = flown.state.values[-1].tolist()
+    for bounds in (
+        ({"lower": h}, {"lower": v}, {"lower": m}, {"lower": effort}),
+        ({"upper": h}, {"upper": v}, {"upper": m}, {"upper": effort}),
+    ):
+        states = tuple(replace(s, **{"lower": -np.inf, **own}) for s, own in zip(phase.states, bounds, strict=True))
+        bounded = replace(solution.problem, phases=(replace(phase, states=states),))
+        assert not room("guess").sides_of(replace(solution, problem=bounded)).states
+    assert not room("guess").sides_of(solution).states
+    burnt = solved(staged_burns)
+    assert room("guess").sides_of(burnt).states == {("first", "m"): "lower", ("second", "m"): "lower"}
 
 
 def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:

@@ -54,6 +54,8 @@ _side = claims.test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_les
 _convex = claims.test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it
 _circle = claims.test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none
 _small = partial(claims.test_a_control_on_the_wrong_bound_is_seen_however_small_its_effect, 1e-13)
+_end = claims.test_a_bound_holds_an_end_only_where_it_would_cost_less_beyond
+_anyway = claims.test_a_bound_that_is_met_anyway_or_holds_nothing_back_has_no_multiplier
 _touched = claims.test_a_limit_that_is_touched_at_the_end_is_not_broken_before
 _limits = claims.test_every_limit_that_is_broken_is_named_and_no_other
 MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
@@ -230,6 +232,29 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (partial(_side, "lower", (2.0, 7.0)), {
             "wrong sign of a multiplier":
                 ("boundary", 'nu if side == "upper" else -nu', '-nu if side == "upper" else nu'),
+        }),
+        (partial(_end, "upper", False), {
+            "bound of an end on the other side":
+                ("boundary", "self.sides.states[phase.name, state.name])", '"lower")'),
+            "bound of an end without its multiplier":
+                ("boundary", "psi += [end[i] for", "psi += [self.graph.constant(0) * end[i] for"),
+        }),
+        (partial(_end, "lower", False), {
+            "multiplier of a bound with the wrong sign":
+                ("boundary", 'nu if side == "upper" else -nu', 'nu if c.name != "x" else nu'),
+        }),
+        (_anyway, {
+            "two multipliers of one end": ("guess", "np.linalg.norm(unsaid) > _FELT", "True"),
+            "multiplier of nothing": ("guess", "sign * value > least", "True"),
+            "multiplier of the wrong sign": ("guess", '"upper" if mu > 0 else', '"upper" if mu < 0 else'),
+        }),
+        (claims.test_a_bound_that_is_touched_and_not_crossed_is_not_seen_to_be_kept, {
+            "first derivative unlooked at":
+                ("signs", "(-1) ** at_end * quantity.value(z, at_end) > 0", "quantity.value(z, at_end + 1) > 0"),
+        }),
+        (checks.stages_burn_out, {
+            "an end on its bound unknown to its limit":
+                ("boundary", "met[self.last[k]] += equations", "met[self.last[k]] += equations[:0]"),
         }),
         (partial(_side, "inside", (-2.0, 7.0)), {
             "wrong sign inside a range":

@@ -1,8 +1,9 @@
 """The boundary value problem of an extremal as equations F(y) = 0, with their derivatives.
 
 The unknowns y are lambda(0) of each phase, the free parameters, the multipliers nu of the end conditions, the length of
-every arc of a phase but its last one, and what no formula gives of the control, w, where its arc begins. Arcs follow
-each other; the start of each is a function of y and of the end of the one before. With L = J + nu . psi +
+every arc of a phase but its last one, and what no formula gives of the control, w, where its arc begins. A state that
+is held by a bound where its phase ends is one more end condition, psi = x - bound, whose multiplier has a sign. Arcs
+follow each other; the start of each is a function of y and of the end of the one before. With L = J + nu . psi +
 lambda_k(0) . x_k(0) the equations are
 
     psi = 0,    lambda(T) = dL/dx(T),    dL/dq = 0 (and H added where q is the duration),    dH/du = 0 at a switch,
@@ -19,6 +20,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
+from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.rigorous.equations import Arc, Key, Reader, Regimes, Scalar
 from perilune.rigorous.graph import Expression, Graph
@@ -45,10 +47,17 @@ class Sides:
         ``lower`` or ``upper`` of the free parameters that are on a bound, by name.
     ranges
         Of end conditions that are ranges, by phase and name: ``lower``, ``upper``, or ``inside``.
+    states
+        ``lower`` or ``upper`` of the states that a bound holds where their phase ends, by phase and name.
     """
 
     free: Mapping[str, str] = field(default_factory=dict)
     ranges: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    states: Mapping[tuple[str, str], str] = field(default_factory=dict)
+
+    def held(self, phase: Phase) -> list[int]:
+        """Which states of a phase a bound holds at its end."""
+        return [i for i, name in enumerate(phase.state_names) if (phase.name, name) in self.states]
 
 
 class Differentiated:
@@ -186,9 +195,10 @@ class _Stating:
         self.free_at = len(names)
         names += problem.free_names
         for phase in problem.phases:
-            own = [c.name for c in phase.end_conditions]
+            own = [f"nu_{c.name}" for c in phase.end_conditions]
+            own += [f"mu_{phase.states[i].name}" for i in sides.held(phase)]
             self.nu.append([graph.input(("y", len(names) + i)) for i in range(len(own))])
-            names += [f"{phase.name}.nu_{name}" for name in own]
+            names += [f"{phase.name}.{name}" for name in own]
         for i, piece in enumerate(pieces):
             if piece.switched:
                 self.length[i] = graph.input(("y", len(names)))
@@ -214,11 +224,13 @@ class _Stating:
             psi = []
             if phase.end is not None and phase.end_conditions:
                 psi = self.reader.function((k, "end"), end, free=self.free, phase=phase)
+            psi += [end[i] for i in self.sides.held(phase)]
             boundary = sum((nu * value for nu, value in zip(self.nu[k], psi, strict=True)), zero)
             equations = self._equations(k, psi)
             conditions += equations
             met[self.last[k]] += equations
             rows += [f"{phase.name}: {c.name}" for c in phase.end_conditions]
+            rows += [f"{phase.name}: {phase.states[i].name} on its bound" for i in self.sides.held(phase)]
             start = sum((a * b for a, b in zip(self.lam[k], self._opening(k), strict=True)), zero)
             lagrangian = lagrangian + boundary + start
             if k + 1 < len(problem.phases):
@@ -287,11 +299,14 @@ class _Stating:
     def _equations(self, k: int, psi: list[Expression]) -> list[Expression]:
         """What vanishes where a phase ends; of a range its distance to the bound that it is on, or else nu."""
         phase, found = self.problem.phases[k], list[Expression]()
-        for c, value, nu in zip(phase.end_conditions, psi, self.nu[k], strict=True):
+        held = [phase.states[i] for i in self.sides.held(phase)]
+        sided = [(c, c.name, self.sides.ranges.get((phase.name, c.name), "")) for c in phase.end_conditions]
+        sided += [(state, f"{state.name} at its end", self.sides.states[phase.name, state.name]) for state in held]
+        for (c, told, side), value, nu in zip(sided, psi, self.nu[k], strict=True):
             if not c.ranged:
                 found.append(value)
                 continue
-            side, name = self.sides.ranges[phase.name, c.name], f"{phase.name}: {c.name}"
+            name = f"{phase.name}: {told}"
             lower, upper = (self._limit(limit) for limit in (c.lower, c.upper))
             bound = {"lower": lower, "upper": upper, "inside": None}[side]
             if side == "inside":

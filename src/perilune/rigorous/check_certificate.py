@@ -13,7 +13,7 @@ from typing import Any
 
 from flint import arb, arb_mat, arb_series, ctx, fmpq
 
-FORMAT = "perilune theorem 3"
+FORMAT = "perilune theorem 4"
 TOLERANCE, WIDER, PIECES = 1e-6, 2.0**-20, 2.0**-20  # of limits in SI; of what encloses a step; least part of a step
 ORDER, PARTS = 34, 3  # of the series, and of each step of the certificate: much is enclosed less closely here
 
@@ -248,14 +248,21 @@ class _Proof:
             demand(grid[0] == 0.0, f"the steps of arc {i + 1} do not begin where it does")
         self.constants = [[name for name in self.free if self.acts(k, name)] for k in range(len(self.phases))]
         self.sizes = [len(phase["states"]) + len(c) for phase, c in zip(self.phases, self.constants, strict=True)]
-        self.ranges = {(phase, name): side for phase, name, side in told["on_bounds"]["ranges"]}
-        sides = {*told["on_bounds"]["free"].values(), *self.ranges.values()}
+        ranges, self.held = ({(phase, name): side for phase, name, side in told["on_bounds"][of_what]}
+                             for of_what in ("ranges", "states"))  # fmt: skip
+        sides = {*told["on_bounds"]["free"].values(), *ranges.values(), *self.held.values()}
         demand(sides <= {"lower", "upper", "inside"}, "a bound has no such side")
+        self.ends = [
+            [("nu", c, ranges.get((p["name"], c["name"]))) for c in p["end"]]
+            + [("mu", s, self.held[p["name"], s["name"]]) for s in p["states"] if (p["name"], s["name"]) in self.held]
+            for p in self.phases
+        ]  # what each phase ends on, and on which side of it
         self.quadratic = [self.formula(k, phase) for k, phase in enumerate(self.phases)]
         named = [[s["name"] for s in phase["states"]] + c for phase, c in zip(self.phases, self.constants, strict=True)]
         names = [f"{p['name']}.lambda_{n}(0)" for p, own in zip(self.phases, named, strict=True) for n in own]
         names += self.free
-        names += [f"{phase['name']}.nu_{c['name']}" for phase in self.phases for c in phase["end"]]
+        names += [f"{p['name']}.{n}_{c['name']}" for p, own in zip(self.phases, self.ends, strict=True)
+                  for n, c, _ in own]  # fmt: skip
         names += [f"{self.phases[arc['phase']]['name']}, length of arc {i - self.first[arc['phase']] + 1}"
                   for i, arc in enumerate(self.arcs) if arc["switched"]]  # fmt: skip
         demand(names == [u["name"] for u in told["unknowns"]], "the unknowns are named otherwise")
@@ -372,7 +379,7 @@ class _Proof:
         values = iter(y)
         lam = [[next(values) for _ in range(size)] for size in self.sizes]
         free = {name: next(values) for name in self.free}
-        nu = [[next(values) for _ in phase["end"]] for phase in self.phases]
+        nu = [[next(values) for _ in own] for own in self.ends]
         return lam, free, nu, {i: next(values) for i, arc in enumerate(self.arcs) if arc["switched"]}
 
     def opening(self, k: int, before: list[Any], free: dict[str, Any]) -> list[Any]:
@@ -402,9 +409,9 @@ class _Proof:
         for k, phase in enumerate(self.phases):
             L = L + dot(lam[k], self.opening(k, x[k - 1] if k else [], free))
             psi = run(self.tape(f"end {k}"), self.values(k, x[k], {}, free)) if phase["end"] else []
-            for c, value, multiplier in zip(phase["end"], psi, nu[k], strict=True):
-                L = L + multiplier * value
-                side, inner = self.ranges.get((phase["name"], c["name"])), value.value if level(value) == 2 else value
+            psi += [v for v, s in zip(x[k], phase["states"], strict=False) if (phase["name"], s["name"]) in self.held]
+            for (_, c, side), value, multiplier in zip(self.ends[k], psi, nu[k], strict=True):
+                L, inner = L + multiplier * value, value.value if level(value) == 2 else value
                 demand((c["lower"] is c["upper"] is None) == (side is None), f"{c['name']} is no such condition")
                 if side in (None, "inside"):
                     conditions.append(multiplier if side else inner)

@@ -81,10 +81,12 @@ def _kept(proved: Proved) -> str:
     slack = [statement for statement in proved.statements if statement.slack > 0]
     idle = any(arc.strengths and any(one.regime == "lower" for one in arc.scalars) for arc in proved.boundary.arcs)
     switched = any(piece.switched for piece in proved.boundary.pieces)
+    states = " and ".join(f"{state} of {phase}" for phase, state in proved.boundary.sides.states)
+    held = f", or a bound holds it there ({states})" if states else ""
     but = ["at its switches"] * switched + ["for a direction while what multiplies it vanishes"] * idle
     text = (
-        "Along the whole flight every limit is kept strictly, but where an end lies on it by condition; the control "
-        f"is the only one that minimises H{', but ' if but else ''}{' and '.join(but)}."
+        f"Along the whole flight every limit is kept strictly, but where an end lies on it by condition{held}; "
+        f"the control is the only one that minimises H{', but ' if but else ''}{' and '.join(but)}."
     )
     if not slack:
         return text
@@ -115,6 +117,7 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
         "on_bounds": {
             "free": dict(boundary.sides.free),
             "ranges": [[*place, side] for place, side in boundary.sides.ranges.items()],
+            "states": [[*place, side] for place, side in boundary.sides.states.items()],
         },
         "bits": proved.settings.bits,
         "grid": [list(begins) for begins in proved.refined.grid],
