@@ -219,6 +219,20 @@ def test_a_bound_holds_an_end_only_where_it_would_cost_less_beyond(side: str, na
         proved(approaching(side, 2.0, named), {}, [-1.0, 0.9, 1.0], room("boundary").Sides(states={("go", "x"): other}))
 
 
+@pytest.mark.parametrize(("gain", "J", "sides"), [(1.0, -0.375, {("go", "x"): "upper"}), (0.25, -0.03125, {})])
+def test_a_bound_that_holds_an_end_keeps_a_local_optimum(gain: float, J: float, sides: dict[Any, str]) -> None:
+    """Least integral of u^2/2, less gain x(1), x <= 1/2: x = t/2, or gain t where that is less."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m", upper=0.5), pl.Variable(name="c", unit="m^2/s")),
+        controls=(pl.Bounded(name="u", unit="m/s", lower=-9.0, upper=9.0),), duration="T",
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+    )  # fmt: skip
+    stated = problem(phase, lambda x, p, m: x.c - p.k * x.x, {"T": (1.0, "s"), "k": (gain, "m/s")}, unit="m^2/s")
+    found = room("theorem").attempt(pl.solve(stated, pl.Pseudospectral(), level=0), lambda _: None).proved
+    assert found.boundary.sides.states == sides and not found.missing and found.optimum.proved
+    assert found.objective.contains(J) and found.objective.rad() < 1e-25
+
+
 def test_a_bound_that_is_touched_and_not_crossed_is_not_seen_to_be_kept() -> None:
     """x = q + (t - 1)^2 - 1 comes to 0 with q = 1 and a rate of 0, which no equation says."""
     phase = pl.Phase(
