@@ -236,6 +236,7 @@ class _Proof:
 
     def __init__(self, told: dict[str, Any]) -> None:
         self.told, self.problem, self.order, self.arcs = told, told["problem"], ORDER, told["arcs"]
+        self.tape = self.problem["tapes"].get
         self.given = {name: given(stated) for name, stated in self.problem["given"].items()}
         self.free, self.phases = [f["name"] for f in self.problem["free"]], self.problem["phases"]
         follows = [arc["phase"] for arc in self.arcs]
@@ -252,17 +253,15 @@ class _Proof:
                              for of_what in ("ranges", "states"))  # fmt: skip
         sides = {*told["on_bounds"]["free"].values(), *ranges.values(), *self.held.values()}
         demand(sides <= {"lower", "upper", "inside"}, "a bound has no such side")
-        self.ends = [
-            [("nu", c, ranges.get((p["name"], c["name"]))) for c in p["end"]]
-            + [("mu", s, self.held[p["name"], s["name"]]) for s in p["states"] if (p["name"], s["name"]) in self.held]
-            for p in self.phases
-        ]  # what each phase ends on, and on which side of it
+        self.ends = [  # what each phase ends on: its multiplier, itself, and its side where it has sides
+            [(f"{p['name']}.nu_{c['name']}", c, ranges.get((p["name"], c["name"]))) for c in p["end"]]
+            + [(f"{p['name']}.mu_{s['name']}", s, side) for s in p["states"]
+               if (side := self.held.get((p["name"], s["name"])))] for p in self.phases
+        ]  # fmt: skip
         self.quadratic = [self.formula(k, phase) for k, phase in enumerate(self.phases)]
         named = [[s["name"] for s in phase["states"]] + c for phase, c in zip(self.phases, self.constants, strict=True)]
         names = [f"{p['name']}.lambda_{n}(0)" for p, own in zip(self.phases, named, strict=True) for n in own]
-        names += self.free
-        names += [f"{p['name']}.{n}_{c['name']}" for p, own in zip(self.phases, self.ends, strict=True)
-                  for n, c, _ in own]  # fmt: skip
+        names += [*self.free, *(name for own in self.ends for name, _, _ in own)]
         names += [f"{self.phases[arc['phase']]['name']}, length of arc {i - self.first[arc['phase']] + 1}"
                   for i, arc in enumerate(self.arcs) if arc["switched"]]  # fmt: skip
         demand(names == [u["name"] for u in told["unknowns"]], "the unknowns are named otherwise")
@@ -281,9 +280,6 @@ class _Proof:
         for c in phase["controls"]:
             demand(len({str(factors[n]) for n in c["names"] if n in factors}) < 2, "a direction has two factors")
         return {own[0] for own in found if len(own) == 2 and own[0] == own[1]}
-
-    def tape(self, name: str) -> Any:
-        return self.problem["tapes"].get(name)
 
     def acts(self, k: int, name: str) -> bool:
         limits = [c.get(side) for c in self.phases[k]["controls"] for side in ("lower", "upper")]
