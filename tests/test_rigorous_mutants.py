@@ -22,19 +22,21 @@ pytest.importorskip("flint")
 import prover_checks as checks
 import test_rigorous_claims as claims
 
-ROOM = Path(__file__).parent.parent / "src" / "perilune" / "rigorous"
+SOURCE = Path(__file__).parent.parent / "src" / "perilune"
 
 
 @contextmanager
 def mutated(name: str, old: str, new: str) -> Iterator[None]:
-    """The prover with one file changed."""
-    path = ROOM / f"{name}.py"
+    """The prover with one file changed: of its own, or of another room."""
+    room, _, file = name.rpartition(".")
+    path = SOURCE / (room or "rigorous") / f"{file}.py"
     source = path.read_text(encoding="utf-8")
     assert source.count(old) == 1, f"{source.count(old)} places in {name}: {old}"
-    kept = {key: module for key, module in sys.modules.items() if key.startswith("perilune.rigorous")}
+    full = f"perilune.{room or 'rigorous'}.{file}"
+    own = ("perilune.rigorous", full)
+    kept = {key: module for key, module in sys.modules.items() if key.startswith(own)}
     for key in kept:
         del sys.modules[key]
-    full = f"perilune.rigorous.{name}"
     spec = importlib.util.spec_from_file_location(full, path)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
@@ -43,7 +45,7 @@ def mutated(name: str, old: str, new: str) -> Iterator[None]:
         exec(compile(source.replace(old, new), str(path), "exec"), module.__dict__)
         yield
     finally:
-        for key in [key for key in sys.modules if key.startswith("perilune.rigorous")]:
+        for key in [key for key in sys.modules if key.startswith(own)]:
             del sys.modules[key]
         sys.modules.update(kept)
 
@@ -244,8 +246,8 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
                 ("boundary", 'nu if side == "upper" else -nu', 'nu if c.name != "x" else nu'),
         }),
         (_anyway, {
-            "two multipliers of one end": ("guess", "np.linalg.norm(unsaid) > _FELT", "True"),
-            "multiplier of nothing": ("guess", "sign * value > least", "True"),
+            "two multipliers of one end": ("proof.ended", "np.linalg.norm(unsaid) > _FELT", "True"),
+            "multiplier of nothing": ("proof.ended", "sign * value > least", "True"),
             "multiplier of the wrong sign": ("guess", '"upper" if mu > 0 else', '"upper" if mu < 0 else'),
         }),
         (claims.test_a_bound_that_is_touched_and_not_crossed_is_not_seen_to_be_kept, {

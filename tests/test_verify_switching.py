@@ -288,12 +288,28 @@ def test_a_ceiling_that_holds_nothing_back_changes_nothing(ceiling: float) -> No
     assert "active" not in str(verification)
 
 
-def test_a_bound_that_is_reached_at_the_end_has_a_multiplier_that_is_not_known() -> None:
-    """Two burns, each until its tank is empty: touched at one time only, the bound shows in the costates' end."""
-    verification = verify(Pseudospectral().run(staged_burns()))
-    assert verification.level == 1
-    assert {"first_transversality", "second_transversality", "conjugate_point"} <= failed(verification)
-    assert "is none of them" in check(verification, "first_transversality").meaning
+def test_a_bound_that_is_reached_at_the_end_has_a_multiplier_with_a_sign() -> None:
+    """Two burns, each until its tank is empty: the bound shows in the costates' end, and nowhere else."""
+    solution = Pseudospectral(nlp_tolerance=1e-12).run(staged_burns())
+    problem, ends = solution.problem, {"first_transversality", "second_transversality"}
+    verification = verify(solution)
+    assert verification.level == 3, str(verification)
+    assert check(verification, "first_range_m_at_end").passed
+    # The same flight is none where the tank may be emptied further, nor the slowest, which would rather not burn.
+    deeper = replace(problem.phases[0], states=(problem.phases[0].states[0], Variable(name="m", unit="kg", lower=59.9)))
+    further = replace(solution, problem=replace(problem, phases=(deeper, problem.phases[1])))
+    assert failed(verify(further, level=2)) & ends == {"first_transversality"}
+    flown = (replace(t, costate=opposite(t.costate)) for t in solution.trajectories)
+    slowest = replace(
+        solution, problem=replace(problem, objective=lambda x, p, m: x.v), objective=-solution.objective,
+        trajectories=tuple(flown),
+    )  # fmt: skip
+    assert failed(verify(slowest, level=2)) == ends
+
+
+def opposite(curve: Curve | None) -> Curve:
+    assert curve is not None
+    return replace(curve, values=-curve.values, rates=-curve.rates)
 
 
 # --- what is no number ------------------------------------------------------------------------------------------------

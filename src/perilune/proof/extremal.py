@@ -8,7 +8,8 @@ With H = lam.f (running costs are states) and Phi = phi + nu.psi at each phase's
     u minimises H at each time.
 
 A path condition in which the control appears has the multiplier that `allowed` finds, and H - mu.c the place of H in
-lam' and dJ/dp. Any other, or a bound of a state, that is kept has multiplier 0. One that holds the flight back has
+lam' and dJ/dp. Any other, or a bound of a state, that is kept has multiplier 0, but for a bound that holds the end of a
+phase, which is made an end condition before (`ended`). One that holds the flight back has
 a multiplier that no table holds: it shows in lam', or in dH/du, and that check fails.
 
 A duration T is a parameter too, T H being the rate per unit of normalised time: its condition gives H its
@@ -229,7 +230,7 @@ def _transversality(arc: Arc, known: Vector | float) -> Check:
         name=f"{arc.prefix}transversality", level=2, limit=STATIONARY_LIMIT, unit="1",
         value=float((missed / sizes).max()),
         meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain, by what errors of "
-        "lam(t_f) make of it (scaled); the bound of a state that is reached there is none of them",
+        "lam(t_f) make of it (scaled); the bound of a state that is reached there alone is one of them, with its sign",
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, Check, Verification
 from perilune.proof.crossed import agreement
+from perilune.proof.ended import ended
 from perilune.proof.extremal import extremality
 from perilune.proof.feasible import feasibility, tables
 from perilune.proof.flight import flights
@@ -128,14 +129,15 @@ def _checks(
     yield from feasibility(solution, flown)
     arcs = None
     if level >= 2:
-        parts, kept = solution, dict[int, Kept]()
+        stated = ended(solution)
+        parts, kept = stated, dict[int, Kept]()
         if any(meets(arc) for arc, _ in flown):
             from perilune.proof.rides import Rides
             from perilune.proof.touched import cut, signs
 
-            parts, structure = cut(solution)
-            arcs, rides = None if structure.plain else (parts, structure), Rides.of(solution, parts, structure)
-            yield from (check for check in signs(solution, parts, structure) if check.level <= level)
+            parts, structure = cut(stated)
+            arcs, rides = None if structure.plain else (parts, structure), Rides.of(stated, parts, structure)
+            yield from (check for check in signs(stated, parts, structure) if check.level <= level)
             yield from rides.checks()
             kept = rides.kept() if level >= 3 else kept
         yield from extremality(parts, flown if parts is solution else flights(parts))

@@ -14,14 +14,13 @@ from flint import arb
 from perilune.problem.controls import Bounded, scalars
 from perilune.problem.solution import Solution
 from perilune.proof.arc import Arc
-from perilune.proof.extremal import INSIDE, end_gradients, end_sides
+from perilune.proof.ended import held_at_end
 from perilune.rigorous.boundary import BoundaryProblem, Piece, Sides
 from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.taylor import Ball
 
 _ON_BOUND = 1e-7  # of the range of a control
 _INSIDE = 1e-9  # of an arc: behind a jump
-_FELT = 1e-6  # of the largest costate: a multiplier; and of 1, what of a bound no end condition says
 
 
 def pieces_of(solution: Solution) -> tuple[list[Piece], list[float]]:
@@ -82,43 +81,9 @@ def sides_of(solution: Solution) -> Sides:
     states = {
         (phase.name, name): "upper" if mu > 0 else "lower"
         for k, phase in enumerate(problem.phases)
-        for name, mu in _held(solution, k).items()
+        for name, mu in held_at_end(Arc(solution=solution, index=k)).items()
     }
     return Sides(free=free, ranges=ranges, states=states)
-
-
-def _held(solution: Solution, k: int) -> dict[str, float]:
-    """The states that a bound holds where a phase ends, each with its multiplier, as far as the costates tell.
-
-    That is what lambda(T) has beside dJ/dx and the gradients of the end conditions, positive at an upper bound. A bound
-    that these conditions meet anyway has none of its own.
-    """
-    arc = Arc(solution=solution, index=k)
-    on = list[tuple[int, int]]()
-    for i, (state, x) in enumerate(zip(arc.phase.states, arc.trajectory.state.values[-1].tolist(), strict=True)):
-        for sign, limit in zip((-1, 1), state.limits(arc.p), strict=True):
-            if abs(x - limit) <= _ON_BOUND * max(abs(x), arc.state_scale[i]):
-                on.append((i, sign))
-    if not on or arc.trajectory.costate is None:
-        return {}
-    psi, ahead = end_gradients(arc)
-    wanted = arc.trajectory.costate.values[-1] * arc.state_scale - ahead
-    met = psi[end_sides(arc) != INSIDE]
-    units = np.eye(len(wanted))
-    gradients = met / np.maximum(np.linalg.norm(met, axis=1, keepdims=True), np.finfo(float).tiny)
-    count, own = len(gradients), list[tuple[int, int]]()
-    for i, sign in on:
-        unsaid = units[i] - gradients.T @ np.linalg.lstsq(gradients.T, units[i], rcond=None)[0]
-        if np.linalg.norm(unsaid) > _FELT:
-            gradients = np.vstack([gradients, units[i]])
-            own.append((i, sign))
-    mu = np.linalg.lstsq(gradients.T, wanted, rcond=None)[0][count:]
-    least = _FELT * max(np.abs(wanted).max(), np.abs(ahead).max())
-    return {
-        arc.phase.states[i].name: float(value / arc.state_scale[i])
-        for (i, sign), value in zip(own, mu, strict=True)
-        if sign * value > least
-    }
 
 
 def _regime(control: Bounded, u: np.ndarray, solution: Solution) -> str:
@@ -147,7 +112,7 @@ def unknowns_of(solution: Solution, boundary: BoundaryProblem, lengths: Sequence
     found += [float(solution.free[name]) for name in problem.free_names]
     for k, phase in enumerate(problem.phases):
         found += [float(solution.multipliers.get(f"{phase.name}.{c.name}", 0.0)) for c in phase.end_conditions]
-        held = _held(solution, k)
+        held = held_at_end(Arc(solution=solution, index=k))
         found += [held.get(phase.states[i].name, 0.0) for i in boundary.sides.held(phase)]
     found += [length for length, piece in zip(lengths, boundary.pieces, strict=True) if piece.switched]
     for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):
