@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ pytest.importorskip("flint")
 
 import prover_checks as checks
 import test_rigorous_claims as claims
+import test_rigorous_optimum as optimum
 
 SOURCE = Path(__file__).parent.parent / "src" / "perilune"
 
@@ -53,6 +55,8 @@ def mutated(name: str, old: str, new: str) -> Iterator[None]:
 Mutant = tuple[str, str, str]  # a file, a place in it, what stands there then
 _well = claims.test_another_minimum_of_h_that_is_lower_at_any_time_is_seen
 _side = claims.test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond
+_linked = optimum.test_a_link_at_a_harmless_place_moves_no_conjugate_point
+_bent = optimum.test_a_link_that_is_curved_weighs_against_what_lies_before
 _convex = claims.test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it
 _circle = claims.test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none
 _small = partial(claims.test_a_control_on_the_wrong_bound_is_seen_however_small_its_effect, 1e-13)
@@ -150,7 +154,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (checks.what_is_missing_is_no_theorem, {
             "what is missing ignored": ("verified", "if found.proved.missing:", "if False:"),
             "a local optimum in words alone":
-                ("told", "if statement.proved:\n        return (", "if True:\n        return ("),
+                ("told", "if not proved.optimum.proved:", "if False:"),
         }),
         (checks.numbers_are_exact, {
             "a text that is another number": ("given", "given.unit) == given.value", "given.unit) != 0"),
@@ -170,29 +174,70 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (checks.conjugate_points_are_seen, {
             "Riccati's equation past a conjugate point":
-                ("second_order", "return float((proved.begin + middle).mid())", "continue"),
-            "tangents of higher order unseen": ("second_order", "own * inverse * away**k", "own * inverse * 0"),
-            "form at the end unseen":
-                ("second_order", "kernel.transpose() * form * kernel", "kernel.transpose() * kernel"),
-            "second variation with the wrong sign": ("second_order", "W = M * -1", "W = M"),
-            "second variation from nothing": ("second_order", "W = _above(W, weights)", "W = _above(W * 0, weights)"),
-            "end conditions left out":
-                ("second_order", " if self._count else None, weights)", " if False else None, weights)"),
-            "duration left out of time":
-                ("equations", "if whole else graph.constant(1)", "if False else graph.constant(1)"),
-        }),
-        (checks.several_arcs_are_no_minimum_yet, {
-            "several arcs": ("second_order", "if len(boundary.arcs) > 1 or any(", "if any("),
+                ("regular", "return float((proved.begin + middle).mid())", "continue"),
+            "tangents of higher order unseen": ("regular", "own * inverse * away**k", "own * inverse * 0"),
+            "form at the end unseen": ("second_order", '"" if positive_definite(C) else', '"" if True else'),
+            "second variation with the wrong sign": ("junctions", "above(M * -1, weights)", "above(M, weights)"),
+            "second variation from nothing": ("junctions", "above(M * -1, weights)", "above(M * 0, weights)"),
+            "end conditions left out": ("junctions", "if not normals.nrows():", "if True:"),
+            "duration left out of time": ("equations", "[lasting * rate for", "[1 * rate for"),
         }),
         (partial(_circle, True, 1), {
-            "curvature of the start left out": ("second_order", "* self.moved + self.curved", "* self.moved"),
+            "curvature of the start left out":
+                ("junctions", "C if W is None else C - W", "C * 0 if W is None else C - W"),
             "costates by their names":
-                ("second_order", "list(y[:n])",
+                ("second_order", "[root.y[i] for i in own[: len(phase.states)]]",
                  '[named[f"{phase.name}.lambda_{name}(0)"] for name in phase.state_names]'),
         }),
         (partial(_circle, False, 1), {
             "curvature of the end left out":
                 ("second_order", 'graph.input(("nu", i)) * value', 'graph.input(("nu", i)) * value * 0'),
+        }),
+        (partial(_linked, 3.0, "held", pi), {
+            "what lies before a link left out": ("junctions", "C if W is None else C - W", "C"),
+            "what lies before a link with the wrong sign": ("junctions", "else C - W)", "else C + W)"),
+            "derivative of a link left out":
+                ("junctions", "return G * N, N.", "return G * N if W is None else N, N."),
+        }),
+        (partial(_linked, 0.0, "range", pi / 2), {
+            "an end inside its range held": ("second_order", '!= "inside"', '!= ""'),
+        }),
+        (partial(_bent, 0.48, False), {
+            "curvature of a link left out":
+                ("second_order", 'graph.input(("lam", i)) * e for', 'graph.input(("lam", i)) * e * (not k) for'),
+            "curvature of a link with the wrong sign":
+                ("second_order", 'graph.input(("lam", i)) * e for', 'graph.input(("lam", i)) * e * (-1) ** k for'),
+            "costates before a link in the place of those behind":
+                ("second_order", "costates = self.costates[k]\n",
+                 "costates = [*self.costates[k - 1], self.costates[k][0]] if k else self.costates[k]\n"),
+        }),
+        (partial(optimum.test_the_end_of_a_phase_is_curved_where_another_follows, False), {
+            "curvature of an end before a link left out":
+                ("second_order", 'graph.input(("nu", i)) * value',
+                 'graph.input(("nu", i)) * value * (k == len(self.phases))'),
+        }),
+        (partial(optimum.test_a_switch_is_a_minimum_in_its_time_and_the_control_together, 1.0, -0.25, 0.0), {
+            "times of switches left out":
+                ("second_order", 'for name in self.names if name not', 'for name in problem.free_names if name not'),
+            "length of an arc left out of the last":
+                ("boundary", "duration = duration - lengths[j]", "duration = duration"),
+        }),
+        (optimum.test_a_switch_has_a_slope, {
+            "slope at a switch unseen": ("second_order", "zero * slope.value(z, 1) if zero", "sign if zero"),
+        }),
+        (optimum.test_a_control_on_a_bound_is_so_strictly_up_to_the_end, {
+            "sign at an end unseen": ("second_order", "else slope.value(z)) > 0", "else sign) > 0"),
+        }),
+        (optimum.test_what_is_not_covered_is_named, {
+            "a bound that is reached": ("second_order", "if any(zeros) and (", "if False and ("),
+            "a direction that nothing multiplies": ("second_order", "if arc.idle:", "if False:"),
+        }),
+        (optimum.test_a_parameter_on_its_bound_is_not_moved, {
+            "a parameter on its bound moved": ("second_order", "if name not in boundary.sides.free]", "if name]"),
+            "no parameter moved": ("second_order", "if name not in boundary.sides.free]", "if not name]"),
+        }),
+        (partial(optimum.test_a_control_without_a_formula_has_its_conjugate_points, 3.0), {
+            "a control without a formula that stays": ("second_order", "by_z * V * -1", "by_z * V * 0"),
         }),
         (_small, {
             "any quantity taken to vanish":

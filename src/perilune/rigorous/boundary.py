@@ -125,6 +125,8 @@ class BoundaryProblem:
         (y, ends) -> what has to be positive at the bounds that the extremal is on, and its room in other ranges.
     signed
         What each of these is, in words.
+    lengths
+        Names of the lengths of arcs among the unknowns, by arc.
     """
 
     problem: Problem
@@ -141,16 +143,23 @@ class BoundaryProblem:
     objective: Differentiated
     signs: Differentiated
     signed: tuple[str, ...]
+    lengths: Mapping[int, str]
+
+    @cached_property
+    def costates(self) -> tuple[range, ...]:
+        """For each phase which entries of y are costates of its states, and then of constant states."""
+        found, at = list[range](), 0
+        for k in range(len(self.problem.phases)):
+            half = next(arc.half for arc in self.arcs if arc.phase_index == k)
+            found.append(range(at, at + half))
+            at += half
+        return tuple(found)
 
     @property
     def untold(self) -> set[int]:
         """Which entries of y no solution tells: costates of constant states, which may be called as states are."""
-        found, at = set[int](), 0
-        for k in range(len(self.problem.phases)):
-            arc = next(arc for arc in self.arcs if arc.phase_index == k)
-            found |= set(range(at + len(arc.phase.states), at + arc.half))
-            at += arc.half
-        return found
+        return {i for own, phase in zip(self.costates, self.problem.phases, strict=True)
+                for i in own[len(phase.states) :]}  # fmt: skip
 
     @cached_property
     def columns(self) -> tuple[tuple[int, ...], ...]:
@@ -186,7 +195,8 @@ class _Stating:
         self.first = [next(i for i, piece in enumerate(pieces) if piece.phase == k) for k in phases]
         self.last = [max(i for i, piece in enumerate(pieces) if piece.phase == k) for k in phases]
         names = list[str]()
-        self.lam, self.nu, self.length = list[Any](), list[Any](), dict[int, Expression]()
+        self.lam, self.nu = list[Any](), list[Any]()
+        self.length, self.lengths = dict[int, Expression](), dict[int, str]()
         for k, phase in enumerate(problem.phases):
             own = [*phase.state_names, *self.arcs[self.first[k]].constants]
             self.lam.append([graph.input(("y", len(names) + i)) for i in range(len(own))])
@@ -202,7 +212,9 @@ class _Stating:
         for i, piece in enumerate(pieces):
             if piece.switched:
                 self.length[i] = graph.input(("y", len(names)))
-                names.append(f"{problem.phases[piece.phase].name}, length of arc {i - self.first[piece.phase] + 1}")
+                number = i - self.first[piece.phase] + 1
+                self.lengths[i] = f"{problem.phases[piece.phase].name}, length of arc {number}"
+                names.append(self.lengths[i])
         self.w = list[list[Expression]]()
         for i, (piece, arc) in enumerate(zip(pieces, self.arcs, strict=True)):
             self.w.append([graph.input(("y", len(names) + j)) for j in range(len(arc.implicit))])
@@ -271,12 +283,8 @@ class _Stating:
         for i, piece in enumerate(self.pieces):
             k = piece.phase
             starts.append(Differentiated(graph, openings[i], [y, ends[i - 1] if i else []]))
-            length = self.length.get(i)
-            if length is None:
-                whole = self.free.get(problem.phases[k].duration)
-                length = self.reader.given[problem.phases[k].duration] if whole is None else whole
-                for j in range(self.first[k], i):
-                    length = length - self.length[j]
+            given = {**self.reader.given, **self.free}
+            length = lasting(self.pieces, i, self.length, given[problem.phases[k].duration])
             durations.append(Differentiated(graph, [length], [y]))
         return BoundaryProblem(
             problem=problem, graph=graph, pieces=self.pieces, sides=self.sides, arcs=self.arcs,
@@ -284,6 +292,7 @@ class _Stating:
             durations=tuple(durations), residual=Differentiated(graph, all_rows, [y, *ends]), rows=tuple(rows),
             meets=tuple(map(tuple, met)), objective=Differentiated(graph, [objective], [y, ends[-1]]),
             signs=Differentiated(graph, [*self.signs.values()], [y, *ends]), signed=tuple(self.signs),
+            lengths=self.lengths,
         )  # fmt: skip
 
     def _end_keys(self) -> list[list[Key]]:
@@ -359,6 +368,16 @@ class _Stating:
         """An expression of z at the end of an arc."""
         known: Mapping[Any, Expression] = {("z", j): e for j, e in enumerate(self.ends[i])}
         return self.graph.substitute([of], known)[0]
+
+
+def lasting(pieces: Sequence[Piece], i: int, lengths: Mapping[int, Expression], duration: Expression) -> Expression:
+    """How long an arc lasts: by a length of its own, or what others leave of its phase's duration."""
+    if i in lengths:
+        return lengths[i]
+    for j in lengths:
+        if pieces[j].phase == pieces[i].phase:
+            duration = duration - lengths[j]
+    return duration
 
 
 def matrix(columns: Sequence[int], of: Any) -> Any:

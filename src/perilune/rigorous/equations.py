@@ -102,6 +102,11 @@ class Arc:
     strengths: tuple[Expression, ...]
 
     @property
+    def idle(self) -> bool:
+        """Whether what multiplies a direction may vanish."""
+        return bool(self.strengths) and any(scalar.regime == "lower" for scalar in self.scalars)
+
+    @property
     def keys(self) -> list[Key]:
         """Keys of z."""
         return [("z", i) for i in range(len(self.rates))]
@@ -149,15 +154,19 @@ class Reader:
             values |= {("u", name): value for name, value in zip(phase.control_names, u, strict=False)}
         return read(self.graph, self.problem.form.expressions[key], values)
 
-    def arc(self, k: int, regimes: Regimes, whole: bool = False) -> Arc:
+    def arc(
+        self, k: int, regimes: Regimes, lasting: Expression | None = None, constants: Sequence[str] | None = None
+    ) -> Arc:
         """The canonical equations of a phase.
 
         Parameters
         ----------
         k, regimes
             Which phase, and where its scalars are.
-        whole
-            Whether every free parameter is a constant state, the duration too: time then runs from 0 to 1.
+        lasting
+            Where it is given, how long the arc lasts, of ``("p", name)``: time then runs from 0 to 1.
+        constants
+            Names of the parameters ``("p", name)`` that are constant states; by default the free ones that act.
 
         Raises
         ------
@@ -174,13 +183,15 @@ class Reader:
         limits = {control.name: self._limits(control, free) for _, control in scalars(phase.controls)}
         named = [e for pair in limits.values() for e in pair if e is not None]
         acting = set[Any]().union(*(e.inputs() for e in (*f, *named)))
-        constants = tuple(name for name in self.problem.free_names if whole or ("p", name) in acting)
+        if constants is None:
+            constants = [name for name in self.problem.free_names if ("p", name) in acting]
         half = len(x) + len(constants)
         z = [graph.input(("z", i)) for i in range(2 * half)]
         known: dict[Any, Expression] = {("x", i): z[i] for i in range(len(x))}
         known |= {("p", name): z[len(x) + j] for j, name in enumerate(constants)}
-        duration = {**self.given, **free}[phase.duration] if whole else graph.constant(1)
-        f = graph.substitute([duration * rate for rate in f], known)
+        if lasting is not None:
+            f = [lasting * rate for rate in f]
+        f = graph.substitute(f, known)
         limits = {name: (_put(graph, low, known), _put(graph, high, known)) for name, (low, high) in limits.items()}
         H = sum((z[half + i] * rate for i, rate in enumerate(f)), graph.constant(0))
         control, strengths, reduced, joint, implicit = _control(graph, phase, H, regimes, limits, 2 * half)
@@ -202,8 +213,8 @@ class Reader:
             found.append(Scalar(control=one, regime=regimes[one.name], value=control["u", one.name],
                                 limits=limits[one.name], slope=slope, curvature=curvature))  # fmt: skip
         return Arc(
-            graph=graph, phase=phase, phase_index=k, constants=constants, half=half, joint=joint, implicit=implicit,
-            stationary=tuple(stationary), reduced=reduced, rates=tuple(rates),
+            graph=graph, phase=phase, phase_index=k, constants=tuple(constants), half=half, joint=joint,
+            implicit=implicit, stationary=tuple(stationary), reduced=reduced, rates=tuple(rates),
             hamiltonian=graph.substitute([H], control)[0], control=control, scalars=tuple(found), strengths=strengths,
         )  # fmt: skip
 

@@ -1,244 +1,237 @@
 """Sufficient conditions of the second order, enclosed: the extremal is a strict local optimum.
 
-Every free parameter, the duration too, is made a constant state, and time runs from 0 to 1. Let W be symmetric with
-W' = -H_xx - W f_x - f_x' W + (H_xu + W f_u) H_uu^-1 (H_ux + f_u' W) on all of [0, 1]. Then the second variation is
+Each arc is flown in a time from 0 to 1. Its length, where that is an unknown, is a constant state as every free
+parameter is, all along the flight; scalars on a bound are held there, and are no variation. So arcs that follow each
+other in a phase are one smooth problem, though their equations differ. Let W be symmetric with
 
-    dx(1)' (Phi_xx - W(1)) dx(1) + dx(0)' W(0) dx(0) + dp' K dp + int |du + ...|^2_H_uu dt,    K = (lambda(0) . x0)_pp,
+    W' = -H_xx - W f_x - f_x' W + (H_xu + W f_u) H_uu^-1 (H_ux + f_u' W)
 
-for all variations with dx(0) = x0_p dp and psi_x dx(1) = 0. With W(0) = -min of [|dx0 - x0_p dp|^2_M + dp' K dp] over
-dp, for any weights M, the terms at the start are together no less than 0. So it suffices that H_uu > 0 (`limits`), that
-W exists, and that Phi_xx - W(1) is positive on the kernel of psi_x (Zeidan, *Sufficient conditions for the generalized
-problem of Bolza*, 1983; Maurer, Pickenhain, *Second-order sufficient conditions for control problems with mixed
-control-state constraints*, 1995). W = Lambda X^-1 with the tangents (X, Lambda) of the canonical equations that begin
-with (1, W(0)); it exists as long as X is regular. As X begins with 1, nothing is singular at the start; large M come as
-close as one likes to the condition that no point is conjugate to it.
+on an arc, the same on both sides of a switch, and passed on by the start and by links as `junctions` says. Then the
+second variation is no less than
+
+    dx' (Phi_xx - W) dx at the last end + int |du + ...|^2_H_uu dt,    Phi = J + nu . psi,
+
+for all variations that the start, the links and the end conditions allow. So it suffices that H_uu > 0 (`limits`), that
+W exists, that no junction has too little weight, and that Phi_xx - W is positive on the kernel of psi_x at the last end
+(Zeidan, *Sufficient conditions for the generalized problem of Bolza*, 1983; Maurer, Pickenhain, *Second-order
+sufficient conditions for control problems with mixed control-state constraints*, 1995). W = Lambda X^-1 with the
+tangents (X, Lambda) of the canonical equations that begin with (1, W); it exists as long as X is regular (`regular`).
+As X begins with 1, nothing is singular at the start; large M come as close as one likes to the condition that no point
+is conjugate to it. Where no formula gives scalars w, (dx, dlambda) move them by dw = -H_ww^-1 H_wz dz where an arc
+begins; H_ww > 0 there, and it stays so, as w' divides by the pivots of its elimination all along.
+
+A scalar on a bound is none of this: dH/du has to have its sign strictly, up to both ends of the arc but where it
+switches, and to pass through 0 with a slope there, with H affine in it. Then that the arcs may have other lengths is
+all that matters of other controls (Osmolovskii, Maurer, *Applications to Regular and Bang-Bang Control*, 2012, chapters
+4 and 6; Agrachev, Stefani, Zezza, *Strong optimality for a bang-bang trajectory*, 2002). A free parameter on a bound
+where J has a slope, or an end at such a bound of its range, moves no more than one that is given.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from operator import mul
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
 from flint import arb, arb_mat
 
-from perilune.rigorous.boundary import BoundaryProblem, Differentiated
+from perilune.rigorous.boundary import BoundaryProblem, Differentiated, lasting
 from perilune.rigorous.equations import Arc, Reader
-from perilune.rigorous.flight import Grid, identity
-from perilune.rigorous.flow import NotEnclosed, Step, step
-from perilune.rigorous.given import exactly
+from perilune.rigorous.flight import Grid
+from perilune.rigorous.flow import NotEnclosed, step
+from perilune.rigorous.graph import Expression
+from perilune.rigorous.junctions import Junction, above, passed
 from perilune.rigorous.limits import Statement
 from perilune.rigorous.minimum import positive_definite
-from perilune.rigorous.taylor import Ball, Program
+from perilune.rigorous.regular import irregular
+from perilune.rigorous.root import Root
+from perilune.rigorous.signs import Quantity
+from perilune.rigorous.taylor import Ball
 
 WORDS = "a strict local optimum"
 _WEIGHTS = (1e2, 1e4, 1e6)  # times the size of J over the square of that of a state
-_DEEPEST = 10  # halvings of a step
 
 
 def local_optimum(
-    boundary: BoundaryProblem,
-    y: Sequence[Ball],
-    grid: Grid,
-    order: int,
-    sizes: Sequence[float],
-    tell: Callable[[str], None],
+    boundary: BoundaryProblem, root: Root, grid: Grid, order: int, tell: Callable[[str], None]
 ) -> Statement:
     """Whether a proved extremal is a strict local optimum.
 
     Parameters
     ----------
-    boundary, y
+    boundary, root
         The equations and their root.
     grid, order
         Of its flight.
-    sizes
-        About how large the states are.
     tell
         Is told of every part.
     """
-    first = next(iter(boundary.arcs))
-    if len(boundary.arcs) > 1 or any(scalar.regime != "interior" for scalar in first.scalars):
-        return Statement(words=WORDS, proved=False, where="as the flight has several arcs, or a scalar on its bound")
-    if first.joint:
-        return Statement(words=WORDS, proved=False, where="as no formula gives its control")
-    if boundary.sides.free or boundary.sides.ranges:
-        return Statement(words=WORDS, proved=False, where="as a parameter is on its bound, or an end is a range")
-    where = ""
-    form = _Form(boundary, y)
+    where = next(_not_covered(boundary, root), "")
+    if where:
+        return Statement(words=WORDS, proved=False, where=f"as {where}")
+    form = _Form(boundary, root)
     for weight in _WEIGHTS:
         try:
-            where = form.fails(grid, order, form.weights(weight, sizes))
+            where = form.fails(grid, order, weight)
         except (NotEnclosed, ZeroDivisionError) as error:
-            where = f"as {error.what}" if isinstance(error, NotEnclosed) else "as a matrix is singular"
+            where = error.what if isinstance(error, NotEnclosed) else "a matrix is singular"
         tell(f"second variation, weight {weight:.0e}: {where or 'positive'}")
         if not where:
             return Statement(words=WORDS, proved=True)
-    return Statement(words=WORDS, proved=False, where=where)
+    return Statement(words=WORDS, proved=False, where=f"as {where}")
+
+
+def _not_covered(boundary: BoundaryProblem, root: Root) -> Iterator[str]:
+    """What the theory above asks of scalars on bounds and at switches and is not seen, in words."""
+    for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):
+        if arc.idle:
+            yield "nothing may multiply a direction for a while"
+        if piece.switched and arc.joint:
+            yield "the control that no formula gives has switches"
+        if piece.switched:
+            following = boundary.pieces[i + 1].regimes
+            if [name for name in piece.regimes if piece.regimes[name] != following[name]] != [piece.switched]:
+                yield f"{piece.switched} does not switch alone"
+        flown = root.flight.nodes[i]
+        before = boundary.pieces[i - 1].switched if i else ""
+        for scalar in arc.scalars:
+            name = scalar.control.name
+            zeros = [1 if name == before else 0, -1 if name == piece.switched else 0]
+            if any(zeros) and (scalar.regime == "interior" or not scalar.curvature.vanishes()):
+                yield f"H is not affine in {name}, which switches"
+            if scalar.regime == "interior":
+                continue
+            sign, slope = 1 if scalar.regime == "lower" else -1, Quantity(arc, scalar.slope, root.y)
+            for z, zero in zip((flown[0], flown[-1]), zeros, strict=True):
+                if not sign * (zero * slope.value(z, 1) if zero else slope.value(z)) > 0:
+                    yield f"dH/d({name}) is not seen to {'cross 0 with a slope' if zero else 'keep its sign to an end'}"
 
 
 class _Form:
-    """The second variation of one phase."""
+    """The second variation of a flight."""
 
-    def __init__(self, boundary: BoundaryProblem, y: Sequence[Ball]) -> None:
-        problem, piece = boundary.problem, boundary.pieces[0]
-        reader = Reader(problem)
-        graph, phase = reader.graph, problem.phases[0]
-        self.arc: Arc = reader.arc(0, piece.regimes, whole=True)
-        half, n = self.arc.half, len(phase.states)
-        named = dict(zip(boundary.names, y, strict=True))
-        costates = list(y[:n])  # not by name: a free parameter may be called as a state is
-        self.free = [named[name] for name in problem.free_names]
-        free = {name: graph.input(("p", name)) for name in problem.free_names}
-        keys = [("p", name) for name in problem.free_names]
-        start = reader.function("start", free=free)
-        lam = [graph.input(("lam", i)) for i in range(n)]
-        slopes = graph.gradient(sum((a * b for a, b in zip(lam, start, strict=True)), graph.constant(0)), keys)
-        begin = Differentiated(graph, [*start, *free.values()], [keys])
-        x0, (self.moved,) = begin.slopes(self.free)
-        curvature = Differentiated(graph, slopes, [keys, [("lam", i) for i in range(n)]])
-        self.curved = curvature.slopes(self.free, costates)[1][0]
-        self.z = [*x0, *costates, *([arb(0)] * (half - n))]
-        z = [graph.input(("z", i)) for i in range(half)]
-        at_end = dict(zip(problem.free_names, z[n:], strict=True))
-        psi = reader.function((0, "end"), z, free=at_end, phase=phase) if phase.end_conditions else []
-        nu = [named[f"{phase.name}.nu_{c.name}"] for c in phase.end_conditions]
-        phi = reader.function("objective", z, free=at_end, phase=phase)[0]
-        inputs = [("z", i) for i in range(half)]
-        for i, value in enumerate(psi):
-            phi = phi + graph.input(("nu", i)) * value
-        hessian = graph.jacobian(graph.gradient(phi, inputs), inputs)
-        normals = graph.jacobian(psi, inputs)
-        flat = [e for rows in (hessian, normals) for row in rows for e in row]
-        self._end = Program(graph, [*inputs, *(("nu", i) for i in range(len(psi)))], flat)
-        self._nu, self._count = nu, len(psi)
-        self.duration = named.get(phase.duration, exactly(problem.given[phase.duration]).ball()
-                                  if phase.duration in problem.given else arb(0))  # fmt: skip
+    def __init__(self, boundary: BoundaryProblem, root: Root) -> None:
+        problem, pieces = boundary.problem, boundary.pieces
+        self.boundary, self.phases = boundary, problem.phases
+        reader = self.reader = Reader(problem)
+        self.names = (*problem.free_names, *boundary.lengths.values())
+        self.free = {name: reader.graph.input(("p", name)) for name in self.names}
+        self.named = dict(zip(boundary.names, root.y, strict=True))
+        self.constants = [self.named[name] for name in self.names]
+        # Not by name: a free parameter may be called as a state is.
+        self.costates = [
+            [root.y[i] for i in own[: len(phase.states)]]
+            for own, phase in zip(boundary.costates, self.phases, strict=True)
+        ]
+        lengths = {i: self.free[name] for i, name in boundary.lengths.items()}
+        given = {**reader.given, **self.free}
+        self.arcs: list[list[tuple[int, Arc]]] = [[] for _ in self.phases]
+        for i, piece in enumerate(pieces):
+            length = lasting(pieces, i, lengths, given[self.phases[piece.phase].duration])
+            self.arcs[piece.phase].append((i, reader.arc(piece.phase, piece.regimes, length, self.names)))
+        self.moving = [("p", name) for name in self.names if name not in boundary.sides.free]
+        self.junctions = [self._junction(k) for k in range(len(self.phases) + 1)]
+        self.sizes = _sizes(boundary, root)
+        self.durations = [float(duration.values(root.y)[0]) for duration in boundary.durations]
+        self.w = [nodes[0][2 * arc.half :] for nodes, arc in zip(root.flight.nodes, boundary.arcs, strict=True)]
 
-    def weights(self, weight: float, sizes: Sequence[float]) -> list[float]:
-        """M of each state: as much as moving by its size would cost, by its costate, times the weight."""
-        costs = [abs(float(c)) * s for c, s in zip(self.z[self.arc.half :], sizes, strict=False)]
-        together = max(costs) or 1.0
-        every = [*sizes, *(max(abs(float(value)), 1e-3) for value in self.free)]
-        return [weight * together / (size * size) for size in every]
-
-    def fails(self, grid: Grid, order: int, weights: Sequence[float]) -> str:
-        """Where a condition is not enclosed, in words; "" where all are."""
-        half = self.arc.half
-        M = arb_mat([[arb(w) if i == j else arb(0) for j in range(half)] for i, w in enumerate(weights)])
-        core = self.moved.transpose() * M * self.moved + self.curved
-        if not positive_definite(core):
-            return "as the weights do not outweigh the curvature of the start"
-        if core.nrows():
-            W = M * self.moved * core.inv() * self.moved.transpose() * M - M
+    def _junction(self, k: int) -> tuple[Junction, list[Ball]]:
+        """What lies before phase k, or behind the last one; and its multipliers."""
+        graph, reader = self.reader.graph, self.reader
+        psi, nu = list[Expression](), list[Ball]()
+        if k == 0:
+            before, inputs = None, [("p", name) for name in self.names]
+            at, free = [], self.free
         else:
-            W = M * -1
-        W = _above(W, weights)
-        # Columns of one size, in exact numbers: X has another factor, and the same W.
-        unit = arb_mat([[arb(weights[i] ** -0.5) if i == j else arb(0) for j in range(half)] for i in range(half)])
-        V = arb_mat(unit.tolist() + (W * unit).tolist())
-        z, whole = list(self.z), float(self.duration)
-        begins = [begin / whole for begin in grid[0]]
-        for number, begin in enumerate(begins):
-            end = arb(1) if number + 1 == len(begins) else arb(begins[number + 1])
-            z, V, proved = step(self.arc, z, V, arb(begin), end - arb(begin), order)
-            if (t := _irregular(proved, half)) is not None:
-                return f"as no solution of Riccati's equation is enclosed at {t * whole:.6g} s"
-        rows = V.tolist()
-        W = arb_mat(rows[half:]) * arb_mat(rows[:half]).inv()
-        values = self._end.values([*z[:half], *self._nu])
-        hessian = arb_mat(half, half, values[: half * half])
-        form = hessian - (W + W.transpose()) * arb(0.5)
-        kernel = _kernel(arb_mat(self._count, half, values[half * half :]) if self._count else None, weights)
-        return (
-            ""
-            if positive_definite(kernel.transpose() * form * kernel)
-            else "as the second variation is not seen to be positive at the end"
-        )
+            before = self.phases[k - 1]
+            inputs = [("z", i) for i in range(len(before.states) + len(self.names))]
+            at = [graph.input(key) for key in inputs]
+            free = dict(zip(self.names, at[len(before.states) :], strict=True))
+            if before.end_conditions:
+                values = reader.function((k - 1, "end"), at, free=free, phase=before)
+                for c, value in zip(before.end_conditions, values, strict=True):
+                    # The bound of a range is given, so that it moves nothing.
+                    if self.boundary.sides.ranges.get((before.name, c.name)) != "inside":
+                        psi.append(value)
+                        nu.append(self.named[f"{before.name}.nu_{c.name}"])
+        if k < len(self.phases):
+            follows = reader.function(("links", k - 1) if k else "start", at, free=free, phase=before)
+            costates = self.costates[k]
+            lagrangian = sum((graph.input(("lam", i)) * e for i, e in enumerate(follows)), graph.constant(0))
+            follows = [*follows, *free.values()]
+        else:
+            follows, costates = [], []
+            lagrangian = reader.function("objective", at, free=free, phase=before)[0]
+        for i, value in enumerate(psi):
+            lagrangian = lagrangian + graph.input(("nu", i)) * value
+        others = [*(("lam", i) for i in range(len(costates))), *(("nu", i) for i in range(len(nu)))]
+        varied = inputs if k else self.moving
+        return Junction(graph, [*inputs, *others], varied, follows, lagrangian, psi), [*costates, *nu]
+
+    def _weights(self, weight: float) -> list[list[float]]:
+        """M of each phase: as much as moving by its size would cost, by its costate, times the weight."""
+        costs = [
+            abs(float(c)) * s
+            for own, sizes in zip(self.costates, self.sizes, strict=True)
+            for c, s in zip(own, sizes, strict=True)
+        ]
+        together = max(costs) or 1.0
+        constant = [max(abs(float(value)), 1e-3) for value in self.constants]
+        return [[weight * together / (size * size) for size in (*sizes, *constant)] for sizes in self.sizes]
+
+    def fails(self, grid: Grid, order: int, weight: float) -> str:
+        """Which condition is not enclosed, in words; "" where all are."""
+        W, z, before = None, self.constants, [1.0] * len(self.moving)
+        for k, weights in enumerate(self._weights(weight)):
+            (junction, multipliers), half = self.junctions[k], len(weights)
+            at = [*z, *multipliers]
+            W = passed(*junction.form(at, W, before), weights)
+            if W is None:
+                return f"the weights do not outweigh the curvature of the start of {self.phases[k].name}"
+            z = [*junction.follows(at), *self.costates[k], *([arb(0)] * len(self.names))]
+            # Columns of one size, in exact numbers: X has another factor, and the same W.
+            unit = arb_mat([[arb(weights[i] ** -0.5) if i == j else arb(0) for j in range(half)] for i in range(half)])
+            V = arb_mat(unit.tolist() + (W * unit).tolist())
+            for i, arc in self.arcs[k]:
+                z, V = _with_w(arc, z, V, self.w[i])
+                whole = self.durations[i]
+                begins = [begin / whole for begin in grid[i]]
+                for number, begin in enumerate(begins):
+                    end = arb(1) if number + 1 == len(begins) else arb(begins[number + 1])
+                    z, V, proved = step(arc, z, V, arb(begin), end - arb(begin), order)
+                    if (t := irregular(proved, half)) is not None:
+                        place = f"{arc.phase.name}, arc {i + 1}" if len(self.arcs[k]) > 1 else arc.phase.name
+                        return f"no solution of Riccati's equation is enclosed at {t * whole:.6g} s ({place})"
+            rows = V.tolist()
+            W = above(arb_mat(rows[half : 2 * half]) * arb_mat(rows[:half]).inv(), weights)
+            z, before = z[:half], weights
+        junction, multipliers = self.junctions[-1]
+        _, C = junction.form([*z, *multipliers], W, before)
+        return "" if positive_definite(C) else "the second variation is not seen to be positive at the end"
 
 
-def _above(W: Any, weights: Sequence[float]) -> Any:
-    """An exact symmetric matrix, hardly larger than W in balls: the terms at the start stay no less than 0."""
-    size, middle = W.nrows(), W.mid()
-    found = arb_mat(size, size)
-    for i in range(size):
-        for j in range(i + 1):
-            found[i, j] = found[j, i] = ((middle[i, j] + middle[j, i]) * arb(0.5)).mid()
-    gap = found - W
-    for i in range(size):  # their difference is diagonally dominant
-        most = sum(float((gap[i, j] + gap[j, i]).abs_upper()) for j in range(size))
-        found[i, i] = (found[i, i] + arb(most) + arb(weights[i]) * arb(1e-30)).mid()
+def _sizes(boundary: BoundaryProblem, root: Root) -> list[list[float]]:
+    """About how large the states of each phase are; 1 where nothing is known but that one may be 0 all along."""
+    found = list[list[float]]()
+    for k, phase in enumerate(boundary.problem.phases):
+        own = [i for i, piece in enumerate(boundary.pieces) if piece.phase == k]
+        along = [one.at(arb(0).union(one.length)) for i in own for one in root.flight.steps[i]]
+        nodes = [z for i in own for z in root.flight.nodes[i]]
+        found.append([
+            max(float(z[j].abs_upper()) for z in along) if any(not z[j].contains(0) for z in nodes) else 1.0
+            for j in range(len(phase.states))
+        ])  # fmt: skip
     return found
 
 
-def _irregular(proved: Step, half: int) -> float | None:
-    """A time at which X is not seen to be regular; None where it is all along the step."""
-    order, waiting = len(proved.tangents) - 1, [(0.0, 1.0, 0)]
-    *polynomial, last = (arb_mat(own.tolist()[:half]) for own in proved.tangents)
-    while waiting:
-        a, b, depth = waiting.pop()
-        middle, away = proved.length * arb(0.5 * (a + b)), proved.length * arb(0.5 * (b - a))
-        missing = last * (proved.length * arb(a).union(arb(b))) ** order
-        if _regular(_about(polynomial, middle), missing, away.abs_upper()):
-            continue
-        if depth == _DEEPEST:
-            return float((proved.begin + middle).mid())
-        waiting += [(a, 0.5 * (a + b), depth + 1), (0.5 * (a + b), b, depth + 1)]
-    return None
-
-
-def _about(polynomial: Sequence[Any], middle: Ball) -> list[Any]:
-    """The coefficients of a polynomial about another time."""
-    c = list(polynomial)
-    for i in range(len(c) - 1):
-        for k in range(len(c) - 2, i - 1, -1):
-            c[k] = c[k] + c[k + 1] * middle
-    return c
-
-
-def _regular(c: Sequence[Any], missing: Any, away: Ball) -> bool:
-    """Whether X = sum of c[k] s^k + missing is regular for all |s| <= away.
-
-    X C = 1 + E with C about the inverse of its centre. From this side, and for each coefficient by itself, E is as
-    small as what the control does, though X is nearly singular: costates may grow together without moving anything.
-    |E|^k 1 < 1 in every row makes 1 + E regular, whatever units its rows have.
-    """
-    try:
-        inverse = c[0].mid().inv().mid()
-    except ZeroDivisionError:
-        return False
-    size = inverse.nrows()
-    unit = identity(size)
-    parts = [(c[0] + missing) * inverse - unit, *(own * inverse * away**k for k, own in enumerate(c[1:], start=1))]
-    E = [sum(entry.abs_upper() for entry in entries) for entries in zip(*(p.entries() for p in parts), strict=True)]
-    sums = [arb(1)] * size
-    for _ in range(size):
-        sums = [sum(map(mul, E[i * size : (i + 1) * size], sums)) for i in range(size)]
-        if all(total < 1 for total in sums):
-            return True
-    return False
-
-
-def _kernel(normals: Any, weights: Sequence[float]) -> Any:
-    """A basis of the kernel of a matrix, as columns."""
-    half = len(weights)
-    if normals is None:
-        return identity(half)
-    count, chosen = normals.nrows(), list[int]()
-    scaled = np.array([[float(normals[i, j].mid()) / weights[j] ** 0.5 for j in range(half)] for i in range(count)])
-    for _ in range(count):  # the largest pivot of what is left
-        sizes = [0.0 if j in chosen else float(np.linalg.norm(scaled[:, j])) for j in range(half)]
-        chosen.append(int(np.argmax(sizes)))
-        unit = scaled[:, chosen[-1]] / sizes[chosen[-1]]
-        scaled = scaled - np.outer(unit, unit @ scaled)
-    others = [j for j in range(half) if j not in chosen]
-    inner = arb_mat([[normals[i, j] for j in chosen] for i in range(count)])
-    rest = arb_mat([[normals[i, j] for j in others] for i in range(count)]) if others else arb_mat(count, 0)
-    solved = inner.inv() * rest
-    found = arb_mat(half, len(others))
-    for column, j in enumerate(others):
-        found[j, column] = 1
-        for row, i in enumerate(chosen):
-            found[i, column] = -solved[row, column]
-    return found
+def _with_w(arc: Arc, z: Sequence[Ball], V: Any, w: Sequence[Ball]) -> tuple[list[Ball], Any]:
+    """What no formula gives of the control, and its tangents, behind the costate where an arc begins."""
+    size = 2 * arc.half
+    if not arc.implicit:
+        return list(z[:size]), V
+    z = [*z[:size], *w]
+    _, (by_z, by_w) = Differentiated(arc.graph, arc.stationary, [arc.keys[:size], arc.keys[size:]]).slopes(
+        z[:size], z[size:]
+    )
+    if not positive_definite(by_w):
+        raise NotEnclosed("H is not seen to be convex in the control that no formula gives")
+    return z, arb_mat(V.tolist() + (by_w.inv() * by_z * V * -1).tolist())

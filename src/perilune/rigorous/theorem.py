@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flint import arb, ctx
+from flint import ctx
 
 from perilune.problem.solution import Solution
 from perilune.rigorous.boundary import BoundaryProblem, boundary_problem
@@ -113,10 +113,7 @@ def _proved(
     large = alone(boundary, refined, root, settings, tell)
     tell("signs along the flight")
     statements = tuple(Limits(boundary, root).all())
-    along = [one.at(arb(0).union(one.length)) for one in root.flight.steps[0]]
-    count = len(boundary.problem.phases[0].states)
-    sizes = [max(float(z[i].abs_upper()) for z in along) or 1.0 for i in range(count)]
-    optimum = local_optimum(boundary, root.y, refined.grid, settings.order, sizes, tell)
+    optimum = local_optimum(boundary, root, refined.grid, settings.order, tell)
     known = [b for b, value in zip(large.box, guess, strict=True) if not b.contains(value)]
     return Proved(
         boundary=boundary, refined=refined, settings=settings, root=root, alone=large,

@@ -53,7 +53,7 @@ def theorem_text(proved: Proved) -> str:
         f"Pontryagin's conditions exactly, with {values}.{arcs} Its unknowns are within {_at_most(proved.distance)} of "
         "those of the verified answer, relative to their size (a millionth of the largest for smaller ones), and the "
         f"only ones in a box {around} (contraction {_at_most(proved.alone.contraction)}). {_kept(proved)} "
-        f"{_optimum(proved.optimum)}"
+        f"{_optimum(proved)}"
     )
 
 
@@ -68,22 +68,26 @@ def _taken(problem: Problem) -> str:
     )
 
 
-def _optimum(statement: Statement) -> str:
-    if statement.proved:
-        return (
-            "It is a strict local optimum: every other flight whose states, controls and free parameters stay close "
-            "enough to it, and that meets the same conditions, has a larger J."
-        )
-    return f"That it is a local optimum is not part of the theorem, {statement.where}."
+def _optimum(proved: Proved) -> str:
+    if not proved.optimum.proved:
+        return f"That it is a local optimum is not part of the theorem, {proved.optimum.where}."
+    but = ", controls but for short times about the switches," if _switched(proved) else ""
+    return (
+        f"It is a strict local optimum: every other flight whose states, controls and free parameters{but} stay close "
+        "enough to it, and that meets the same conditions, has a larger J."
+    )
+
+
+def _switched(proved: Proved) -> bool:
+    return any(piece.switched for piece in proved.boundary.pieces)
 
 
 def _kept(proved: Proved) -> str:
     slack = [statement for statement in proved.statements if statement.slack > 0]
-    idle = any(arc.strengths and any(one.regime == "lower" for one in arc.scalars) for arc in proved.boundary.arcs)
-    switched = any(piece.switched for piece in proved.boundary.pieces)
+    idle = any(arc.idle for arc in proved.boundary.arcs)
     states = " and ".join(f"{state} of {phase}" for phase, state in proved.boundary.sides.states)
     held = f", or a bound holds it there ({states})" if states else ""
-    but = ["at its switches"] * switched + ["for a direction while what multiplies it vanishes"] * idle
+    but = ["at its switches"] * _switched(proved) + ["for a direction while what multiplies it vanishes"] * idle
     text = (
         f"Along the whole flight every limit is kept strictly, but where an end lies on it by condition{held}; "
         f"the control is the only one that minimises H{', but ' if but else ''}{' and '.join(but)}."

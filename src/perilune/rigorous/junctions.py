@@ -1,0 +1,119 @@
+"""Where phases begin and end: what a junction does to W, that is, to the least second variation of what lies before.
+
+What follows begins at l(v): v are the free parameters at the start, and state and constant states at the end of the
+phase before, where psi = 0. With K the second derivative of lambda . l + nu . psi, lambda the costate behind it, and
+W- = 0 at the start, the second variation of what lies before is no less than dv' (K - W-) dv. So it is no less than
+
+    -dx' W dx = min of [|dx - l_v dv|^2_M + dv' (K - W-) dv]  over dv in the kernel of psi_v
+
+for all dx = l_v dv and any weights M, where what is minimised is strictly convex. With a basis N of the kernel,
+G = l_v N and C = N' (K - W-) N this is W = M G (G' M G + C)^-1 G' M - M. Of K - W- what l passes on may be negative: it
+is weighed against all that follows. What l drops, as the mass of an empty stage, has to be positive by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from flint import arb, arb_mat
+
+from perilune.rigorous.equations import Key
+from perilune.rigorous.flight import identity
+from perilune.rigorous.graph import Expression, Graph
+from perilune.rigorous.minimum import positive_definite
+from perilune.rigorous.taylor import Ball, Program
+
+
+class Junction:
+    """A junction.
+
+    Parameters
+    ----------
+    graph
+        Of all expressions.
+    inputs, varied
+        What the expressions depend on, and which of it is v.
+    follows
+        l; nothing at the last end.
+    lagrangian
+        lambda . l + nu . psi, and J at the last end.
+    psi
+        What vanishes there.
+    """
+
+    def __init__(
+        self, graph: Graph, inputs: Sequence[Key], varied: Sequence[Key], follows: Sequence[Expression],
+        lagrangian: Expression, psi: Sequence[Expression],
+    ) -> None:  # fmt: skip
+        hessian = graph.jacobian(graph.gradient(lagrangian, varied), varied)
+        self._shapes = [(len(follows), len(varied)), (len(varied), len(varied)), (len(psi), len(varied))]
+        rows = [*graph.jacobian(follows, varied), *hessian, *graph.jacobian(psi, varied)]
+        self._follows = Program(graph, inputs, follows)
+        self._slopes = Program(graph, inputs, [e for row in rows for e in row])
+
+    def follows(self, values: Sequence[Ball]) -> list[Ball]:
+        """l."""
+        return self._follows.values(values)
+
+    def form(self, values: Sequence[Ball], W: Any, weights: Sequence[float]) -> tuple[Any, Any]:
+        """G and C, where W comes from before; None at the start. Weights are those of v."""
+        found, matrices = self._slopes.values(values), []
+        for rows, columns in self._shapes:
+            matrices.append(arb_mat(rows, columns, found[: rows * columns]))
+            found = found[rows * columns :]
+        G, C, normals = matrices
+        N = kernel(normals, weights)
+        return G * N, N.transpose() * (C if W is None else C - W) * N
+
+
+def passed(G: Any, C: Any, weights: Sequence[float]) -> Any:
+    """An exact W behind a junction; None where the weights do not outweigh what is negative."""
+    size = len(weights)
+    M = arb_mat([[arb(w) if i == j else arb(0) for j in range(size)] for i, w in enumerate(weights)])
+    core = G.transpose() * M * G + C
+    if not positive_definite(core):
+        return None
+    if not core.nrows():
+        return above(M * -1, weights)
+    return above(M * G * core.inv() * G.transpose() * M - M, weights)
+
+
+def above(W: Any, weights: Sequence[float]) -> Any:
+    """An exact symmetric matrix, hardly larger than W in balls: what lies before stays no less than -dx' W dx."""
+    size, middle = W.nrows(), W.mid()
+    found = arb_mat(size, size)
+    for i in range(size):
+        for j in range(i + 1):
+            found[i, j] = found[j, i] = ((middle[i, j] + middle[j, i]) * arb(0.5)).mid()
+    gap = found - W
+    units = [weight**-0.5 for weight in weights]
+    for i in range(size):  # their difference is diagonally dominant, in units of one size
+        most = sum(float((gap[i, j] + gap[j, i]).abs_upper()) * units[j] for j in range(size)) / units[i]
+        found[i, i] = (found[i, i] + arb(most) + arb(weights[i]) * arb(1e-30)).upper()
+    return found
+
+
+def kernel(normals: Any, weights: Sequence[float]) -> Any:
+    """A basis of the kernel of a matrix, as columns."""
+    half = len(weights)
+    if not normals.nrows():
+        return identity(half)
+    count, chosen = normals.nrows(), list[int]()
+    scaled = np.array([[float(normals[i, j].mid()) / weights[j] ** 0.5 for j in range(half)] for i in range(count)])
+    for _ in range(count):  # the largest pivot of what is left
+        sizes = [0.0 if j in chosen else float(np.linalg.norm(scaled[:, j])) for j in range(half)]
+        chosen.append(int(np.argmax(sizes)))
+        unit = scaled[:, chosen[-1]] / sizes[chosen[-1]]
+        scaled = scaled - np.outer(unit, unit @ scaled)
+    others = [j for j in range(half) if j not in chosen]
+    inner = arb_mat([[normals[i, j] for j in chosen] for i in range(count)])
+    rest = arb_mat([[normals[i, j] for j in others] for i in range(count)]) if others else arb_mat(count, 0)
+    solved = inner.inv() * rest
+    found = arb_mat(half, len(others))
+    for column, j in enumerate(others):
+        found[j, column] = 1
+        for row, i in enumerate(chosen):
+            found[i, column] = -solved[row, column]
+    return found

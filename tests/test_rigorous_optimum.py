@@ -1,0 +1,297 @@
+"""Level 5: extremals of several arcs and phases that are a local optimum, or by a little none, in closed form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import perilune as pl
+
+pytest.importorskip("flint")
+from flint import arb, ctx
+
+from perilune.problem.variables import Given, Variable
+from prover_checks import room, settings
+
+UP, DOWN, FREE = {"v": "upper", "u": "interior"}, {"v": "lower", "u": "interior"}, {"u": "interior"}
+
+
+def optimum(stated: pl.Problem, pieces: Sequence[tuple[int, dict[str, str], str]], guess: Sequence[float],
+            sides: Any = None) -> Any:  # fmt: skip
+    """What is said of the extremal of these pieces (phase, regimes, switched)."""
+    rough, root = settings(24, 1e-36), room("root")
+    own = [room("boundary").Piece(phase=k, regimes=regimes, switched=name) for k, regimes, name in pieces]
+    with ctx.workprec(rough.bits):
+        boundary = room("boundary").boundary_problem(stated, own, sides)
+        refined = root.refine(boundary, [arb(value) for value in guess], rough, lambda _: None)
+        found = root.prove_root(boundary, refined, rough, lambda _: None)
+        return room("second_order").local_optimum(boundary, found, refined.grid, rough.order, lambda _: None)
+
+
+def variables(*names: str) -> tuple[Variable, ...]:
+    return tuple(Variable(name=name) for name in names)
+
+
+def given(**values: float) -> dict[str, Given]:
+    """Numbers, and a second."""
+    return {"T": Given(value=1.0, unit="s")} | {n: Given(value=v, unit="1") for n, v in values.items()}
+
+
+def phases(name: str, *phase: pl.Phase, links: Sequence[Any] = (), free: Sequence[pl.Free] = (), start: Any,
+           objective: Any = lambda x, p, m: x.c, **numbers: float) -> pl.Problem:  # fmt: skip
+    return pl.Problem(name=name, phases=phase, links=tuple(links), start=start, objective=objective, free=tuple(free),
+                      given=given(**numbers))  # fmt: skip
+
+
+def same(x: Any, p: Any, m: Any) -> Any:
+    return tuple(x)
+
+
+# -- conjugate points --------------------------------------------------------------------------------------------------
+
+
+def swung(angle: float, stretch: float = 0.0, end: str = "held", joint: bool = False) -> Any:
+    """Least integral of (u^2 - x^2)/2 over an angle from x = 0 to 1, or from 0 to anywhere: minima up to pi, or pi/2.
+
+    At a third of it x is measured anew, `stretch` times as long; not where that is 0. The end may be a range that ends
+    at 1, or with no end near. Jointly u is the sum of two that no formula gives.
+    """
+
+    def phase(k: int, part: float) -> pl.Phase:
+        def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+            by = part / p.T
+            cost = 2 / 3 * (u.u**2 + u.v**2 + u.u * u.v) if joint else 0.5 * u.u**2
+            scale = p.stretch**2 if k else 1
+            return (by * (u.u + u.v if joint else u.u), by * (cost - 0.5 * x.x**2) / scale)
+
+        last = k == 1 or not stretch
+        place = Variable(name="place", lower=-1.0, upper=1.0) if end == "range" else Variable(name="place")
+        return pl.Phase(
+            name=f"go{k}", states=variables("x", "c"), duration="T", dynamics=rates,
+            controls=tuple(pl.Bounded(name=name, lower=-9.0, upper=9.0) for name in ("uv" if joint else "u")),
+            end=(lambda x, p, m: ((x.x / p.stretch if k else x.x) - p.e,)) if last and end != "free" else None,
+            end_conditions=(place,) if last and end != "free" else (),
+        )  # fmt: skip
+
+    at = 0.0 if end in ("range", "free") else 1.0
+    parts = [angle / 3, 2 * angle / 3] if stretch else [angle]
+    stated = phases(
+        "swung", *(phase(k, part) for k, part in enumerate(parts)), start=lambda p, m: (0.0, 0.0),
+        links=[lambda x, p, m: (p.stretch * x.x, x.c)] if stretch else [], stretch=stretch or 1.0,
+        e=0.0 if end == "range" else 1.0,
+    )  # fmt: skip
+    if end == "bound":
+        last = stated.phases[-1]
+        place = Variable(name="place", upper=1.0)
+        held = replace(last, end=lambda x, p, m: (x.x / p.stretch,), end_conditions=(place,))
+        stated = stated.changed(phases=(*stated.phases[:-1], held), form=None)
+    slope = at / math.sin(angle)
+    costates = [value for k in range(len(parts)) for value in (-slope * math.cos(k * angle / 3), 1.0)]
+    if stretch:
+        costates[2] /= stretch
+    nu = [] if end == "free" else [slope * math.cos(angle)]
+    w = [value for k in range(len(parts)) for value in [-0.5 * costates[2 * k] * (stretch**2 if k else 1)] * 2]
+    sides = {(stated.phases[-1].name, "place"): {"range": "inside", "bound": "upper"}.get(end, "")}
+    regimes = {"u": "interior", "v": "interior"} if joint else FREE
+    return optimum(
+        stated, [(k, regimes, "") for k in range(len(parts))], [*costates, *nu, *(w if joint else [])],
+        room("boundary").Sides(ranges=sides if end in ("range", "bound") else {}),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("stretch", [0.0, 1.0, 3.0, -0.25])
+@pytest.mark.parametrize(
+    ("end", "last"), [("held", math.pi), ("free", math.pi / 2), ("range", math.pi / 2), ("bound", math.pi)]
+)
+def test_a_link_at_a_harmless_place_moves_no_conjugate_point(stretch: float, end: str, last: float) -> None:
+    # A range is held at its bound where less lies beyond: the integral is cot(angle)/2 at 1.
+    if end != "bound":
+        assert swung(0.97 * last, stretch, end).proved
+    assert swung(0.6 * last, stretch, end).proved
+    assert not swung(1.03 * last, stretch, end).proved
+
+
+@pytest.mark.parametrize("stretch", [0.0, 3.0])
+def test_a_control_without_a_formula_has_its_conjugate_points(stretch: float) -> None:
+    assert swung(3.05, stretch, joint=True).proved and not swung(3.25, stretch, joint=True).proved
+
+
+# -- links and ends that are curved ------------------------------------------------------------------------------------
+
+
+def turned(weight: float) -> Any:
+    """An angle turns at a cost of weight u^2/2, from (-1, 0); from there to (1/2, 0) at a cost of its distance^2/2.
+
+    Not to turn costs least for a weight of more than 1/2, though half a circle further is nearer.
+    """
+    turn = pl.Phase(
+        name="turn", states=variables("angle", "c"), duration="T", controls=(pl.Bounded(name="u"),),
+        dynamics=lambda x, u, p, m: (u.u / p.T, p.weight * 0.5 * u.u**2 / p.T),
+    )  # fmt: skip
+    go = pl.Phase(
+        name="go", states=variables("x", "y", "c"), duration="T",
+        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        dynamics=lambda x, u, p, m: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
+        end=lambda x, p, m: (x.x - p.half, x.y), end_conditions=variables("there", "too"),
+    )  # fmt: skip
+    stated = phases(
+        "turned", turn, go, links=[lambda x, p, m: (-m.cos(x.angle), m.sin(x.angle), x.c)],
+        start=lambda p, m: (0.0, 0.0), weight=weight, half=0.5,
+    )  # fmt: skip
+    return optimum(
+        stated, [(0, FREE, ""), (1, {"u": "interior", "v": "interior"}, "")], [0.0, 1.0, -1.5, 0.0, 1.0, -1.5, 0.0]
+    )
+
+
+@pytest.mark.parametrize(("weight", "minimum"), [(2.0, True), (0.52, True), (0.48, False), (0.3, False)])
+def test_a_link_that_is_curved_weighs_against_what_lies_before(weight: float, minimum: bool) -> None:
+    assert turned(weight).proved == minimum
+
+
+def passed_by(side: int, dropped: bool) -> Any:
+    """From (1/2, 0) to the unit circle, where another phase begins: the nearest of its points, or the farthest.
+
+    Or what is dropped there is one coordinate, and the circle a parabola.
+    """
+    go = pl.Phase(
+        name="go", states=variables("x", "y", "c"), duration="T",
+        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        dynamics=lambda x, u, p, m: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
+        end=lambda x, p, m: (x.x**2 + x.y**2 - 1,), end_conditions=variables("circle"),
+    )  # fmt: skip
+    more = pl.Phase(
+        name="more", states=variables("c") if dropped else variables("x", "y", "c"), duration="T",
+        controls=(pl.Bounded(name="u"),),
+        dynamics=lambda x, u, p, m: (0.5 * u.u**2 / p.T,) if dropped else (u.u / p.T, 0 * p.half / p.T,
+                                                                             0.5 * u.u**2 / p.T),
+    )  # fmt: skip
+    stated = phases(
+        "passed", go, more, links=[(lambda x, p, m: (x.c,)) if dropped else same],
+        start=lambda p, m: (p.half, 0.0, 0.0), half=0.5,
+    )  # fmt: skip
+    speed = side - 0.5
+    later = [1.0] if dropped else [0.0, 0.0, 1.0]
+    return optimum(
+        stated, [(0, {"u": "interior", "v": "interior"}, ""), (1, FREE, "")],
+        [-speed, 0.0, 1.0, *later, speed / (2 * side)],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("dropped", [False, True])
+def test_the_end_of_a_phase_is_curved_where_another_follows(dropped: bool) -> None:
+    """What a link drops is weighed there, and what it keeps at the end."""
+    assert passed_by(1, dropped).proved and not passed_by(-1, dropped).proved
+
+
+# -- switches ----------------------------------------------------------------------------------------------------------
+
+
+def switched(curve: float, gain: float, split: float = 0.0) -> Any:
+    """x' = gain u + v, s' = 1 from -1 to 1, least of curve x^2/2 at the end and the integral of u^2/2 + s v, |v| <= 1.
+
+    v = 1 until s = 0, u = 0: least in the time of the switch and u where curve > -1/(2 (1 + gain^2)). Else it is none,
+    though H is least all along. The same in two phases, the first of them that long.
+    """
+
+    def phase(k: int, part: float) -> pl.Phase:
+        return pl.Phase(
+            name=f"go{k}", states=variables("x", "s", "c"), duration="T",
+            controls=(pl.Bounded(name="v", lower=-1.0, upper=1.0), pl.Bounded(name="u")),
+            dynamics=lambda x, u, p, m: (part / p.T * (p.gain * u.u + u.v), part / p.T,
+                                         part / p.T * (0.5 * u.u**2 + x.s * u.v)),
+        )  # fmt: skip
+
+    parts = [split, 2.0 - split] if split else [2.0]
+    last = len(parts) - 1
+    stated = phases(
+        "switched", *(phase(k, part) for k, part in enumerate(parts)), start=lambda p, m: (0.0, -1.0, 0.0),
+        links=[same] * last, objective=lambda x, p, m: x.c + p.curve * 0.5 * x.x**2, curve=curve, gain=gain,
+    )  # fmt: skip
+    pieces = [(k, UP, "") for k in range(last)] + [(last, UP, "v"), (last, DOWN, "")]
+    costates = [value for k in range(len(parts)) for value in (0.0, 2.0 if k == 0 else 2.0 - 1.0 * split, 1.0)]
+    return optimum(stated, pieces, [*costates, (1.0 - split) / parts[-1]])
+
+
+@pytest.mark.parametrize("split", [0.0, 0.25])
+@pytest.mark.parametrize(("gain", "last"), [(0.0, -0.5), (1.0, -0.25), (2.0, -0.1)])
+def test_a_switch_is_a_minimum_in_its_time_and_the_control_together(gain: float, last: float, split: float) -> None:
+    assert switched(1.0, gain, split).proved and switched(0.97 * last, gain, split).proved
+    assert not switched(1.03 * last, gain, split).proved and not switched(4 * last, gain, split).proved
+
+
+def crossing(power: int) -> Any:
+    """x' = u, back to 0 with the least integral of s^power u, s from -1 to 1: dH/du = s^power, |u| <= 1."""
+    phase = pl.Phase(
+        name="go", states=variables("x", "s", "c"), duration="T",
+        controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (2 * u.u / p.T, 2 / p.T, 2 * x.s**power * u.u / p.T),
+        end=lambda x, p, m: (x.x,), end_conditions=variables("back"),
+    )  # fmt: skip
+    stated = phases("crossing", phase, start=lambda p, m: (0.0, -1.0, 0.0))
+    return optimum(stated, [(0, {"u": "upper"}, "u"), (0, {"u": "lower"}, "")], [0.0, 2.0, 1.0, 0.0, 0.5])
+
+
+def test_a_switch_has_a_slope() -> None:
+    assert crossing(1).proved
+    assert "cross 0 with a slope" in crossing(3).where
+
+
+def ending(at: float) -> Any:
+    """Least integral of s u, |u| <= 1, s from -1 to `at` in any time: dH/du = s."""
+    phase = pl.Phase(
+        name="go", states=variables("s", "c"), duration="t", controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (1 / p.T, x.s * u.u / p.T), end=lambda x, p, m: (x.s - p.at,),
+        end_conditions=variables("there"),
+    )  # fmt: skip
+    stated = phases("ending", phase, start=lambda p, m: (-1.0, 0.0), at=at,
+                    free=[pl.Free(name="t", unit="s", lower=0.0, upper=9.0, typical=1.0)])  # fmt: skip
+    return optimum(stated, [(0, {"u": "upper"}, "")], [1.0, 1.0, 1.0 + at, -at])
+
+
+def test_a_control_on_a_bound_is_so_strictly_up_to_the_end() -> None:
+    assert ending(-0.5).proved
+    assert "keep its sign" in ending(0.0).where
+
+
+def test_what_is_not_covered_is_named() -> None:
+    """A control that comes to its bound; two that switch at once; a direction that nothing multiplies."""
+    phase = pl.Phase(
+        name="go", states=variables("s", "c"), duration="T", controls=(pl.Bounded(name="u", upper=1.0),),
+        dynamics=lambda x, u, p, m: (2 / p.T, (u.u - x.s) ** 2 / p.T),
+    )  # fmt: skip
+    stated = phases("rising", phase, start=lambda p, m: (0.0, 0.0))
+    found = optimum(stated, [(0, FREE, "u"), (0, {"u": "upper"}, "")], [0.5, 1.0, 0.5])
+    assert "not affine in u" in found.where
+    phase = pl.Phase(
+        name="go", states=variables("s", "c"), duration="T",
+        controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="u", lower=0.0, upper=1.0),
+                  pl.Bounded(name="v", lower=-1.0, upper=1.0)),
+        dynamics=lambda x, u, p, m: (u.u * u.a / p.T, (u.u * u.b + x.s * u.v) / p.T),
+    )  # fmt: skip
+    stated = phases("idle", phase, start=lambda p, m: (0.0, 0.0))
+    for begin, end, word in (("lower", "upper", "nothing may multiply"), ("upper", "lower", "v does not switch alone")):
+        one = room("boundary").Piece
+        pieces = [one(phase=0, regimes={"u": begin, "v": "upper"}, switched="v"),
+                  one(phase=0, regimes={"u": end, "v": "lower"})]  # fmt: skip
+        boundary = room("boundary").boundary_problem(stated, pieces)
+        assert word in next(room("second_order")._not_covered(boundary, None))
+
+
+# -- parameters on bounds ----------------------------------------------------------------------------------------------
+
+
+def test_a_parameter_on_its_bound_is_not_moved() -> None:
+    """J = c - q^2 with q <= 1 is least at q = 1, though it is curved the other way; at q = 0 it is no minimum."""
+    phase = pl.Phase(
+        name="go", states=variables("x", "c"), duration="T", controls=(pl.Bounded(name="u"),),
+        dynamics=lambda x, u, p, m: (u.u / p.T, 0.5 * u.u**2 / p.T), end=lambda x, p, m: (x.x - p.e,),
+        end_conditions=variables("there"),
+    )  # fmt: skip
+    stated = phases("bounded", phase, start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.c - p.q**2, e=1.0,
+                    free=[pl.Free(name="q", lower=-2.0, upper=1.0)])  # fmt: skip
+    assert optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 1.0, 1.0], room("boundary").Sides(free={"q": "upper"})).proved
+    assert not optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 0.0, 1.0]).proved
