@@ -216,6 +216,10 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
                 ("second_order", 'graph.input(("nu", i)) * value',
                  'graph.input(("nu", i)) * value * (k == len(self.phases))'),
         }),
+        (optimum.test_end_conditions_that_are_called_alike_have_multipliers_of_their_own, {
+            "multipliers by their names":
+                ("second_order", "nu.append(own)", 'nu.append(self.multipliers[k - 1][-1])'),
+        }),
         (partial(optimum.test_a_switch_is_a_minimum_in_its_time_and_the_control_together, 1.0, -0.25, 0.0), {
             "times of switches left out":
                 ("second_order", 'for name in self.names if name not', 'for name in problem.free_names if name not'),

@@ -187,6 +187,21 @@ def test_the_end_of_a_phase_is_curved_where_another_follows(dropped: bool) -> No
     assert passed_by(1, dropped).proved and not passed_by(-1, dropped).proved
 
 
+def test_end_conditions_that_are_called_alike_have_multipliers_of_their_own() -> None:
+    """The nearest and the farthest point of the circle again, and beside it to z = -1, whose multiplier is 1."""
+    go = pl.Phase(
+        name="go", states=variables("x", "y", "z", "c"), duration="T",
+        controls=(pl.Bounded(name="u"), pl.Bounded(name="v"), pl.Bounded(name="w")),
+        dynamics=lambda x, u, p, m: (*(own / p.T for own in u), sum(0.5 * own**2 / p.T for own in u)),
+        end=lambda x, p, m: (x.x**2 + x.y**2 - 1, x.z + 1), end_conditions=variables("same", "same"),
+    )  # fmt: skip
+    stated = phases("alike", go, start=lambda p, m: (p.half, 0.0, 0.0, 0.0), half=0.5)
+    for side in (1, -1):
+        speed, regimes = side - 0.5, dict.fromkeys("uvw", "interior")
+        found = optimum(stated, [(0, regimes, "")], [-speed, 0.0, 1.0, 1.0, -speed / (2 * side), 1.0])
+        assert found.proved == (side > 0)
+
+
 # -- switches ----------------------------------------------------------------------------------------------------------
 
 
@@ -221,6 +236,35 @@ def switched(curve: float, gain: float, split: float = 0.0) -> Any:
 def test_a_switch_is_a_minimum_in_its_time_and_the_control_together(gain: float, last: float, split: float) -> None:
     assert switched(1.0, gain, split).proved and switched(0.97 * last, gain, split).proved
     assert not switched(1.03 * last, gain, split).proved and not switched(4 * last, gain, split).proved
+
+
+def twice(curve: float) -> Any:
+    """x'' = u - 0.4 v^2 with u = -1, 1, -1, and a link in the middle that mixes x and v; curve x^2/2 about its end.
+
+    By differences of flights in double precision J has the second derivatives ((4.7091, -0.4451), (-0.4451, 3.7270))
+    by the times of both switches without `curve`, and x at the end the first (-2.6670, 1.3943): least for curve >
+    -0.53634.
+    """
+    phase = pl.Phase(
+        name="one", states=variables("x", "v", "s", "c"), duration="T",
+        controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, m: (x.v / p.T, (u.u - p.drag * x.v**2) / p.T, 1 / p.T,
+                                     (3 * (x.s - p.a) * (x.s - p.b) * u.u + 0.1 * x.x**2) / p.T),
+    )  # fmt: skip
+    stated = phases(
+        "twice", phase, replace(phase, name="two"), start=lambda p, m: (0.2, 0.5, 0.0, 0.0),
+        links=[lambda x, p, m: (x.x + 0.2 * x.v**2, x.v * (1 + 0.3 * x.x), x.s, x.c)],
+        objective=lambda x, p, m: x.c + 0.3 * x.x - 0.2 * x.v + p.curve * 0.5 * (x.x - p.end) ** 2,
+        drag=0.4, a=0.6, b=1.3, end=0.25452149, curve=curve,
+    )  # fmt: skip
+    low, high = {"u": "lower"}, {"u": "upper"}
+    return optimum(stated, [(0, low, "u"), (0, high, ""), (1, high, "u"), (1, low, "")],
+                   [0.41781, 0.48786, -0.17313, 1.0, 0.36093, 0.11842, -2.61438, 1.0, 0.73640, 0.29172])  # fmt: skip
+
+
+@pytest.mark.parametrize(("curve", "minimum"), [(0.0, True), (-0.53, True), (-0.54, False), (-1.0, False)])
+def test_the_times_of_two_switches_and_a_link_between_them_as_by_differences(curve: float, minimum: bool) -> None:
+    assert twice(curve).proved == minimum
 
 
 def crossing(power: int) -> Any:

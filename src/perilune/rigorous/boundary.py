@@ -155,6 +155,15 @@ class BoundaryProblem:
             at += half
         return tuple(found)
 
+    @cached_property
+    def multipliers(self) -> tuple[range, ...]:
+        """For each phase which entries of y are multipliers of its end conditions, of which two may be called alike."""
+        found, at = list[range](), self.costates[-1].stop + len(self.problem.free)
+        for phase in self.problem.phases:
+            found.append(range(at, at + len(phase.end_conditions)))
+            at = found[-1].stop
+        return tuple(found)
+
     @property
     def untold(self) -> set[int]:
         """Which entries of y no solution tells: costates of constant states, which may be called as states are."""

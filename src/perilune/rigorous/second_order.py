@@ -21,10 +21,10 @@ is conjugate to it. Where no formula gives scalars w, (dx, dlambda) move them by
 begins; H_ww > 0 there, and it stays so, as w' divides by the pivots of its elimination all along.
 
 A scalar on a bound is none of this: dH/du has to have its sign strictly, up to both ends of the arc but where it
-switches, and to pass through 0 with a slope there, with H affine in it. Then that the arcs may have other lengths is
-all that matters of other controls (Osmolovskii, Maurer, *Applications to Regular and Bang-Bang Control*, 2012, chapters
-4 and 6; Agrachev, Stefani, Zezza, *Strong optimality for a bang-bang trajectory*, 2002). A free parameter on a bound
-where J has a slope, or an end at such a bound of its range, moves no more than one that is given.
+switches, and to pass through 0 with a slope there, with H affine in it. Then that arcs may have other lengths is all
+that matters of other controls (Osmolovskii, Maurer, *Applications to Regular and Bang-Bang Control*, 2012, part II;
+Agrachev, Stefani, Zezza, *Strong optimality for a bang-bang trajectory*, 2002). A free parameter on a bound where J has
+a slope, or an end at such a bound of its range, moves no more than one that is given.
 """
 
 from __future__ import annotations
@@ -115,13 +115,14 @@ class _Form:
         reader = self.reader = Reader(problem)
         self.names = (*problem.free_names, *boundary.lengths.values())
         self.free = {name: reader.graph.input(("p", name)) for name in self.names}
-        self.named = dict(zip(boundary.names, root.y, strict=True))
-        self.constants = [self.named[name] for name in self.names]
-        # Not by name: a free parameter may be called as a state is.
+        named = dict(zip(boundary.names, root.y, strict=True))
+        self.constants = [named[name] for name in self.names]
+        # Not by name: a free parameter may be called as a state is, and an end condition as another.
         self.costates = [
             [root.y[i] for i in own[: len(phase.states)]]
             for own, phase in zip(boundary.costates, self.phases, strict=True)
         ]
+        self.multipliers = [[root.y[i] for i in own] for own in boundary.multipliers]
         lengths = {i: self.free[name] for i, name in boundary.lengths.items()}
         given = {**reader.given, **self.free}
         self.arcs: list[list[tuple[int, Arc]]] = [[] for _ in self.phases]
@@ -148,11 +149,11 @@ class _Form:
             free = dict(zip(self.names, at[len(before.states) :], strict=True))
             if before.end_conditions:
                 values = reader.function((k - 1, "end"), at, free=free, phase=before)
-                for c, value in zip(before.end_conditions, values, strict=True):
+                for c, value, own in zip(before.end_conditions, values, self.multipliers[k - 1], strict=True):
                     # The bound of a range is given, so that it moves nothing.
                     if self.boundary.sides.ranges.get((before.name, c.name)) != "inside":
                         psi.append(value)
-                        nu.append(self.named[f"{before.name}.nu_{c.name}"])
+                        nu.append(own)
         if k < len(self.phases):
             follows = reader.function(("links", k - 1) if k else "start", at, free=free, phase=before)
             costates = self.costates[k]

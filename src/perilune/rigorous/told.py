@@ -71,10 +71,10 @@ def _taken(problem: Problem) -> str:
 def _optimum(proved: Proved) -> str:
     if not proved.optimum.proved:
         return f"That it is a local optimum is not part of the theorem, {proved.optimum.where}."
-    but = ", controls but for short times about the switches," if _switched(proved) else ""
+    but = ", controls but for short times about its switches," if _switched(proved) else ","
     return (
-        f"It is a strict local optimum: every other flight whose states, controls and free parameters{but} stay close "
-        "enough to it, and that meets the same conditions, has a larger J."
+        "It is a strict local optimum: every other flight whose states, controls and free parameters stay close "
+        f"enough to it{but} and that meets the same conditions, has a larger J."
     )
 
 
