@@ -339,3 +339,15 @@ def test_a_parameter_on_its_bound_is_not_moved() -> None:
                     free=[pl.Free(name="q", lower=-2.0, upper=1.0)])  # fmt: skip
     assert optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 1.0, 1.0], room("boundary").Sides(free={"q": "upper"})).proved
     assert not optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 0.0, 1.0]).proved
+
+
+def test_a_state_that_its_bound_holds_at_the_end_is_not_moved() -> None:
+    """J = c - 2 x(1)^2 with x <= 1 is least at x = 1, though it is curved the other way; to stay at 0 is no minimum."""
+    phase = pl.Phase(
+        name="go", states=(Variable(name="x", upper=1.0), Variable(name="c")), duration="T",
+        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, m: (u.u / p.T, 0.5 * u.u**2 / p.T),
+    )  # fmt: skip
+    stated = phases("bounded", phase, start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.c - 2 * x.x**2)
+    held = room("boundary").Sides(states={("go", "x"): "upper"})
+    assert optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 3.0], held).proved
+    assert not optimum(stated, [(0, FREE, "")], [0.0, 1.0]).proved

@@ -157,10 +157,13 @@ class BoundaryProblem:
 
     @cached_property
     def multipliers(self) -> tuple[range, ...]:
-        """For each phase which entries of y are multipliers of its end conditions, of which two may be called alike."""
+        """For each phase which entries of y are multipliers of its end conditions, of which two may be called alike.
+
+        Behind these stand those of states that a bound holds there.
+        """
         found, at = list[range](), self.costates[-1].stop + len(self.problem.free)
         for phase in self.problem.phases:
-            found.append(range(at, at + len(phase.end_conditions)))
+            found.append(range(at, at + len(phase.end_conditions) + len(self.sides.held(phase))))
             at = found[-1].stop
         return tuple(found)
 

@@ -147,13 +147,17 @@ class _Form:
             inputs = [("z", i) for i in range(len(before.states) + len(self.names))]
             at = [graph.input(key) for key in inputs]
             free = dict(zip(self.names, at[len(before.states) :], strict=True))
+            values, held = list[Expression](), self.boundary.sides.held(before)
             if before.end_conditions:
                 values = reader.function((k - 1, "end"), at, free=free, phase=before)
-                for c, value, own in zip(before.end_conditions, values, self.multipliers[k - 1], strict=True):
-                    # The bound of a range is given, so that it moves nothing.
-                    if self.boundary.sides.ranges.get((before.name, c.name)) != "inside":
-                        psi.append(value)
-                        nu.append(own)
+            sides = [self.boundary.sides.ranges.get((before.name, c.name)) for c in before.end_conditions]
+            ends = zip(
+                [*values, *(at[i] for i in held)], [*sides, *(None for _ in held)], self.multipliers[k - 1], strict=True
+            )
+            for value, side, own in ends:
+                if side != "inside":  # the bound of a range, or of a state, is given, so that it moves nothing
+                    psi.append(value)
+                    nu.append(own)
         if k < len(self.phases):
             follows = reader.function(("links", k - 1) if k else "start", at, free=free, phase=before)
             costates = self.costates[k]
