@@ -62,3 +62,10 @@ def test_without_ball_arithmetic_it_says_how_to_get_it(monkeypatch: pytest.Monke
     never = SimpleNamespace(run=lambda *_: pytest.fail("solved, where the proof was to be refused first"))
     with pytest.raises(pl.PeriluneError, match="python-flint"):
         pl.solve(solution.problem, cast("Any", never), level=5)
+
+
+def test_a_theorem_is_tried_of_what_is_proved_to_level_3_and_it_is_said() -> None:
+    solution = prover_checks.solved(least_time)
+    found = pl.verify(replace(solution, objective=1.001 * solution.objective), level=5)
+    assert not found.passed and found.certificate is None
+    assert found.notes[0] == f"no theorem: it is tried of what reaches level 3, and this reaches level {found.level}"

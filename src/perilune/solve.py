@@ -216,7 +216,10 @@ def verify(
     add_theorem = _theorem() if level == THEOREM else None
     usual = level if add_theorem is None else THEOREM - 2
     found = examine(solution, usual, resolve or _solve_again, other if other is None else usable(other), tolerance)
-    return found if add_theorem is None or found.level < usual else add_theorem(found, solution, watch)
+    if add_theorem is not None and found.level < usual:
+        why = f"no theorem: it is tried of what reaches level {usual}, and this reaches level {found.level}"
+        return replace(found, notes=(why, *found.notes))
+    return found if add_theorem is None else add_theorem(found, solution, watch)
 
 
 def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]:
