@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 import perilune as pl
 from perilune import PeriluneError
-from perilune.atlas import building, extend, read, trying
+from perilune.atlas import building, extend, read, survey, trying
 from perilune.atlas.cells import WHOLE
 from perilune.atlas.descending import Descents, Known
 from perilune.atlas.many import Answered, Answers
@@ -309,3 +309,30 @@ def test_a_price_that_falls_between_the_corners_and_the_middle_of_a_large_cell_i
     found, p = atlas.query_many(a[:, None]), SimpleNamespace(a=a[:, None], q=np.linspace(0.0, 1.0, 20_001))
     assert found.good.all() and len(set(found.sheet.tolist())) == 2
     assert found.objective == pytest.approx(price(p, np).min(axis=1), abs=1e-7)
+
+
+def rippled(p: Any, m: Any) -> Any:
+    return 0.1 * m.sin(107.0 * p.q + 9.0 * p.a) + 0.5 * (p.q - p.a) ** 2
+
+
+def test_of_many_wells_none_is_left_out(tmp_path: Path) -> None:
+    """There are more than thirty sheets, of which those behind the sixteenth were not mapped, and nothing said so."""
+    problem = priced(rippled)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem)
+    a = np.random.default_rng(5).uniform(0.0, 1.0, (100, 1))
+    found, p = atlas.query_many(a), SimpleNamespace(a=a, q=np.linspace(0.0, 1.0, 100_001))
+    assert found.good.all() and not atlas.survey["notes"]
+    assert found.objective == pytest.approx(rippled(p, np).min(axis=1), abs=1e-7)
+
+
+def test_where_there_are_too_many_sheets_it_is_said_and_those_of_solves_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(survey, "_MOST_SHEETS", 3)
+    problem = priced(rippled)
+    atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem)
+    said = "'a flight of one arc' has more than 3 sheets: others, behind folds and at bounds, are not mapped"
+    assert [note.startswith(said) for note in atlas.survey["notes"]] == [True]
+    for a in (0.0, 0.5, 1.0):
+        solved = pl.solve(problem.with_given(a=a), level=0)
+        assert atlas.query(a=a).objective == pytest.approx(solved.objective, rel=1e-9)

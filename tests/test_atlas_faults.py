@@ -520,11 +520,18 @@ def silenced(directory: Path, keep: int = 0) -> None:
 def test_how_much_of_the_region_has_cells_that_answer_is_told(copy: Path) -> None:
     atlas = open_atlas(copy)
     drawn = np.random.default_rng(7).uniform(atlas.region.low, atlas.region.high, (200, 2))
-    assert covered(atlas) == 1.0 and atlas.query_many(drawn).good.all()
+    assert covered(atlas) == (1.0, 0.0) and atlas.query_many(drawn).good.all()
     silenced(copy, keep=4)
     atlas = open_atlas(copy)
     good = atlas.query_many(drawn).good.mean()
-    assert 0.1 < covered(atlas) < 0.4 and good == pytest.approx(covered(atlas), abs=0.08)
+    assert 0.1 < covered(atlas).answered < 0.4 and good == pytest.approx(covered(atlas).answered, abs=0.08)
+
+
+def test_what_physics_refuses_is_not_counted_as_answered(tmp_path: Path) -> None:
+    """From 100 km on perilune lies above the parking orbit."""
+    atlas = open_atlas(build(cho_landing(), {"orbit.perilune_altitude": (80e3, 120e3)}, tmp_path / "high", bricks=2))
+    found = covered(atlas)
+    assert found.impossible == pytest.approx(0.5, abs=0.05) and found.answered == pytest.approx(1 - found.impossible)
 
 
 def test_a_build_that_answers_nowhere_is_refused_and_kept(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:

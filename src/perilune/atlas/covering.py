@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from perilune.atlas.cells import WHOLE
-from perilune.atlas.columns import cell_type, node_type
+from perilune.atlas.columns import cell_type, node_type, sheets_of
 from perilune.atlas.read import SERVING, Reader
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.store import Store
@@ -17,14 +17,21 @@ from perilune.words.outcome import NotConvergedError, PeriluneError
 LOOKED_AT = 1000  # points of a region
 
 
-def covered(atlas: Reader, points: int = LOOKED_AT) -> float:
-    """The share of points, drawn in the region and always the same, that lie in a cell of some sheet which answers.
+class Covered(NamedTuple):
+    """Shares of a region: where cells answer, and where physics refuses points."""
+
+    answered: float
+    impossible: float
+
+
+def covered(atlas: Reader, points: int = LOOKED_AT) -> Covered:
+    """What share of points, drawn in the region and always the same, lies in a cell of some sheet which answers.
 
     Queries answer at no others, and may refuse some of these: another sheet can cast doubt on what is there.
     """
     region = atlas.region
     drawn = np.random.default_rng(0).uniform(region.low, region.high, (points, len(region.axes)))
-    places, good = region.bricks_of(drawn), np.zeros(points, dtype=bool)
+    places, good, allowed = region.bricks_of(drawn), np.zeros(points, dtype=bool), atlas.allowed(drawn)
     for place in map(tuple, np.unique(places, axis=0).tolist()):
         lanes, (low, high) = np.nonzero((places == place).all(axis=1))[0], region.box(place)
         inside = (drawn[lanes] - low) / (high - low) * WHOLE
@@ -32,7 +39,7 @@ def covered(atlas: Reader, points: int = LOOKED_AT) -> float:
             if (brick := atlas.brick(number, place)) is not None:
                 for _, root in brick.minima:
                     good[lanes] |= np.isin(brick.arrays[3][brick.leaves(root, inside)], SERVING)
-    return float(good.mean())
+    return Covered(answered=float((good & allowed).mean()), impossible=float((~allowed).mean()))
 
 
 def refuse_nowhere(kept: Store, survey: Mapping[str, Any], axes: int) -> None:
@@ -44,7 +51,8 @@ def refuse_nowhere(kept: Store, survey: Mapping[str, Any], axes: int) -> None:
             known = kept.shard(line["nodes"], node_type(axes, survey["charts"][line["chart"]]["unknowns"]))
         except PeriluneError:  # it is damaged, and may have answered
             return
-        if np.isin(cells["status"], SERVING).any():
+        minimum = np.array([sheet.minimum for sheet in sheets_of(survey["charts"][line["chart"]])])
+        if (np.isin(cells["status"], SERVING) & minimum[cells["sheet"]]).any():
             return
         nodes, poor = nodes + len(known), poor + int((known["residual"] > SLACK).sum())
     sensitive = f"; second flights of {poor} of them miss their ends by more than {SLACK:g}" if poor else ""

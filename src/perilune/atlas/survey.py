@@ -36,7 +36,8 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
-_MOST_SHEETS, _AROUND = 16, 4  # of a chart; walks of a sheet that are followed around the folds at which they ended
+_MOST_SHEETS = 64  # of a chart, beside those on which answers of solves lie
+_AROUND = 4  # walks of a sheet that are followed around the folds at which they ended
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
 _AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, that are on its side of folds
 
@@ -194,9 +195,12 @@ class Survey:
     def _with_these(self, known: Found, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]) -> Found:
         """The same with the sheets on which extremals lie, canonical, and those behind the folds of these."""
         chart, borders, around = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
-        while (left or around) and len(known.sheets) < _MOST_SHEETS:
+        while left or around:
             behind_a_fold = not left
             values, y, sheet = (left or around).pop(0)
+            if sheet.nature is Nature.UNPROVED and len(known.sheets) >= _MOST_SHEETS:
+                self._note_many(chart)
+                continue
             holds = borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None])
             start = chart.solve(values[None], y[None], holds, limit=MOST)
             if not start.converged[0]:
@@ -227,6 +231,12 @@ class Survey:
                 # Two that reach no corner, on both sides of a fold, would lead to one another for ever.
                 around += behind if count or told_by_solve else []
         return known
+
+    def _note_many(self, chart: Chart) -> None:
+        """Note, once, that a chart has more sheets than are mapped."""
+        flown = f"'{chart.course.text or 'a flight of one arc'}' has more than {_MOST_SHEETS} sheets"
+        if (said := f"{flown}: others, behind folds and at bounds, are not mapped and may be better") not in self.notes:
+            self.notes.append(said)
 
     def _with_small(self, known: Found, sheet: Sheet, values: Vector, y: Vector) -> Found:
         """The same with a sheet that reaches no corner, from the nearest place in the lattice of its brick."""

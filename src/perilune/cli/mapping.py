@@ -239,7 +239,9 @@ def _described(atlas: Atlas, **more: str) -> Answer:
         f"atlas of {atlas.problem.heading}",
         *(f"  {a.key}: {told(a.low, a.unit)} to {told(a.high, a.unit)}" for a in atlas.region.axes),
         f"{len(atlas.said)} of at most {total} bricks, {nodes} nodes, {size / 2**20:.1f} MiB",
-        f"cells that answer: {100 * share:.1f} % of the region, by {LOOKED_AT} points",
+        f"cells that answer: {100 * share.answered:.1f} % of the region"
+        + (f", and physics refuses {100 * share.impossible:.1f} %" if share.impossible else "")
+        + f", by {LOOKED_AT} points",
         "sheets",
         *(f"  {label}" for label in sheets),
     ]
@@ -255,7 +257,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     }  # fmt: skip
     document = {
         "problem": atlas.problem.name, "axes": axes, "tolerance": atlas.tolerance, "bricks": len(atlas.said),
-        "nodes": nodes, "bytes": size, "covered": share, "sheets": sheets, "proofs": proofs,
+        "nodes": nodes, "bytes": size, "covered": share._asdict(), "sheets": sheets, "proofs": proofs,
         "notes": notes, **more,
     }  # fmt: skip
     return Answer(text="\n".join(lines), document=document, exit_code=5 if more and sample.unproved else 0)
