@@ -28,7 +28,7 @@ from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.extremals import Found
-from perilune.words.asked import called_in_words, demand_path
+from perilune.words.asked import called_in_words, demand_path, demand_si
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import NotConvergedError, PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
@@ -141,10 +141,9 @@ class Atlas(Reader):
                 "a value of every axis is needed", got=f"none of {', '.join(missing)}",
                 expected=", ".join(axis.key for axis in self.region.axes),
             )  # fmt: skip
-        try:
-            values = [float(told[name]) for name in names]
-        except (TypeError, ValueError, OverflowError):
-            raise PeriluneError("the values of axes are numbers in SI", got=str(told)[:80]) from None
+        for axis in self.region.axes:
+            demand_si(told[axis.name], axis.key)
+        values = [float(told[name]) for name in names]
         if not all(map(isfinite, values)):
             raise PeriluneError("the values of axes are finite", got=str(told)[:80])
         at = np.array(values)
@@ -332,7 +331,7 @@ class Atlas(Reader):
             f"the atlas has no answer here: {why}",
             got=got,
             expected=f"for instance {near}" if near else "another point",
-            advice="perilune solve answers at single points",
+            advice="perilune solve answers at single points; an atlas of more bricks may answer here (--bricks)",
         )
 
     def _nearest(self, at: Vector) -> str:

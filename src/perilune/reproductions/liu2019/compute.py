@@ -124,7 +124,7 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
     level
         Verification level to prove of the neighbours from `CASE.place`; the other manoeuvre points are solved only.
     seeds
-        Tries of the paper's hybrid method; at twice as many manoeuvre points B is solved from nothing.
+        Tries of the paper's hybrid method, and of its fast one.
     """
     watch("the paper's hybrid method, and ours")
     searches = searched(seeds, watch)
@@ -143,7 +143,7 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
     watch("neighbour B from the points of Table 1")
     experiments = members(fixed, [(row.longitude, row.latitude) for row in TABLES_1_AND_3], watch)
     with tempfile.TemporaryDirectory() as directory:
-        asked = fast(fixed.problem, grid, experiments, 2 * seeds, Path(directory) / "region", watch)
+        asked = fast(fixed.problem, grid, experiments, seeds, Path(directory) / "region", watch)
     return Reproduction(
         equations=equations,
         off_plane=off_plane(fixed.results["entry_time"].value),

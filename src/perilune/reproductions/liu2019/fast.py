@@ -1,16 +1,16 @@
 """The paper's fast method on neighbour B, and ours: extremals kept over the region, and answers read from them.
 
 The paper keeps costates at ignition and values at the interface at the points of a grid, predicts those of another
-manoeuvre point by a polynomial of ten coefficients through the ten nearest (16), and searches within 2 % of that. Its
-search is a genetic one; here Newton's method begins at the prediction, which is all that a search so near can end with.
-Ours is an atlas over the box around the region.
+manoeuvre point by a polynomial of ten coefficients through the ten nearest (16), and searches within 2 % of that by a
+genetic algorithm. So it is done here, and without the search: Newton's method from the prediction, which is all that a
+search so near can end with. Ours is an atlas over the box around the region.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,15 +18,18 @@ import numpy as np
 
 from perilune.atlas.building import build
 from perilune.atlas.query import Atlas, open_atlas
+from perilune.methods.genetic import Genetic
 from perilune.methods.nearby import Nearby
 from perilune.problem.problem import Problem
 from perilune.reproductions.liu2019.members import Member, by_cubic
 from perilune.solve import solve
 from perilune.words.outcome import PeriluneError
-from perilune.words.types import Vector
+from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
+WITHIN = 0.02  # the neighbourhood of a prediction in which the paper searches
 _BESIDE = math.radians(0.05)  # by which the box is wider than the points
+_LEAST = 1e-9  # of an unknown that is predicted to be 0, canonical
 AXES: tuple[str, ...] = ("manoeuvre_longitude", "manoeuvre_latitude")
 
 
@@ -38,14 +41,16 @@ class Fast:
     ----------
     built, nodes, arcs
         How long the atlas took, how many extremals it has, and of how many kinds they are.
+    searched
+        The paper's method at some of the points: a genetic search within 2 % of the prediction (16), then Newton's.
     predicted
-        Newton's method from the prediction (16).
+        Newton's method from the prediction.
     queried
         A query of the atlas, flown again.
     refused
         Why those points have no answer from the atlas.
     alone
-        Some of the points solved from nothing.
+        The points solved from nothing.
     apart
         The largest relative difference of the time of flight between these two.
     """
@@ -53,6 +58,7 @@ class Fast:
     built: float
     nodes: int
     kinds: tuple[str, ...]
+    searched: Vector
     predicted: Vector
     queried: Vector
     refused: tuple[str, ...]
@@ -61,7 +67,12 @@ class Fast:
 
 
 def fast(
-    problem: Problem, grid: Sequence[Member], experiments: Sequence[Member], alone: int, directory: Path, watch: Watch
+    problem: Problem,
+    grid: Sequence[Member],
+    experiments: Sequence[Member],
+    seeds: int,
+    directory: Path,
+    watch: Watch,
 ) -> Fast:
     """Build the atlas and ask it.
 
@@ -72,9 +83,9 @@ def fast(
     grid
         Of Table 2, solved.
     experiments
-        Where the methods are asked.
-    alone
-        At how many of them the problem is solved from nothing as well.
+        Where the methods are asked, and the problem is solved from nothing.
+    seeds
+        At how many of them the paper's search is made.
     directory
         Where the atlas is built.
     watch
@@ -90,18 +101,24 @@ def fast(
     queried, refused, found = _queried(atlas, points)
     kinds = tuple(charted.chart.course.text or "one arc in each phase" for charted in atlas.charted)
     nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
-    every = np.unique(np.linspace(0, len(points) - 1, min(alone, len(points))).astype(int))
-    took, apart = list[float](), 0.0
-    for number in every.tolist():
-        watch(f"from nothing at {len(took) + 1} of {len(every)} points")
+    alone, apart = list[float](), 0.0
+    for at, known in zip(points.tolist(), found, strict=True):
+        watch(f"from nothing at {len(alone) + 1} of {len(points)} points")
         began = time.process_time()
-        solution = solve(problem.with_given(**dict(zip(AXES, points[number].tolist(), strict=True))), level=0)
-        took.append(time.process_time() - began)
-        if math.isfinite(found[number]):
-            apart = max(apart, float(abs(solution.objective / found[number] - 1.0)))
+        solution = solve(problem.with_given(**dict(zip(AXES, at, strict=True))), level=0)
+        alone.append(time.process_time() - began)
+        if math.isfinite(known):
+            apart = max(apart, float(abs(solution.objective / known - 1.0)))
+    predictions = _predictions(grid, experiments)
+    some = np.unique(np.linspace(0, len(predictions) - 1, min(seeds, len(predictions))).astype(int)).tolist()
+    searched = list[float]()
+    for number in some:
+        watch(f"the paper's fast method at {len(searched) + 1} of {len(some)} points")
+        searched.append(_took(predictions[number], _by_search))
     return Fast(
-        built=built, nodes=nodes, kinds=kinds, predicted=_predicted(grid, experiments), queried=queried,
-        refused=refused, alone=np.array(took), apart=apart,
+        built=built, nodes=nodes, kinds=kinds, searched=np.array(searched), queried=queried,
+        predicted=np.array([_took(one, lambda _, guess: guess) for one in predictions]),
+        refused=refused, alone=np.array(alone), apart=apart,
     )  # fmt: skip
 
 
@@ -119,19 +136,45 @@ def _queried(atlas: Atlas, points: np.ndarray) -> tuple[Vector, tuple[str, ...],
     return took, tuple(refused), found
 
 
-def _predicted(grid: Sequence[Member], experiments: Sequence[Member]) -> Vector:
-    """Times of Newton's method from what (16) predicts of all unknowns."""
-    took, known = np.full(len(experiments), math.nan), [m for m in grid if m.solution is not None]
+@dataclass(frozen=True)
+class _Prediction:
+    """What (16) says of all unknowns at a manoeuvre point, and an extremal of these arcs."""
+
+    near: Nearby
+    values: dict[str, float]
+    guess: Vector
+
+    def missed(self, Y: Matrix) -> Vector:
+        """How far flights with such unknowns are from an extremal: the largest residual of each."""
+        return self.near.shooting.at(Y, self.near.numbers(self.values), self.near.root.choice[None]).residuals
+
+
+def _predictions(grid: Sequence[Member], experiments: Sequence[Member]) -> list[_Prediction]:
+    """Predictions at all points; none where fewer than ten of the grid are known."""
+    known = [m for m in grid if m.solution is not None]
     arcs = [Nearby(m.solution) for m in known if m.solution is not None]
     alike = [i for i, one in enumerate(arcs) if one.arcs is not None and len(one.root.y) == len(arcs[0].root.y)]
     if len(alike) < 10:
-        return took
-    unknowns = np.array([arcs[i].root.y for i in alike]).T
-    for i, member in enumerate(experiments):
+        return []
+    unknowns, found = np.array([arcs[i].root.y for i in alike]).T, list[_Prediction]()
+    for member in experiments:
         guess = by_cubic([known[k] for k in alike], member, unknowns)
         values = dict(zip(AXES, (math.radians(member.longitude), math.radians(member.latitude)), strict=True))
-        for _ in range(2):  # the first makes what is made once
-            began = time.process_time()
-            roots = arcs[alike[0]].roots(values, begin=guess[None])
-            took[i] = time.process_time() - began if roots.converged[0] else math.nan
+        found.append(_Prediction(arcs[alike[0]], values, guess))
+    return found
+
+
+def _by_search(one: _Prediction, guess: Vector) -> Vector:
+    """The best of a genetic search within 2 % of a prediction."""
+    away = np.maximum(WITHIN * np.abs(guess), _LEAST)
+    return Genetic(best=1).search(one.missed, guess - away, guess + away).points[0]
+
+
+def _took(one: _Prediction, begin: Callable[[_Prediction, Vector], Vector]) -> float:
+    """How long Newton's method takes from where it begins, and to find that; NaN where it fails."""
+    took = math.nan
+    for _ in range(2):  # the first makes what is made once
+        began = time.process_time()
+        roots = one.near.roots(one.values, begin=begin(one, one.guess)[None])
+        took = time.process_time() - began if roots.converged[0] else math.nan
     return took

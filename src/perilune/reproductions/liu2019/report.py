@@ -27,6 +27,7 @@ from perilune.reproductions.liu2019.compute import (
     sideways,
 )
 from perilune.reproductions.liu2019.equations import NAMES, SAMPLES
+from perilune.reproductions.liu2019.fast import WITHIN
 from perilune.reproductions.liu2019.members import Member
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune.reproductions.liu2019.surfaces import fits, fitted, surfaces
@@ -35,7 +36,6 @@ from perilune.reproductions.liu2019.trajectories import HEAD, beside, rows, traj
 from perilune.reproductions.paper import claims, illustrated, verdict, versions_line, write_report
 from perilune.words.types import Vector
 
-_NEAR = 0.02  # the neighbourhood of a prediction in which the paper searches
 _CAPTIONS = {
     "mass": "Mass that full thrust leaves. Vertical: range of the printed t_a; horizontal: of the printed m_b.",
     "off_plane": "Angle of the printed site from the plane of the orbit through (16°, 39.5°), while the Earth turns "
@@ -169,9 +169,9 @@ def _claim_rows(made: Reproduction) -> list[list[str]]:
         ],
         [
             "(16) predicts the values at a point to 2 %", "Figs 7-15",
-            f"neighbour B: all nine at {int((reached < _NEAR).sum())} of {len(reached)} points; at worst "
+            f"neighbour B: all nine at {int((reached < WITHIN).sum())} of {len(reached)} points; at worst "
             f"{100 * max(reached, default=0.0):.2g} % of a quantity's size",
-            verdict(bool((reached < _NEAR).all())),
+            verdict(bool((reached < WITHIN).all())),
         ],
     ]  # fmt: skip
 
