@@ -334,7 +334,7 @@ def a_minimum(duration: float, free: bool = False) -> bool:
     guess = [arb(0), arb(1)] if free else [arb(slope), arb(1), arb(float(slope * np.cos(duration)))]
     refined = room("root").refine(boundary, guess, rough, lambda _: None)
     root = room("root").prove_root(boundary, refined, rough, lambda _: None)
-    return room("second_order").local_optimum(boundary, root, refined.grid, rough.order, lambda _: None).proved
+    return room("second_order").local_optimum(boundary, root, rough.order, lambda _: None).proved
 
 
 def conjugate_points_are_seen() -> bool:

@@ -382,5 +382,5 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
         boundary = room("boundary").boundary_problem(stated, [room("boundary").Piece(phase=0, regimes=FREE)])
         refined = root.refine(boundary, [arb(v) for v in (-speed, 0.0, 1.0, *told)], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
-        statement = room("second_order").local_optimum(boundary, found, refined.grid, rough.order, lambda _: None)
+        statement = room("second_order").local_optimum(boundary, found, rough.order, lambda _: None)
     assert statement.proved == (not half_turns)

@@ -174,7 +174,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (checks.conjugate_points_are_seen, {
             "Riccati's equation past a conjugate point":
-                ("regular", "return float((proved.begin + middle).mid())", "continue"),
+                ("regular", "return proved.begin + middle", "continue"),
             "tangents of higher order unseen": ("regular", "own * inverse * away**k", "own * inverse * 0"),
             "form at the end unseen": ("second_order", '"" if positive_definite(C) else', '"" if True else'),
             "second variation with the wrong sign": ("junctions", "above(M * -1, weights)", "above(M, weights)"),
@@ -185,6 +185,8 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (partial(_circle, True, 1), {
             "curvature of the start left out":
                 ("junctions", "C if W is None else C - W", "C * 0 if W is None else C - W"),
+        }),
+        (partial(_circle, True, 0), {
             "costates by their names":
                 ("second_order", "[root.y[i] for i in own[: len(phase.states)]]",
                  '[named[f"{phase.name}.lambda_{name}(0)"] for name in phase.state_names]'),
@@ -309,8 +311,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (partial(_side, "inside", (-2.0, 7.0)), {
             "wrong sign inside a range":
-                ("boundary", 'is above its lower bound"] = value - lower',
-                 'is above its lower bound"] = lower - value'),
+                ("boundary", 'is above its lower bound", value - lower', 'is above its lower bound", lower - value'),
         }),
         (partial(_side, "lower", None), {
             "wrong sign of a slope":

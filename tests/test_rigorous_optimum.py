@@ -29,7 +29,7 @@ def optimum(stated: pl.Problem, pieces: Sequence[tuple[int, dict[str, str], str]
         boundary = room("boundary").boundary_problem(stated, own, sides)
         refined = root.refine(boundary, [arb(value) for value in guess], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
-        return room("second_order").local_optimum(boundary, found, refined.grid, rough.order, lambda _: None)
+        return room("second_order").local_optimum(boundary, found, rough.order, lambda _: None)
 
 
 def variables(*names: str) -> tuple[Variable, ...]:

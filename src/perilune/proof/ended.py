@@ -72,7 +72,8 @@ def ended(solution: Solution) -> Solution:
     if not any(held):
         return solution
     phases = tuple(_with_ends(phase, own) if own else phase for phase, own in zip(problem.phases, held, strict=True))
-    return replace(solution, problem=replace(problem, phases=phases))
+    # Its values and ranges are not judged again: those of a neighbour are its own.
+    return replace(solution, problem=problem.changed(phases=phases, form=None))
 
 
 def _with_ends(phase: Phase, held: dict[str, float]) -> Phase:

@@ -333,16 +333,22 @@ class _Stating:
             if side == "inside":
                 found.append(nu)
                 if lower is not None:
-                    self.signs[f"{name} is above its lower bound"] = value - lower
+                    self._sign(f"{name} is above its lower bound", value - lower)
                 if upper is not None:
-                    self.signs[f"{name} is below its upper bound"] = upper - value
+                    self._sign(f"{name} is below its upper bound", upper - value)
             else:
                 if bound is None:
                     raise Unsupported(f"{name} has no {side} bound")
                 found.append(value - bound)
                 told = f"{name} would cost less beyond its {side} bound, where it is"
-                self.signs[told] = nu if side == "upper" else -nu
+                self._sign(told, nu if side == "upper" else -nu)
         return found
+
+    def _sign(self, words: str, value: Expression) -> None:
+        """State that something is positive; each in words of its own."""
+        if words in self.signs:
+            raise Unsupported(f"two conditions are called alike: {words}")
+        self.signs[words] = value
 
     def _stationary(self, slopes: list[Expression]) -> list[Expression]:
         """dJ/dq = 0 of each free parameter, or where it is on a bound its distance to that."""
@@ -352,7 +358,7 @@ class _Stating:
                 side = self.sides.free[f.name]
                 found[i] = self.free[f.name] - (f.lower if side == "lower" else f.upper)
                 told = f"J would be less with {f.name} beyond its {side} bound, where it is"
-                self.signs[told] = slopes[i] if side == "lower" else -slopes[i]
+                self._sign(told, slopes[i] if side == "lower" else -slopes[i])
         return found
 
     def _limit(self, limit: Any) -> Expression | None:

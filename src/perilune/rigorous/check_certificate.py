@@ -221,7 +221,7 @@ def sentence(told: dict[str, Any]) -> str:
     """The theorem of a certificate in words: what is seen here, all of it, and nothing else."""
     values = [("J", told["objective"]), *((u["name"], u["enclosure"]) for u in told["unknowns"])]
     return (
-        f"The problem {told['problem']['name']} as it stands here has an extremal of {len(told['arcs'])} arcs, a "
+        f"The problem {told['problem']['name']!r} as it stands here has an extremal of {len(told['arcs'])} arcs, a "
         "flight that satisfies Pontryagin's conditions exactly, with "
         f"{', '.join(f'{name} = {value}' for name, value in values)} in SI. "
         "No other has every unknown within `only_one_within` of its `centre`. No condition of the path and no bound "
@@ -243,6 +243,7 @@ class _Proof:
         self.first, self.last = ([f(i for i, p in enumerate(follows) if p == k) for k in range(len(self.phases))]
                                  for f in (min, max))  # fmt: skip
         demand(told["format"] == FORMAT, "it has another format")
+        self.well_formed()
         demand(follows == sorted(follows), "arcs are out of order")
         for i, (arc, grid) in enumerate(zip(self.arcs, told["grid"], strict=True)):
             demand(bool(arc["switched"]) == (i not in self.last), f"arc {i + 1} does not end where it says")
@@ -265,6 +266,22 @@ class _Proof:
         names += [f"{self.phases[arc['phase']]['name']}, length of arc {i - self.first[arc['phase']] + 1}"
                   for i, arc in enumerate(self.arcs) if arc["switched"]]  # fmt: skip
         demand(names == [u["name"] for u in told["unknowns"]], "the unknowns are named otherwise")
+
+    def well_formed(self) -> None:
+        """Names say one thing each, and nothing that is stated goes unnamed."""
+        everything = [[*self.given, *self.free], [p["name"] for p in self.phases]]
+        for k, p in enumerate(self.phases):
+            everything += [[one["name"] for one in p[what]] for what in ("states", "end")]
+            everything += [[n for c in p["controls"] for n in c["names"]], p["path"]]
+            for what in ("path", "end"):
+                count = len((self.tape(f"{what} {k}") or {"outputs": ()})["outputs"])
+                demand(count == len(p[what]), f"{p['name']} does not name what its {what} states")
+            demand(all(c["kind"] == "direction" or c["names"] == [c["name"]] for c in p["controls"]), "a name is none")
+        for own in everything:
+            demand(len({*own}) == len(own), "two things have one name")
+            demand(all(name.replace("-", "_").isidentifier() for name in own), "a name is none")
+        regimes = {regime for arc in self.arcs for regime in arc["regimes"].values()}
+        demand(regimes <= {"lower", "upper", "interior"}, "a control has no such regime")
 
     def formula(self, k: int, phase: dict[str, Any]) -> set[str]:
         """The scalars that H is quadratic in, if its minimum is that of each control by itself."""
@@ -411,10 +428,10 @@ class _Proof:
                 demand((c["lower"] is c["upper"] is None) == (side is None), f"{c['name']} is no such condition")
                 if side in (None, "inside"):
                     conditions.append(multiplier if side else inner)
-                    asked += self.room(inner, c, plainly) if side else []
-                else:
-                    conditions.append(inner - self.limit(c[side], plainly))
-                    asked.append(multiplier if side == "upper" else -multiplier)
+                    asked += self.room(inner, c, {}) if side else []
+                else:  # whose bound is given: a free one would have a part in dL/dq
+                    conditions.append(inner - self.limit(c[side], {}))
+                    asked += [multiplier if side == "upper" else -multiplier, *self.room(inner, {**c, side: None}, {})]
         costates = [ends[self.last[k]][size + j] - slope(L, ("x", k, j))
                     for k, size in enumerate(self.sizes) for j in range(size)]  # fmt: skip
         stationary = [slope(L, ("q", name)) for name in self.free]
@@ -548,9 +565,9 @@ class _Proof:
         for value, told in zip(z[: len(phase["states"])], phase["states"], strict=True):
             limits += self.room(value, told, free)
         for c in phase["controls"]:
-            if (regime := self.arcs[i]["regimes"].get(c.get("name"))) == "interior":
+            if (regime := self.arcs[i]["regimes"].get(c.get("name"))) is not None:
                 limits += self.room(u[c["name"]], c, free)
-            elif regime:
+            if regime in ("lower", "upper"):
                 found[c["name"]] = slopes(c["name"]) * (1 if regime == "lower" else -1)
         return limits, found
 

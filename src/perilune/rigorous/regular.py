@@ -12,10 +12,10 @@ from perilune.rigorous.flight import identity
 from perilune.rigorous.flow import Step
 from perilune.rigorous.taylor import Ball
 
-_DEEPEST = 10  # halvings of a step
+_DEEPEST = 16  # halvings of a step
 
 
-def irregular(proved: Step, half: int) -> float | None:
+def irregular(proved: Step, half: int) -> Ball | None:
     """A time at which X is not seen to be regular; None where it is all along the step."""
     order, waiting = len(proved.tangents) - 1, [(0.0, 1.0, 0)]
     *polynomial, last = (arb_mat(own.tolist()[:half]) for own in proved.tangents)
@@ -26,7 +26,7 @@ def irregular(proved: Step, half: int) -> float | None:
         if _regular(_about(polynomial, middle), missing, away.abs_upper()):
             continue
         if depth == _DEEPEST:
-            return float((proved.begin + middle).mid())
+            return proved.begin + middle
         waiting += [(a, 0.5 * (a + b), depth + 1), (0.5 * (a + b), b, depth + 1)]
     return None
 

@@ -30,13 +30,13 @@ a slope, or an end at such a bound of its range, moves no more than one that is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 from flint import arb, arb_mat
 
 from perilune.rigorous.boundary import BoundaryProblem, Differentiated, lasting
 from perilune.rigorous.equations import Arc, Reader
-from perilune.rigorous.flight import Grid
 from perilune.rigorous.flow import NotEnclosed, step
 from perilune.rigorous.graph import Expression
 from perilune.rigorous.junctions import Junction, above, passed
@@ -49,35 +49,36 @@ from perilune.rigorous.taylor import Ball
 
 WORDS = "a strict local optimum"
 _WEIGHTS = (1e2, 1e4, 1e6)  # times the size of J over the square of that of a state
+_NOT_POSITIVE = "the second variation is not seen to be positive at the end"
+_HALVED = 5  # times at most is a step
 
 
-def local_optimum(
-    boundary: BoundaryProblem, root: Root, grid: Grid, order: int, tell: Callable[[str], None]
-) -> Statement:
+def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Callable[[str], None]) -> Statement:
     """Whether a proved extremal is a strict local optimum.
 
     Parameters
     ----------
     boundary, root
         The equations and their root.
-    grid, order
-        Of its flight.
+    order
+        Of the steps.
     tell
         Is told of every part.
     """
     where = next(_not_covered(boundary, root), "")
     if where:
         return Statement(words=WORDS, proved=False, where=f"as {where}")
-    form = _Form(boundary, root)
+    form, found = _Form(boundary, root), list[str]()
     for weight in _WEIGHTS:
         try:
-            where = form.fails(grid, order, weight)
+            found.append(form.fails(order, weight))
         except (NotEnclosed, ZeroDivisionError) as error:
-            where = error.what if isinstance(error, NotEnclosed) else "a matrix is singular"
-        tell(f"second variation, weight {weight:.0e}: {where or 'positive'}")
-        if not where:
+            found.append(error.what if isinstance(error, NotEnclosed) else "a matrix is singular")
+        tell(f"second variation, weight {weight:.0e}: {found[-1] or 'positive'}")
+        if not found[-1]:
             return Statement(words=WORDS, proved=True)
-    return Statement(words=WORDS, proved=False, where=f"as {where}")
+    last = next((where for where in found if where == _NOT_POSITIVE), found[-1])  # it says the most
+    return Statement(words=WORDS, proved=False, where=f"as {last}")
 
 
 def _not_covered(boundary: BoundaryProblem, root: Root) -> Iterator[str]:
@@ -132,7 +133,15 @@ class _Form:
         self.moving = [("p", name) for name in self.names if name not in boundary.sides.free]
         self.junctions = [self._junction(k) for k in range(len(self.phases) + 1)]
         self.sizes = _sizes(boundary, root)
-        self.durations = [float(duration.values(root.y)[0]) for duration in boundary.durations]
+        self.durations = [duration.values(root.y)[0] for duration in boundary.durations]
+        self.times = [
+            [*(own.begin / duration for own in steps), arb(1)]
+            for steps, duration in zip(root.flight.steps, self.durations, strict=True)
+        ]
+        self.nodes = [
+            [_without_constants(z, arc) for z in nodes]
+            for nodes, arc in zip(root.flight.nodes, boundary.arcs, strict=True)
+        ]
         self.w = [nodes[0][2 * arc.half :] for nodes, arc in zip(root.flight.nodes, boundary.arcs, strict=True)]
 
     def _junction(self, k: int) -> tuple[Junction, list[Ball]]:
@@ -183,7 +192,7 @@ class _Form:
         constant = [max(abs(float(value)), 1e-3) for value in self.constants]
         return [[weight * together / (size * size) for size in (*sizes, *constant)] for sizes in self.sizes]
 
-    def fails(self, grid: Grid, order: int, weight: float) -> str:
+    def fails(self, order: int, weight: float) -> str:
         """Which condition is not enclosed, in words; "" where all are."""
         W, z, before = None, self.constants, [1.0] * len(self.moving)
         for k, weights in enumerate(self._weights(weight)):
@@ -198,20 +207,56 @@ class _Form:
             V = arb_mat(unit.tolist() + (W * unit).tolist())
             for i, arc in self.arcs[k]:
                 z, V = _with_w(arc, z, V, self.w[i])
-                whole = self.durations[i]
-                begins = [begin / whole for begin in grid[i]]
-                for number, begin in enumerate(begins):
-                    end = arb(1) if number + 1 == len(begins) else arb(begins[number + 1])
-                    z, V, proved = step(arc, z, V, arb(begin), end - arb(begin), order)
-                    if (t := irregular(proved, half)) is not None:
-                        place = f"{arc.phase.name}, arc {i + 1}" if len(self.arcs[k]) > 1 else arc.phase.name
-                        return f"no solution of Riccati's equation is enclosed at {t * whole:.6g} s ({place})"
+                z, V, t = _flown(arc, z, V, self.times[i], self.nodes[i], order)
+                if t is not None:
+                    place = f"{arc.phase.name}, arc {i + 1}" if len(self.arcs[k]) > 1 else arc.phase.name
+                    seconds = float((t * self.durations[i]).mid())
+                    return f"no solution of Riccati's equation is enclosed at {seconds:.6g} s ({place})"
             rows = V.tolist()
             W = above(arb_mat(rows[half : 2 * half]) * arb_mat(rows[:half]).inv(), weights)
             z, before = z[:half], weights
         junction, multipliers = self.junctions[-1]
         _, C = junction.form([*z, *multipliers], W, before)
-        return "" if positive_definite(C) else "the second variation is not seen to be positive at the end"
+        return "" if positive_definite(C) else _NOT_POSITIVE
+
+
+def _flown(
+    arc: Arc, z: list[Ball], V: Any, times: Sequence[Ball], nodes: Sequence[Sequence[Ball]], order: int
+) -> tuple[list[Ball], Any, Ball | None]:
+    """Where an arc ends z and V; and a time at which X is not seen to be regular, None where it is all along.
+
+    Where z is at the times is known from the flight, as `_without_constants` has it: by steps alone it would be lost.
+    Steps are halved where V is not enclosed, or X not seen to be regular.
+    """
+    own = _without_constants(range(len(z)), arc)
+    waiting = [(*pair, 0, node) for pair, node in zip(pairwise(times), nodes[1:], strict=True)]
+    while waiting:
+        begin, end, depth, node = waiting.pop(0)
+        try:
+            *ahead, proved = step(arc, z, V, begin, end - begin, order)
+            t = irregular(proved, arc.half)
+        except NotEnclosed:
+            if depth == _HALVED:
+                raise
+            ahead, t = [z, V], begin
+        if t is None:
+            z, V = ahead
+            for i, known in zip(own, node, strict=True) if node else ():
+                if not z[i].overlaps(known):
+                    raise NotEnclosed("two enclosures of one flight are apart")
+                z[i] = z[i].intersection(known)
+        elif depth == _HALVED:
+            return z, V, t
+        else:
+            middle = ((begin + end) / 2).mid()
+            waiting[:0] = [(begin, middle, depth + 1, ()), (middle, end, depth + 1, node)]
+    return z, V, None
+
+
+def _without_constants(z: Sequence[Any], arc: Arc) -> list[Any]:
+    """What of z all statements of an arc have: its states, their costates, and what no formula gives of the control."""
+    n = len(arc.phase.states)
+    return [*z[:n], *z[arc.half : arc.half + n], *z[2 * arc.half :]]
 
 
 def _sizes(boundary: BoundaryProblem, root: Root) -> list[list[float]]:

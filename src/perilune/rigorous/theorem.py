@@ -113,7 +113,7 @@ def _proved(
     large = alone(boundary, refined, root, settings, tell)
     tell("signs along the flight")
     statements = tuple(Limits(boundary, root).all())
-    optimum = local_optimum(boundary, root, refined.grid, settings.order, tell)
+    optimum = local_optimum(boundary, root, settings.order, tell)
     known = [b for b, value in zip(large.box, guess, strict=True) if not b.contains(value)]
     return Proved(
         boundary=boundary, refined=refined, settings=settings, root=root, alone=large,
