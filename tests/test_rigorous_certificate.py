@@ -90,6 +90,11 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
     "a flight cut off": (_cut, "do not begin"),
     "an arc without an end": (lambda told: told["arcs"][1].update(switched="u"), "does not end where"),
     "no formula": (_sine, "no formula"),
+    "a regime that is none": (lambda told: told["arcs"][0]["regimes"].update(u="name"), "no such regime"),
+    "one name for two": (lambda told: told["problem"]["given"].update(t_f={"number": "1"}), "two things have one name"),
+    "an end without a name": (lambda told: told["problem"]["phases"][0]["end"].pop(), "does not name what its end"),
+    "a name without a path": (lambda told: told["problem"]["phases"][0]["path"].append("low"), "what its path states"),
+    "words for a name": (lambda told: told["problem"]["phases"][0].update(name="all, and none"), "a name is none"),
 }  # fmt: skip
 
 
@@ -127,6 +132,7 @@ FALSE_END: dict[str, tuple[Callable[[Told], Any], str]] = {
     "no such bound": (lambda told: told["on_bounds"]["states"].append(["second", "v", "lower"]), "named otherwise"),
     "no bound told": (lambda told: told["on_bounds"].update(states=[]), "named otherwise"),
     "bound": (lambda told: told["problem"]["phases"][1]["states"][1].update(lower="16"), "leaves the box"),
+    "a free bound": (lambda told: told["problem"]["phases"][1]["states"][1].update(lower="t_1"), "no number that is"),
 }  # fmt: skip
 
 
@@ -201,3 +207,24 @@ def test_derivatives_of_the_checker_are_those_of_its_series(word: str) -> None:
         assert all(a.overlaps(b) for a, b in zip((value, first, second / 2), truth, strict=True))
     finally:
         ctx.cap = before
+
+
+def fastest() -> pl.Problem:
+    """x(1) as large as it can be with x' = u, 0 < u < 1/2."""
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x", unit="m"),), duration="T",
+        controls=(pl.Bounded(name="u", unit="m/s", lower=0.0, upper=0.5),), dynamics=lambda x, u, p, m: (u.u,),
+    )  # fmt: skip
+    return pl.Problem(name="fastest", phases=(phase,), start=lambda p, m: (0.0 * p.T * p.half,),
+                      objective=lambda x, p, m: -x.x, objective_unit="m",
+                      given={"T": pl.Given(value=1.0, unit="s"), "half": pl.Given(value=0.5, unit="m/s")})  # fmt: skip
+
+
+def test_a_control_keeps_both_its_bounds_wherever_it_is() -> None:
+    """With a lower bound above the upper one there is no flight."""
+    told = certificate(fastest)
+    assert told["arcs"][0]["regimes"] == {"u": "upper"}
+    confirm(told, lambda _: None)
+    told["problem"]["phases"][0]["controls"][0]["lower"] = "3/4"
+    with pytest.raises(Failed, match="a limit of arc 1 is broken"):
+        confirm(told, lambda _: None)

@@ -384,3 +384,20 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
         found = root.prove_root(boundary, refined, rough, lambda _: None)
         statement = room("second_order").local_optimum(boundary, found, rough.order, lambda _: None)
     assert statement.proved == (not half_turns)
+
+
+def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
+    """x and y at most 1, both called the same; beyond the first J is less, and the flight was a theorem."""
+    phase = pl.Phase(
+        name="go", states=tuple(pl.Variable(name=name) for name in "xyc"), duration="T",
+        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        dynamics=lambda x, u, p, m: (u.u / p.T, u.v / p.T, 0.5 * (u.u * u.u + u.v * u.v) / p.T),
+        end=lambda x, p, m: (x.x, x.y), end_conditions=2 * (pl.Variable(name="same", upper=1.0),),
+    )  # fmt: skip
+    stated = pl.Problem(
+        name="alike", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0), objective=lambda x, p, m: x.c - 3 * x.y,
+        given={"T": pl.Given(value=1.0, unit="s")},
+    )  # fmt: skip
+    sides = room("boundary").Sides(ranges={("go", "same"): "upper"})
+    with pytest.raises(pl.PeriluneError, match="two conditions are called alike: go: same would cost less"):
+        proved(stated, {"u": "interior", "v": "interior"}, [-1.0, -1.0, 1.0, -1.0, 2.0], sides)

@@ -15,7 +15,7 @@ from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check, Verification
 from perilune.solve import solve, verify
 from perilune.words.outcome import Outcome
@@ -305,6 +305,27 @@ def test_a_bound_that_is_reached_at_the_end_has_a_multiplier_with_a_sign() -> No
         trajectories=tuple(flown),
     )  # fmt: skip
     assert failed(verify(slowest, level=2)) == ends
+
+
+@pytest.mark.parametrize("ceiling", [0.5, 9.0])
+def test_where_a_bound_holds_the_end_free_parameters_have_the_ranges_that_they_have(ceiling: float) -> None:
+    """Least integral of u^2/2, less x(1), and (q - 2)^2 with q up to 1, which a hook says; in a wider range it is 2."""
+    phase = Phase(
+        name="go", states=(Variable(name="x", unit="m", upper=ceiling), Variable(name="c", unit="m^2/s")),
+        controls=(Bounded(name="u", unit="m/s"),), duration="T",
+        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+    )  # fmt: skip
+    problem = Problem(
+        name="ranged", phases=(phase,), start=lambda p, m: (0.0, 0.0), objective_unit="m^2/s",
+        objective=lambda x, p, m: x.c - p.k * x.x + p.k * (p.q - 2 * p.l) ** 2 / p.l,
+        given={"T": Given(value=1.0, unit="s"), "k": Given(value=1.0, unit="m/s"), "l": Given(value=1.0, unit="m")},
+        free=(Free(name="q", unit="m", lower=-1.0, upper=1.0, typical=0.5),),
+        ranges=lambda p, m: {"q": (-p.l, p.l, 0.5)},
+    )  # fmt: skip
+    solution = Pseudospectral(nlp_tolerance=1e-13).run(problem)
+    assert verify(solution).level == 3
+    wide = problem.changed(free=(replace(problem.free[0], upper=5.0),))
+    assert "stationary_q" in failed(verify(replace(solution, problem=wide), level=2))
 
 
 def opposite(curve: Curve | None) -> Curve:

@@ -304,6 +304,7 @@ class _Proof:
 
     def limit(self, stated: str, free: dict[str, Any]) -> Any:
         known = {**self.given, **free}
+        demand(stated in known or not stated.isidentifier(), f"{stated} is no number that is given")
         return known[stated] if stated in known else rational(stated)
 
     def values(self, k: int, x: Any, u: dict[str, Any], free: dict[str, Any]) -> dict[tuple[str, str], Any]:
