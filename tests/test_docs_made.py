@@ -51,6 +51,29 @@ def test_no_bad_row_is_hidden() -> None:
         assert missed == ("**" in row["error"]) and (row["level"] == "3") == ("**" not in row["level"])
 
 
+def test_theorems_have_25_digits_and_are_computed_again() -> None:
+    """Of every row that is one, J and what is free; some anew."""
+    pytest.importorskip("flint")
+    benchmark, number = documentation_script("../benchmarks/rigorous"), re.compile(r"\w+ = \[(\S+) \+/- (\S+)\].*")
+    head, *body = rows(DOCS / "validation.md", 4)
+    found = {name: (theorem, values) for name, theorem, values, _ in body if not theorem.startswith("none")}
+    assert head == ["problem", "theorem", "J and what is free", "CPU s"] and len(found) >= 20
+
+    def digits(values: str) -> list[str]:
+        told = list[str]()
+        for value in values.split("; "):
+            centre, radius = number.sub(r"\1 \2", value).split()
+            assert float(radius) <= 1e-25 * abs(float(centre))
+            told.append(re.sub(r"\D", "", centre).lstrip("0")[:25])
+        return told
+
+    assert all(len(told) == 25 for _, values in found.values() for told in digits(values))
+    for name in QUICK:
+        for row in benchmark.rows([name]):
+            theorem, values = found[row["problem"]]
+            assert (row["theorem"], digits(row["values"])) == (theorem, digits(values))
+
+
 def test_the_gallery_shows_what_its_script_draws() -> None:
     assert (DOCS / "gallery.md").read_text(encoding="utf-8") == GALLERY.page()
     assert {name for _, name, _ in GALLERY.pictures()} == set(GALLERY.NAMES)
