@@ -419,6 +419,8 @@ def test_a_model_of_which_physics_is_asked_nothing_stays_so_in_an_atlas() -> Non
         ({"vehicle_thrust": 440.0, "retro_specific_impulse": float("nan")}, "finite"),
         ({"vehicle_thrust": "much", "retro_specific_impulse": 300.0}, "numbers"),
         ({"vehicle_thrust": 10**400, "retro_specific_impulse": 300.0}, "numbers"),
+        ({"vehicle_thrust": "440", "retro_specific_impulse": 300.0}, "numbers"),
+        ({"vehicle_thrust": True, "retro_specific_impulse": 300.0}, "numbers"),
         ({"vehicle.thrust": 440.0, "vehicle_thrust": 430.0, "retro_specific_impulse": 300.0}, "twice"),
         ({"vehicle_thurst": 440.0, "retro_specific_impulse": 300.0}, "no axis"),
     ],

@@ -22,7 +22,7 @@ from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sampling import Certificate, Sample, assured, drawn_at_random, drawn_thin, sample_of
-from perilune.atlas.store import MANIFEST
+from perilune.atlas.store import MANIFEST, Store
 from perilune.atlas.verify import Verified
 from perilune.cli import run
 from perilune.solve import prove
@@ -214,3 +214,16 @@ def test_proofs_of_another_hand_are_refused_in_words(change: Callable[[dict[str,
     with pytest.raises(PeriluneError, match="damaged"):
         sample_of(open_atlas(copy))
     assert run(["atlas", "info", str(copy)]) == 2
+
+
+def test_an_answer_says_what_those_reached_that_were_drawn(built: Path, copy: Path) -> None:
+    """Of an atlas of which none was drawn nothing; where one of them failed, no more than it reached."""
+    assert open_atlas(built).query(vehicle_thrust=440.0).query.inherited == 3
+    lines = Store(copy).lines()
+    others = [line for line in lines if line["kind"] != "sample"]
+    Store(copy).write_lines(others)
+    assert open_atlas(copy).query(vehicle_thrust=440.0).query.inherited == 0
+    (sample,) = [line for line in lines if line["kind"] == "sample"]
+    sample["drawn"][0]["level"] = 1
+    Store(copy).write_lines([*others, sample])
+    assert open_atlas(copy).query(vehicle_thrust=440.0).query.inherited == 1

@@ -401,3 +401,21 @@ def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
     sides = room("boundary").Sides(ranges={("go", "same"): "upper"})
     with pytest.raises(pl.PeriluneError, match="two conditions are called alike: go: same would cost less"):
         proved(stated, {"u": "interior", "v": "interior"}, [-1.0, -1.0, 1.0, -1.0, 2.0], sides)
+
+
+def test_a_free_parameter_that_is_called_as_another_unknown_is_not_taken_for_it() -> None:
+    """J = q^3 - 3 q with q called as a multiplier is: q = -1, a maximum below its bound, was a strict local optimum."""
+    name = "go.nu_there"
+    phase = pl.Phase(
+        name="go", states=(pl.Variable(name="x"), pl.Variable(name="c")), duration="T",
+        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, m: (u.u / p.T, 0.5 * u.u * u.u / p.T),
+        end=lambda x, p, m: (x.x - p.e,), end_conditions=(pl.Variable(name="there"),),
+    )  # fmt: skip
+    stated = pl.Problem(
+        name="named", phases=(phase,), start=lambda p, m: (0.0, 0.0),
+        objective=lambda x, p, m: x.c + getattr(p, name) ** 3 - 3 * getattr(p, name),
+        given={"T": pl.Given(value=1.0, unit="s"), "e": pl.Given(value=-1.0)},
+        free=(pl.Free(name=name, lower=-0.5, upper=2.0),),
+    )  # fmt: skip
+    with pytest.raises(pl.PeriluneError, match=f"{name} is the name of another unknown too"):
+        proved(stated, {"u": "interior"}, [1.0, 1.0, -1.0, 1.0])

@@ -29,6 +29,8 @@ class Query:
         How far the unknowns can be from those of the extremal, relative; see `perilune.atlas.polish`.
     residual, path, minimum, drift
         What the second flight shows (`perilune.atlas.reflight.Reflown`), canonical.
+    inherited
+        Level that all answers at nodes reached which were drawn for a proof of this atlas; 0 where none was.
     slopes
         dJ/dp of each axis [SI].
     latency
@@ -45,6 +47,7 @@ class Query:
     path: float
     minimum: float
     drift: float
+    inherited: int
     slopes: Mapping[str, float]
     latency: float
 

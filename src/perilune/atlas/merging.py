@@ -33,7 +33,7 @@ from perilune.atlas.columns import (
 )
 from perilune.atlas.lines import told_of_damage
 from perilune.atlas.region import Axis, Region
-from perilune.atlas.sampling import LEVEL, lines_of_samples
+from perilune.atlas.sampling import LEVEL
 from perilune.atlas.store import HEADER, Store, clear, digest_of, end_line, seal_of
 from perilune.io.files import fresh_directory
 from perilune.problem.problem import Problem
@@ -164,7 +164,7 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
         raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
     region = survey_region(header_region(header_problem(header, problem_from_scenario), header), survey)
     bricks = kept.latest(survey, len(region.axes))
-    samples = lines_of_samples(kept, survey["digest"], _nodes(bricks.values()), len(region.axes))
+    samples = kept.samples(survey["digest"], _nodes(bricks.values()), len(region.axes))
     return _Part(kept, header, survey, region, bricks, samples, kept.ended(survey, len(region.axes)))
 
 

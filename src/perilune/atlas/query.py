@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from math import isfinite
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.shooting.extremals import Found
-from perilune.words.asked import called_in_words, demand_path, demand_si
+from perilune.words.asked import called_in_words, demand_path
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import NotConvergedError, PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
@@ -141,10 +142,12 @@ class Atlas(Reader):
                 "a value of every axis is needed", got=f"none of {', '.join(missing)}",
                 expected=", ".join(axis.key for axis in self.region.axes),
             )  # fmt: skip
-        for axis in self.region.axes:
-            if type(told[axis.name]) is not float:  # as most are
-                demand_si(told[axis.name], axis.key)
-        values = [float(told[name]) for name in names]
+        try:
+            if any(isinstance(told[name], str | bool | np.bool_) for name in names):  # of which Python makes floats
+                raise TypeError
+            values = [float(told[name]) for name in names]
+        except (TypeError, ValueError, OverflowError):
+            raise PeriluneError("the values of axes are numbers in SI", got=str(told)[:80]) from None
         if not all(map(isfinite, values)):
             raise PeriluneError("the values of axes are finite", got=str(told)[:80])
         at = np.array(values)
@@ -304,10 +307,17 @@ class Atlas(Reader):
             path=shown.path,
             minimum=shown.minimum,
             drift=shown.drift,
+            inherited=self._inherited,
             slopes=dict(zip(values, slopes.tolist(), strict=True)),
             latency=time.perf_counter() - began,
         )
         return Mapped.deferred(best.cost * problem.objective_size, query, solution)
+
+    @cached_property
+    def _inherited(self) -> int:
+        """See `Query`."""
+        lines = self.store.samples(self.survey.get("digest"), self.rows, len(self.region.axes))
+        return min((one["level"] for line in lines for one in (*line["drawn"], *line["thin"])), default=0)
 
     def _refuse_impossible(self, at: Vector) -> None:
         """Refuse a point that physics refuses, as `solve` does: beside what is traced it may look at whole flights."""

@@ -176,8 +176,13 @@ class Reader:
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
         self._boxes: dict[tuple[int, ...], tuple[Vector, Vector, Vector]] = {}
-        for name in ("allowed", "charted", "descents", "unbuilt"):
+        for name in ("allowed", "charted", "descents", "unbuilt", "_inherited"):
             self.__dict__.pop(name, None)
+
+    @property
+    def rows(self) -> int:
+        """How many nodes there are."""
+        return sum(line["nodes"]["rows"] for line in self.said.values())
 
     @cached_property
     def charted(self) -> list[Charted]:

@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.lines import refuse_no_sample, told_of_damage
 from perilune.atlas.mapped import Mapped
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.read import may_be_answers
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import MANIFEST, PATIENCE, Store
+from perilune.atlas.store import PATIENCE, Store
 from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -228,7 +227,7 @@ def sampled(
     if count == 0:
         return
     atlas = open_atlas(kept.directory, problem_from_scenario)
-    nodes = _nodes(atlas)
+    nodes = atlas.rows
     count = min(USUAL, 1 + nodes // _ONE_OF) if count is None else count
     waits = False
     while atlas.said and count > sum(line["asked"] for line in sample_lines(atlas)):
@@ -254,20 +253,7 @@ def sampled(
 
 def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:
     """The lines of what was drawn of the atlas as it is now."""
-    return lines_of_samples(atlas.store, atlas.survey.get("digest"), _nodes(atlas), len(atlas.region.axes))
-
-
-def lines_of_samples(kept: Store, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
-    """The lines of what was drawn of so many nodes of a survey over d axes."""
-    found = [line for line in kept.lines() if line.get("kind") == "sample"]
-    with told_of_damage(MANIFEST):
-        for line in found:
-            refuse_no_sample(line, d)
-    return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
-
-
-def _nodes(atlas: Atlas) -> int:
-    return sum(line["nodes"]["rows"] for line in atlas.said.values())
+    return atlas.store.samples(atlas.survey.get("digest"), atlas.rows, len(atlas.region.axes))
 
 
 def sample_of(atlas: Atlas) -> Sample:

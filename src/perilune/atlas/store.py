@@ -25,7 +25,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.lines import cut_off, read_line, refuse_no_brick, refuse_no_survey, told_of_damage, written_line
+from perilune.atlas.lines import (
+    cut_off,
+    read_line,
+    refuse_no_brick,
+    refuse_no_sample,
+    refuse_no_survey,
+    told_of_damage,
+    written_line,
+)
 from perilune.io.files import finite, json_text, refuse_name_of_file
 from perilune.io.format import LARGEST_FILE
 from perilune.io.reading import tree
@@ -219,6 +227,14 @@ class Store:
     def ended(self, survey: Mapping[str, Any], d: int) -> bool:
         """Whether a builder came to the end of a survey, and no line of a brick was lost since; errors of `survey`."""
         return end_line(survey, self.bricks(survey, d)) in self.lines()
+
+    def samples(self, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
+        """The lines of what was drawn of so many nodes of a survey of d axes; errors of `survey`."""
+        found = [line for line in self.lines() if line.get("kind") == "sample"]
+        with told_of_damage(MANIFEST):
+            for line in found:
+                refuse_no_sample(line, d)
+        return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
 
     def there(self, name: str) -> bool:
         """Whether a brick was written, perhaps by another builder meanwhile."""

@@ -99,7 +99,7 @@ class Table:
     @property
     def rows(self) -> int:
         """How many nodes there are."""
-        return sum(line["nodes"]["rows"] for line in self.atlas.said.values())
+        return self.atlas.rows
 
     @property
     def sheets(self) -> list[str]:

@@ -165,7 +165,7 @@ def _export(typed: Namespace) -> Answer:
     there = _written(typed.out)
     with advised(lambda: "" if _written(typed.out) != there else f"nothing was written to {typed.out}"):
         export(atlas, typed.out, form, force=typed.force)
-    nodes, size = sum(line["nodes"]["rows"] for line in atlas.said.values()), typed.out.stat().st_size
+    nodes, size = atlas.rows, typed.out.stat().st_size
     document = {"written": str(typed.out), "format": form, "nodes": nodes, "bytes": size}
     return Answer(text=f"written to {typed.out}: {nodes} nodes, {size / 2**20:.1f} MiB", document=document)
 
@@ -226,7 +226,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     axes = [
         {"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in atlas.region.axes
     ]  # fmt: skip
-    nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
+    nodes = atlas.rows
     size = sum(int(line[kind]["bytes"]) for line in atlas.said.values() for kind in ("nodes", "cells"))
     sheets = [
         label
@@ -270,6 +270,7 @@ def _query_lines(query: Query) -> list[str]:
         f"  what its cell gives is wrong by {query.guess_error:.1e}, polished in {steps} to "
         f"{query.error_bound:.1e} (relative)",
         f"  flown again: ends {query.residual:.1e}, drift of H {query.drift:.1e} (limits 1e-9, canonical)",
+        *([f"  answers at nodes that were drawn: all proved to level {query.inherited}"] if query.inherited else ()),
     ]
 
 

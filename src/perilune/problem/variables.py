@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Limit, demand_limits, limit_value
-from perilune.words.asked import called_in_words, demand_identifier, demand_si
+from perilune.words.asked import called_in_words, demand, demand_identifier, demand_si
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -125,7 +125,7 @@ class Free:
     typical: float = 1.0
 
     def __post_init__(self) -> None:
-        demand_identifier(self.name)
+        demand(self.name, str, "the name of a free parameter")
         demand_si_unit(self.unit, self.name)
         for side in ("lower", "upper"):
             demand_si(getattr(self, side), f"the {side} bound of {self.name}", f"leave {side} out where there is none")

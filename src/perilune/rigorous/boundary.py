@@ -234,6 +234,8 @@ class _Stating:
             names += [f"{arc.phase.name}, {name} at the start of arc {number}" for name in arc.implicit]
         self.ends = [[graph.input(key) for key in keys] for keys in self._end_keys()]
         self.names = tuple(names)
+        if alike := [name for name in problem.free_names if names.count(name) > 1]:  # they are looked up by name
+            raise Unsupported(f"{alike[0]} is the name of another unknown too")
 
     def stated(self) -> BoundaryProblem:
         graph, problem = self.graph, self.problem

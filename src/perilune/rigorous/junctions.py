@@ -25,6 +25,8 @@ from perilune.rigorous.graph import Expression, Graph
 from perilune.rigorous.minimum import positive_definite
 from perilune.rigorous.taylor import Ball, Program
 
+_MORE = 1 + 1e-12  # times what doubles give for a sum, which is never less than that then
+
 
 class Junction:
     """A junction.
@@ -91,7 +93,7 @@ def above(W: Any, weights: Sequence[float]) -> Any:
     units = [weight**-0.5 for weight in weights]
     for i in range(size):  # their difference is diagonally dominant, in units of one size
         most = sum(float((gap[i, j] + gap[j, i]).abs_upper()) * units[j] for j in range(size)) / units[i]
-        found[i, i] = (found[i, i] + arb(most) + arb(weights[i]) * arb(1e-30)).upper()
+        found[i, i] = (found[i, i] + arb(most) * arb(_MORE) + arb(weights[i]) * arb(1e-30)).upper()
     return found
 
 

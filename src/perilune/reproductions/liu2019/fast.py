@@ -100,7 +100,6 @@ def fast(
     points = np.radians([(m.longitude, m.latitude) for m in experiments])
     queried, refused, found = _queried(atlas, points)
     kinds = tuple(charted.chart.course.text or "one arc in each phase" for charted in atlas.charted)
-    nodes = sum(int(line["nodes"]["rows"]) for line in atlas.said.values())
     alone, apart = list[float](), 0.0
     for at, known in zip(points.tolist(), found, strict=True):
         watch(f"from nothing at {len(alone) + 1} of {len(points)} points")
@@ -116,7 +115,7 @@ def fast(
         watch(f"the paper's fast method at {len(searched) + 1} of {len(some)} points")
         searched.append(_took(predictions[number], _by_search))
     return Fast(
-        built=built, nodes=nodes, kinds=kinds, searched=np.array(searched), queried=queried,
+        built=built, nodes=atlas.rows, kinds=kinds, searched=np.array(searched), queried=queried,
         predicted=np.array([_took(one, lambda _, guess: guess) for one in predictions]),
         refused=refused, alone=np.array(alone), apart=apart,
     )  # fmt: skip
