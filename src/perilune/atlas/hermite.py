@@ -11,17 +11,14 @@ applications to partial differential equations*, Numer. Math. 11 (1968) 232-256.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.kernels import BoundMap, Map, compile_map
+from perilune.kernels import Map, compile_map
 from perilune.words.types import Matrix, Vector
-
-_IDLE = defaultdict[int, list[BoundMap]](list)  # weights by dimension, bound to arrays of one point, not at work
 
 
 @lru_cache(maxsize=8)
@@ -71,17 +68,8 @@ def interpolated(terms: NDArray[np.float64], at: Matrix, size: Matrix) -> Matrix
 
 
 def interpolated_at(terms: Matrix, at: Vector, size: Vector) -> Vector:
-    """The same at one point of one box, from (corners * terms, k): one point is asked for again and again."""
-    idle = _IDLE[len(at)]
-    try:
-        bound = idle.pop()  # its pop and append are atomic
-    except IndexError:
-        bound = _products(len(at)).bind(np.empty((1, len(at))), np.empty((1, len(size))))
-    bound.inputs[0][0], bound.inputs[1][0] = at, size
-    bound()
-    found = bound.outputs[0][0] @ terms
-    idle.append(bound)
-    return found
+    """The same at one point of one box, (k,), from (corners * terms, k)."""
+    return _products(len(at))(at[None], size[None])[0][0] @ terms
 
 
 def unlike_quadratics(terms: NDArray[np.float64], size: Matrix) -> NDArray[np.float64]:

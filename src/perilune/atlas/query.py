@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
 from math import isfinite
 from pathlib import Path
 
@@ -307,17 +306,11 @@ class Atlas(Reader):
             path=shown.path,
             minimum=shown.minimum,
             drift=shown.drift,
-            inherited=self._inherited,
+            inherited=self.inherited,
             slopes=dict(zip(values, slopes.tolist(), strict=True)),
             latency=time.perf_counter() - began,
         )
         return Mapped.deferred(best.cost * problem.objective_size, query, solution)
-
-    @cached_property
-    def _inherited(self) -> int:
-        """See `Query`."""
-        lines = self.store.samples(self.survey.get("digest"), self.rows, len(self.region.axes))
-        return min((one["level"] for line in lines for one in (*line["drawn"], *line["thin"])), default=0)
 
     def _refuse_impossible(self, at: Vector) -> None:
         """Refuse a point that physics refuses, as `solve` does: beside what is traced it may look at whole flights."""

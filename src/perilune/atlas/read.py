@@ -176,13 +176,19 @@ class Reader:
         self.said = {} if survey is None else self.store.latest(survey, len(self.region.axes))
         self._bricks = {key: brick for key, brick in self._bricks.items() if before.get(key) == self.said.get(key)}
         self._boxes: dict[tuple[int, ...], tuple[Vector, Vector, Vector]] = {}
-        for name in ("allowed", "charted", "descents", "unbuilt", "_inherited"):
+        for name in ("allowed", "charted", "descents", "unbuilt", "inherited"):
             self.__dict__.pop(name, None)
 
     @property
     def rows(self) -> int:
         """How many nodes there are."""
         return sum(line["nodes"]["rows"] for line in self.said.values())
+
+    @cached_property
+    def inherited(self) -> int:
+        """Level that all answers at nodes reached which were drawn for a proof of it as it is now; 0 where none was."""
+        lines = self.store.samples(self.survey.get("digest"), self.rows, len(self.region.axes))
+        return min((one["level"] for line in lines for one in (*line["drawn"], *line["thin"])), default=0)
 
     @cached_property
     def charted(self) -> list[Charted]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from perilune.kernels.algebra.prune import prune
     from perilune.kernels.algebra.system import Event
-    from perilune.kernels.code.mapped import BoundMap, Map, compile_map
+    from perilune.kernels.code.mapped import Map, compile_map
     from perilune.kernels.flight.arcs import Arcs, ArcStatus, Request
     from perilune.kernels.flight.bound import BoundArcs, Engine
     from perilune.kernels.flight.dense import DenseArc
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 _HOME = {
     "prune": "algebra.prune",
     "Event": "algebra.system",
-    "BoundMap": "code.mapped",
     "Map": "code.mapped",
     "compile_map": "code.mapped",
     "Arcs": "flight.arcs",
@@ -34,8 +33,8 @@ _HOME = {
     "compile_arcs": "flight.engine",
 }
 __all__ = [
-    "LANES", "ArcStatus", "Arcs", "BoundArcs", "BoundMap", "DenseArc", "Engine", "Event", "Map", "Request",
-    "compile_arcs", "compile_map", "prune",
+    "LANES", "ArcStatus", "Arcs", "BoundArcs", "DenseArc", "Engine", "Event", "Map", "Request", "compile_arcs",
+    "compile_map", "prune",
 ]  # fmt: skip
 
 
