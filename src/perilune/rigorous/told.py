@@ -129,9 +129,6 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
             {"name": name, "centre": _exact(c), "enclosure": _claimed(k, _ROOM_OF_BOX * alone.rad(), proved)}
             for name, c, k, alone in zip(boundary.names, proved.refined.y, root.y, proved.alone.box, strict=True)
         ],
-        "inverse": [
-            [str(entry.str(25, radius=False)) for entry in row] for row in proved.refined.inverse.tolist()
-        ],
         "only_one_within": [float(b.rad()) for b in proved.alone.box],
         "objective": _claimed(proved.objective, arb(0), proved),
         "by_the_prover_alone": {
