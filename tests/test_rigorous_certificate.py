@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import pytest
 
 import perilune as pl
 from problems.integrators import least_energy, least_time
-from problems.landings import meditch
+from problems.landings import constant_mass, meditch
 from problems.staging import staged_burns
 
 pytest.importorskip("flint")
@@ -236,3 +236,18 @@ def test_a_control_keeps_both_its_bounds_wherever_it_is() -> None:
     told["problem"]["phases"][0]["controls"][0]["lower"] = "3/4"
     with pytest.raises(Failed, match="a limit of arc 1 is broken"):
         confirm(told, lambda _: None)
+
+
+@pytest.mark.parametrize(("sign", "kept"), [("sub", True), ("add", False)])
+def test_a_limit_that_an_end_condition_meets_is_seen_by_its_slope(sign: str, kept: bool) -> None:
+    """-v or v, which are 0 at rest, as (1e9 e -+ v) - 1e9 e: the effort e alone moves it by more than the tolerance."""
+    told = certificate(partial(constant_mass, 1.62, 20.0, -5.0, 4.0))
+    told["problem"]["phases"][0]["path"] = ["falling"]
+    told["problem"]["tapes"]["path 0"] = {"outputs": [5], "instructions": [
+        ["x", "v"], ["x", "effort"], ["const", 1e9], ["mul", 1, 2], [sign, 3, 0], ["sub", 4, 3],
+    ]}  # fmt: skip
+    if kept:
+        confirm(told, lambda _: None)
+    else:
+        with pytest.raises(Failed, match="limit of arc"):
+            confirm(told, lambda _: None)

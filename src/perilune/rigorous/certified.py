@@ -74,9 +74,9 @@ class Program:
     """Expressions, done with balls or with series of them; if asked for with their derivatives by each group."""
 
     def __init__(self, numbers: dict[int, Any], groups: list[Any], outputs: list[Any], slopes: bool = False) -> None:
-        symbols, self.numbers = zip(*numbers.values(), strict=True) if numbers else ((), ())
-        column = ca.vertcat(*outputs)
-        f = ca.Function("f", [*groups, ca.vertcat(*symbols)], [ca.cse(ca.densify(ca.vec(column.T)))])
+        column, self.numbers = ca.vertcat(*outputs), [ball for _, ball in numbers.values()]
+        inputs = [*groups, ca.vertcat(*(symbol for symbol, _ in numbers.values()))]
+        f = ca.Function("f", inputs, [ca.cse(ca.densify(ca.vec(column.T)))])
         self.shape, self.instructions = column.shape, [
             (k := f.instruction_id(i), f.instruction_input(i), f.instruction_output(i),
              arb(f.instruction_constant(i)) if k == ca.OP_CONST else None) for i in range(f.n_instructions())
@@ -147,13 +147,12 @@ class Equations:
         )
         self.times = [self.program([y], [own], True) for own in times]
         self.starts = [self.program([y, z], [own], True) for z, own in zip(before, starts, strict=True)]
-        along = [*zip(self.z, flown, strict=True)]
+        self.signed, along = [own["signed"] for own in flown], [*zip(self.z, flown, strict=True)]
         self.rates = [self.program([z], [own["rates"]], True) for z, own in along]
-        self.limits = [self.program([y, z], own["limits"]) for z, own in along]
-        self.signed = [[*own["signs"]] for own in flown]
-        self.signs = [self.program([z], [*own["signs"].values()]) for z, own in along]
-        self.rising = [self.program([z], [ca.jtimes(sign, z, own["rates"]) for sign in own["signs"].values()])
-                       for z, own in along]  # fmt: skip
+        self.limits, self.signs = (  # with their derivatives by time behind them
+            [self.program([y, z], own[what] + [ca.jtimes(v, z, own["rates"]) for v in own[what]]) for z, own in along]
+            for what in ("limits", "signs")
+        )
 
     def program(self, groups: list[Any], outputs: list[Any], slopes: bool = False) -> Program:
         """Expressions as a program."""
@@ -273,20 +272,19 @@ class Equations:
             found[name] = held[name] if name in held else -put(pull, {name: 0}) / curved[name]
         pulls = {name: put(pull, found) for name, pull in pulls.items()}
         signs = {f"{name} twice": put(own, found) for name, own in curved.items()}
+        signs |= {name: pulls[name] * (1 if regimes[name] == "lower" else -1) for name in held}
         limits = self.traced(f"path {k}", k, z, found, self.q)
         bounded = [*zip(ca.vertsplit(z), phase["states"], strict=False), *((found[n], scalars[n]) for n in scalars)]
         limits += [room for value, told in bounded for room in self.room(value, told, self.q)]
         adjoint = -ca.gradient(put(H, held), z)[:half]  # a bound that holds a control moves with what it is
         return {
             "rates": put(ca.vertcat(f, ca.SX.zeros(half - n), adjoint), found), "u": found, "pulls": pulls,
-            "signs": signs | {name: pulls[name] * (1 if regimes[name] == "lower" else -1) for name in held},
-            "limits": limits, "H": put(H, found),
+            "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": put(H, found),
         }  # fmt: skip
 
     def curved(self, H: Any, u: dict[str, Any], scalars: dict[str, Any], directions: list[Any]) -> dict[str, Any]:
         """d2H/du2 of scalars, of which the minimum of H is that of each control by itself, directions first."""
-        controls, names = ca.vertcat(*u.values()), [*u]
-        form, _ = ca.hessian(H, controls)
+        controls, names, form = ca.vertcat(*u.values()), [*u], ca.hessian(H, ca.vertcat(*u.values()))[0]
         demand(not ca.depends_on(form, controls), "H has no formula for its minimum")
         pairs = [(names[a], names[b]) for a, b in zip(*form.sparsity().get_triplet(), strict=True)]
         for c in directions:

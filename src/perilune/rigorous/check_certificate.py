@@ -194,21 +194,26 @@ class _Proof:
         return root, J
 
     def along(self, i: int, at: int, length: Any, polynomials: list[Any], y: list[Any]) -> None:
-        """Limits and signs along one step; what a switch makes zero at an end of its arc, by its slope there."""
-        equations, arcs, waiting = self.equations, self.told["arcs"], [(0.0, 1.0)]
+        """Limits and signs along one step: what is monotone by its least, what a switch makes zero by its slope."""
+        arcs, waiting = self.told["arcs"], [(0.0, 1.0)]
         zeros = {(1.0, arcs[i]["switched"])} if at + 1 == len(self.grid[i]) else set()
-        zeros |= (
-            {(0.0, arcs[i - 1]["switched"])} if at == 0 and i and arcs[i - 1]["phase"] == arcs[i]["phase"] else set()
-        )
+        zeros |= {(0.0, arcs[i - 1]["switched"])} if at == 0 and i not in self.equations.first else set()
+
+        def least(program: Any, *places: Any) -> list[tuple[Any, Any]]:
+            """The least over a piece, the first of the places, and the slope: by the ends if that has a sign."""
+            whole, first, last = (program(y, z) for z in places)
+            rises = whole[len(whole) // 2 :]
+            return [(last[j] if r < 0 else first[j] if r > 0 else whole[j], r) for j, r in enumerate(rises)]
+
         while waiting:
             a, b = waiting.pop()
-            z = [over(own, length * arb(a).union(arb(b))) for own in polynomials]
-            ends = [end for end in (0.0, 1.0) if end in (a, b)]
-            seen = all(value > -TOLERANCE and not value < 0 for value in equations.limits[i](y, z))
-            for name, value, rise in zip(
-                equations.signed[i], equations.signs[i](z), equations.rising[i](z), strict=True
-            ):
-                seen &= bool(value > 0) or any((end, name) in zeros and rise * (1 - 2 * end) > 0 for end in ends)
+            spans = (arb(a).union(arb(b)), arb(a), arb(b))
+            places = [[over(own, length * t) for own in polynomials] for t in spans]
+            limits, signs = least(self.equations.limits[i], *places), least(self.equations.signs[i], *places)
+            seen = all(value > -TOLERANCE and not value < 0 for value, _ in limits)
+            for name, (value, rise) in zip(self.equations.signed[i], signs, strict=True):
+                turned = any((end, name) in zeros and rise * (1 - 2 * end) > 0 for end in (0.0, 1.0) if end in (a, b))
+                seen &= bool(value > 0) or turned
             if not seen:
                 demand(b - a > PIECES, f"a limit of arc {i + 1} is broken, or a sign is not seen")
                 waiting += [(a, (a + b) / 2), ((a + b) / 2, b)]
