@@ -175,6 +175,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (checks.conjugate_points_are_seen, {
             "Riccati's equation past a conjugate point":
                 ("regular", "return proved.begin + middle", "continue"),
+            "W left where a step began": ("second_order", "            W = above(", "            above("),
             "tangents of higher order unseen": ("regular", "own * inverse * away**k", "own * inverse * 0"),
             "form at the end unseen": ("second_order", '"" if positive_definite(C) else', '"" if True else'),
             "second variation with the wrong sign": ("junctions", "above(M * -1, weights)", "above(M, weights)"),

@@ -120,6 +120,35 @@ def test_a_control_without_a_formula_has_its_conjugate_points(stretch: float) ->
     assert swung(3.05, stretch, joint=True).proved and not swung(3.25, stretch, joint=True).proved
 
 
+def spun(angle: float, turn: float, skew: float) -> Any:
+    """Least integral of (|u|^2 - |x|^2)/2 over an angle in a plane that turns: minima up to pi, as where it does not.
+
+    Its second coordinate is in the first, `skew` times.
+    """
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        first = x.x - skew * x.y
+        along, across = angle * u.u + turn * x.y, angle * u.v - turn * first
+        cost = 0.5 * (u.u**2 + u.v**2 - first**2 - x.y**2)
+        return ((along + skew * across) / p.T, across / p.T, angle * cost / p.T)
+
+    phase = pl.Phase(
+        name="go", states=variables("x", "y", "c"), duration="T", dynamics=rates,
+        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        end=lambda x, p, m: (x.x - p.e, x.y), end_conditions=variables("there", "too"),
+    )  # fmt: skip
+    stated = phases("spun", phase, start=lambda p, m: (0.0, 0.0, 0.0), e=1.0)
+    slope = -1 / math.sin(angle)
+    first, last = slope * math.cos(turn), slope * math.cos(angle)
+    guess = [first, slope * math.sin(turn) - skew * first, 1.0, last, -skew * last]
+    return optimum(stated, [(0, {"u": "interior", "v": "interior"}, "")], guess)
+
+
+def test_a_plane_that_turns_moves_no_conjugate_point() -> None:
+    """In coordinates so skew that tangents enclosed from the start on are lost by wrapping in one turn."""
+    assert spun(3.05, turn=6.0, skew=5.0).proved
+
+
 # -- links and ends that are curved ------------------------------------------------------------------------------------
 
 

@@ -16,8 +16,9 @@ W exists, that no junction has too little weight, and that Phi_xx - W is positiv
 (Zeidan, *Sufficient conditions for the generalized problem of Bolza*, 1983; Maurer, Pickenhain, *Second-order
 sufficient conditions for control problems with mixed control-state constraints*, 1995). W = Lambda X^-1 with the
 tangents (X, Lambda) of the canonical equations that begin with (1, W); it exists as long as X is regular (`regular`).
-As X begins with 1, nothing is singular at the start; large M come as close as one likes to the condition that no point
-is conjugate to it. Where no formula gives scalars w, (dx, dlambda) move them by dw = -H_ww^-1 H_wz dz where an arc
+They begin anew with every step, where W may be replaced by a larger one: what lies before is still no less. As X
+begins with 1, nothing is singular at the start; large M come as close as one likes to the condition that no point is
+conjugate to it. Where no formula gives scalars w, (dx, dlambda) move them by dw = -H_ww^-1 H_wz dz where a step
 begins; H_ww > 0 there, and it stays so, as w' divides by the pivots of its elimination all along.
 
 A scalar on a bound is none of this: dH/du has to have its sign strictly, up to both ends of the arc but where it
@@ -37,6 +38,7 @@ from flint import arb, arb_mat
 
 from perilune.rigorous.boundary import BoundaryProblem, Differentiated, lasting
 from perilune.rigorous.equations import Arc, Reader
+from perilune.rigorous.flight import identity
 from perilune.rigorous.flow import NotEnclosed, step
 from perilune.rigorous.graph import Expression
 from perilune.rigorous.junctions import Junction, above, passed
@@ -202,18 +204,13 @@ class _Form:
             if W is None:
                 return f"the weights do not outweigh the curvature of the start of {self.phases[k].name}"
             z = [*junction.follows(at), *self.costates[k], *([arb(0)] * len(self.names))]
-            # Columns of one size, in exact numbers: X has another factor, and the same W.
-            unit = arb_mat([[arb(weights[i] ** -0.5) if i == j else arb(0) for j in range(half)] for i in range(half)])
-            V = arb_mat(unit.tolist() + (W * unit).tolist())
             for i, arc in self.arcs[k]:
-                z, V = _with_w(arc, z, V, self.w[i])
-                z, V, t = _flown(arc, z, V, self.times[i], self.nodes[i], order)
+                z = [*z[: 2 * half], *self.w[i]]
+                z, W, t = _flown(arc, z, W, self.times[i], self.nodes[i], weights, order)
                 if t is not None:
                     place = f"{arc.phase.name}, arc {i + 1}" if len(self.arcs[k]) > 1 else arc.phase.name
                     seconds = float((t * self.durations[i]).mid())
                     return f"no solution of Riccati's equation is enclosed at {seconds:.6g} s ({place})"
-            rows = V.tolist()
-            W = above(arb_mat(rows[half : 2 * half]) * arb_mat(rows[:half]).inv(), weights)
             z, before = z[:half], weights
         junction, multipliers = self.junctions[-1]
         _, C = junction.form([*z, *multipliers], W, before)
@@ -221,36 +218,41 @@ class _Form:
 
 
 def _flown(
-    arc: Arc, z: list[Ball], V: Any, times: Sequence[Ball], nodes: Sequence[Sequence[Ball]], order: int
-) -> tuple[list[Ball], Any, Ball | None]:
-    """Where an arc ends z and V; and a time at which X is not seen to be regular, None where it is all along.
+    arc: Arc, z: list[Ball], W: Any, times: Sequence[Ball], nodes: Sequence[Sequence[Ball]], weights: Sequence[float],
+    order: int,
+) -> tuple[list[Ball], Any, Ball | None]:  # fmt: skip
+    """Where an arc ends z and an exact W; and a time at which X is not seen to be regular, None where it is all along.
 
-    Where z is at the times is known from the flight, as `_without_constants` has it: by steps alone it would be lost.
-    Steps are halved where V is not enclosed, or X not seen to be regular.
+    Each step begins with X = 1 and an exact W, hardly larger than where the one before ends it: tangents of a whole arc
+    would be lost by wrapping, whatever W is like. Where z is at the times is known from the flight, as
+    `_without_constants` has it: by steps alone it would be lost too. Steps are halved where V is not enclosed, or X not
+    seen to be regular.
     """
-    own = _without_constants(range(len(z)), arc)
+    own, half = _without_constants(range(len(z)), arc), arc.half
+    kept = Differentiated(arc.graph, arc.stationary, [arc.keys[: 2 * half], arc.keys[2 * half :]])
     waiting = [(*pair, 0, node) for pair, node in zip(pairwise(times), nodes[1:], strict=True)]
     while waiting:
         begin, end, depth, node = waiting.pop(0)
         try:
-            *ahead, proved = step(arc, z, V, begin, end - begin, order)
-            t = irregular(proved, arc.half)
+            ahead, V, proved = step(arc, z, _tangents(kept, z, W), begin, end - begin, order)
+            t, rows = irregular(proved, half), V.tolist()
         except NotEnclosed:
             if depth == _HALVED:
                 raise
-            ahead, t = [z, V], begin
+            ahead, t, rows = z, begin, []
         if t is None:
-            z, V = ahead
+            z = ahead
+            W = above(arb_mat(rows[half : 2 * half]) * arb_mat(rows[:half]).inv(), weights)
             for i, known in zip(own, node, strict=True) if node else ():
                 if not z[i].overlaps(known):
                     raise NotEnclosed("two enclosures of one flight are apart")
                 z[i] = z[i].intersection(known)
         elif depth == _HALVED:
-            return z, V, t
+            return z, W, t
         else:
             middle = ((begin + end) / 2).mid()
             waiting[:0] = [(begin, middle, depth + 1, ()), (middle, end, depth + 1, node)]
-    return z, V, None
+    return z, W, None
 
 
 def _without_constants(z: Sequence[Any], arc: Arc) -> list[Any]:
@@ -273,15 +275,13 @@ def _sizes(boundary: BoundaryProblem, root: Root) -> list[list[float]]:
     return found
 
 
-def _with_w(arc: Arc, z: Sequence[Ball], V: Any, w: Sequence[Ball]) -> tuple[list[Ball], Any]:
-    """What no formula gives of the control, and its tangents, behind the costate where an arc begins."""
-    size = 2 * arc.half
-    if not arc.implicit:
-        return list(z[:size]), V
-    z = [*z[:size], *w]
-    _, (by_z, by_w) = Differentiated(arc.graph, arc.stationary, [arc.keys[:size], arc.keys[size:]]).slopes(
-        z[:size], z[size:]
-    )
+def _tangents(kept: Differentiated, z: Sequence[Ball], W: Any) -> Any:
+    """(1, W), and below how that moves what no formula gives of the control: so that dH/dw is kept 0."""
+    half = W.nrows()
+    V = arb_mat(identity(half).tolist() + W.tolist())
+    if not kept.count:
+        return V
+    _, (by_z, by_w) = kept.slopes(z[: 2 * half], z[2 * half :])
     if not positive_definite(by_w):
         raise NotEnclosed("H is not seen to be convex in the control that no formula gives")
-    return z, arb_mat(V.tolist() + (by_w.inv() * by_z * V * -1).tolist())
+    return arb_mat(V.tolist() + (by_w.inv() * by_z * V * -1).tolist())
