@@ -426,7 +426,7 @@ def numbers_are_exact() -> bool:
         truth = arb(fmpq(*Fraction(number).as_integer_ratio())) * arb.pi() ** power
         (read,) = program(own, [], [found.expression(own)]).values([])
         told = found.document()
-        written = room("certified").given(told)
+        written = room("certified.equations").given(told)
         if not all(ball.overlaps(truth) and ball.rad() < 1e-30 * truth for ball in (found.ball(), read, written)):
             return False
         if (Fraction(number), power) != (found.rational, found.power) or told["taken"] != "text":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
@@ -20,7 +21,7 @@ from flint import arb, arb_series, ctx
 
 import prover_checks
 from perilune.problem.verification import Verification
-from perilune.rigorous.certified import Equations, Failed, simplified
+from perilune.rigorous.certified.equations import Equations, Failed, simplified
 from perilune.rigorous.check_certificate import confirm, sentence
 from perilune.rigorous.verified import with_theorem
 
@@ -134,6 +135,14 @@ def _of_no_bound(told: Told) -> None:
     told["on_bounds"]["states"][0] = ["first", "v", None]
 
 
+FALSE_OPTIMUM: dict[str, tuple[Callable[[Told], Any], str]] = {
+    "weight": (lambda told: told["weights"][0].__setitem__(0, -1.0), "a weight is none"),
+    "no weight": (lambda told: told["weights"][0].__setitem__(0, math.nan), "a weight is none"),
+    "one phase": (lambda told: told["weights"].pop(), "not as many weights as phases"),
+    "light": (lambda told: told.update(weights=[[1e-60] * len(own) for own in told["weights"]]), "weights|positive"),
+}  # fmt: skip
+
+
 FALSE_END: dict[str, tuple[Callable[[Told], Any], str]] = {
     "multiplier": (_opposite, "leaves the box"),
     "side": (_other_side, "would be left"),
@@ -148,7 +157,8 @@ FALSE_END: dict[str, tuple[Callable[[Told], Any], str]] = {
 
 @pytest.mark.parametrize(
     ("make", "claim", "change", "why"),
-    [(make, claim, *own) for make, false in ((least_time, FALSE), (staged_burns, FALSE_END))
+    [(make, claim, *own)
+     for make, false in ((least_time, FALSE), (staged_burns, FALSE_END), (staged_burns, FALSE_OPTIMUM))
      for claim, own in false.items()],
 )  # fmt: skip
 def test_a_false_certificate_is_refused(
@@ -183,6 +193,7 @@ def test_the_least_is_told_from_the_greatest_however_small(make: Callable[[], pl
         if small[i]:
             u["centre"] = f"{sign * int(mantissa)}*2^{int(exponent) - 44}"
             told["only_one_within"][i] *= 2.0**-44
+    told["weights"] = [[2.0**-44 * weight for weight in own] for own in told["weights"]]
     told["objective"] = "[0 +/- 1000]"
     told["theorem"] = sentence(told)
     if sign > 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,6 +16,8 @@ pytest.importorskip("flint")
 from flint import arb, ctx
 
 from perilune.problem.variables import Given, Variable
+from perilune.rigorous.certified.equations import Failed
+from perilune.rigorous.check_certificate import confirm, sentence
 from prover_checks import room, settings
 
 UP, DOWN, FREE = {"v": "upper", "u": "interior"}, {"v": "lower", "u": "interior"}, {"u": "interior"}
@@ -29,7 +32,31 @@ def optimum(stated: pl.Problem, pieces: Sequence[tuple[int, dict[str, str], str]
         boundary = room("boundary").boundary_problem(stated, own, sides)
         refined = root.refine(boundary, [arb(value) for value in guess], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
-        return room("second_order").local_optimum(boundary, found, rough.order, lambda _: None)
+        said = room("second_order").local_optimum(boundary, found, rough.order, lambda _: None)
+        if not any(arc.implicit for arc in boundary.arcs):  # which the checker does not know
+            assert seen_again(boundary, refined, found, rough, said) == said.proved, said.where
+        return said
+
+
+def seen_again(boundary: Any, refined: Any, found: Any, rough: Any, said: Any) -> bool:
+    """Whether the checker sees a strict local optimum too; that it is an extremal it has to see, and sees before."""
+    second_order = room("second_order")
+    weights = said.weights or second_order._Form(boundary, found).weights_of_moving(1e4)
+    proved = room("theorem").Proved(
+        boundary=boundary, refined=refined, settings=rough, root=found,
+        alone=room("root").alone(boundary, refined, found, rough, lambda _: None),
+        objective=boundary.objective.values(found.y, found.flight.ends[-1])[0],
+        statements=(), optimum=second_order.Optimum(proved=False), distance=0.0, reached=True,
+    )  # fmt: skip
+    told = room("told").certificate(proved, "")
+    told["weights"] = weights
+    told["theorem"] = sentence(told)
+    try:
+        confirm(told, lambda _: None)
+    except Failed as refused:
+        assert re.search("second variation|Riccati|weights|not affine|not switch alone|multiply a dir", str(refused))
+        return False
+    return True
 
 
 def variables(*names: str) -> tuple[Variable, ...]:

@@ -31,6 +31,7 @@ a slope, or an end at such a bound of its range, moves no more than one that is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -49,13 +50,26 @@ from perilune.rigorous.root import Root
 from perilune.rigorous.signs import Quantity
 from perilune.rigorous.taylor import Ball
 
-WORDS = "a strict local optimum"
 _WEIGHTS = (1e2, 1e4, 1e6)  # times the size of J over the square of that of a state
 _NOT_POSITIVE = "the second variation is not seen to be positive at the end"
 _HALVED = 5  # times at most is a step
 
 
-def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Callable[[str], None]) -> Statement:
+@dataclass(frozen=True, kw_only=True)
+class Optimum(Statement):
+    """That an extremal is a strict local optimum.
+
+    Attributes
+    ----------
+    weights
+        M of each phase, of its states and of what is free and on no bound, by which it was seen.
+    """
+
+    words: str = "a strict local optimum"
+    weights: Sequence[Sequence[float]] = ()
+
+
+def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Callable[[str], None]) -> Optimum:
     """Whether a proved extremal is a strict local optimum.
 
     Parameters
@@ -69,7 +83,7 @@ def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Calla
     """
     where = next(_not_covered(boundary, root), "")
     if where:
-        return Statement(words=WORDS, proved=False, where=f"as {where}")
+        return Optimum(proved=False, where=f"as {where}")
     form, found = _Form(boundary, root), list[str]()
     for weight in _WEIGHTS:
         try:
@@ -78,9 +92,9 @@ def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Calla
             found.append(error.what if isinstance(error, NotEnclosed) else "a matrix is singular")
         tell(f"second variation, weight {weight:.0e}: {found[-1] or 'positive'}")
         if not found[-1]:
-            return Statement(words=WORDS, proved=True)
+            return Optimum(proved=True, weights=form.weights_of_moving(weight))
     last = next((where for where in found if where == _NOT_POSITIVE), found[-1])  # it says the most
-    return Statement(words=WORDS, proved=False, where=f"as {last}")
+    return Optimum(proved=False, where=f"as {last}")
 
 
 def _not_covered(boundary: BoundaryProblem, root: Root) -> Iterator[str]:
@@ -193,6 +207,14 @@ class _Form:
         together = max(costs) or 1.0
         constant = [max(abs(float(value)), 1e-3) for value in self.constants]
         return [[weight * together / (size * size) for size in (*sizes, *constant)] for sizes in self.sizes]
+
+    def weights_of_moving(self, weight: float) -> list[list[float]]:
+        """The same without parameters on a bound."""
+        moving = [("p", name) in self.moving for name in self.names]
+        return [
+            [m for m, kept in zip(own, [True] * len(sizes) + moving, strict=True) if kept]
+            for own, sizes in zip(self._weights(weight), self.sizes, strict=True)
+        ]
 
     def fails(self, order: int, weight: float) -> str:
         """Which condition is not enclosed, in words; "" where all are."""

@@ -16,7 +16,7 @@ from perilune.rigorous.guess import pieces_of, sides_of, unknowns_of
 from perilune.rigorous.limits import Limits, Statement
 from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.root import NotProved, Refined, Root, Settings, alone, prove_root, refine
-from perilune.rigorous.second_order import local_optimum
+from perilune.rigorous.second_order import Optimum, local_optimum
 from perilune.rigorous.taylor import Ball
 
 # Tried in order: shorter steps and more bits where the first are not enclosed.
@@ -53,7 +53,7 @@ class Proved:
     alone: Root
     objective: Ball
     statements: tuple[Statement, ...]
-    optimum: Statement
+    optimum: Optimum
     distance: float
     reached: bool
 

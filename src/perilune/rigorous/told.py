@@ -130,11 +130,11 @@ def certificate(proved: Proved, text: str) -> dict[str, Any]:
             for name, c, k, alone in zip(boundary.names, proved.refined.y, root.y, proved.alone.box, strict=True)
         ],
         "only_one_within": [float(b.rad()) for b in proved.alone.box],
+        "weights": proved.optimum.weights if proved.optimum.proved else None,
         "objective": _claimed(proved.objective, arb(0), proved),
         "by_the_prover_alone": {
             "theorem": text,
             "distance": proved.distance,
-            "local_optimum": proved.optimum.proved,
             "statements": [
                 {"words": s.words, "proved": s.proved, "least": s.least if math.isfinite(s.least) else None,
                  "slack": s.slack}

@@ -71,9 +71,9 @@ IN_BALLS = {  # what CasADi's instructions do
 
 
 class Program:
-    """Expressions, done with balls or with series of them; if asked for with their derivatives by each group."""
+    """Expressions, done with balls or with series of them, and their derivatives by the first groups of inputs."""
 
-    def __init__(self, numbers: dict[int, Any], groups: list[Any], outputs: list[Any], slopes: bool = False) -> None:
+    def __init__(self, numbers: dict[int, Any], groups: list[Any], outputs: list[Any], slopes: int = 0) -> None:
         column, self.numbers = ca.vertcat(*outputs), [ball for _, ball in numbers.values()]
         inputs = [*groups, ca.vertcat(*(symbol for symbol, _ in numbers.values()))]
         f = ca.Function("f", inputs, [ca.cse(ca.densify(ca.vec(column.T)))])
@@ -81,7 +81,7 @@ class Program:
             (k := f.instruction_id(i), f.instruction_input(i), f.instruction_output(i),
              arb(f.instruction_constant(i)) if k == ca.OP_CONST else None) for i in range(f.n_instructions())
         ]  # fmt: skip
-        self.slopes = [Program(numbers, groups, [ca.jacobian(column, own)]) for own in groups if slopes]
+        self.slopes = [Program(numbers, groups, [ca.jacobian(column, own)]) for own in groups[:slopes]]
 
     def __call__(self, *groups: Any) -> list[Any]:
         """The outputs, row by row."""
@@ -116,7 +116,7 @@ class Equations:
                                  for f in (min, max))  # fmt: skip
         self.stay = [[f["name"] for f in self.free if self.acts(k, f["name"])] for k in range(len(self.phases))]
 
-        y = ca.SX.sym("y", len(told["unknowns"]))
+        self.y = y = ca.SX.sym("y", len(told["unknowns"]))
         named = iter([*zip((u["name"] for u in told["unknowns"]), ca.vertsplit(y), strict=True), ("", None)])
 
         def unknown(name: str) -> Any:
@@ -130,31 +130,34 @@ class Equations:
         ]
         self.q = {f["name"]: unknown(f["name"]) for f in self.free}
         self.z = [ca.SX.sym("z", 2 * self.lam[k].numel()) for k in follows]
-        ends = [[(unknown(name), *own) for name, *own in self.end(k)] for k in range(len(self.phases))]
-        lengths = {i: unknown(f"{self.phases[k]['name']}, length of arc {i - self.first[k] + 1}")
+        self.ends = [[(unknown(name), *own) for name, *own in self.end(k)] for k in range(len(self.phases))]
+        self.lengths = {i: unknown(f"{self.phases[k]['name']}, length of arc {i - self.first[k] + 1}")
                    for i, k in enumerate(follows) if self.arcs[i]["switched"]}  # fmt: skip
         unknown("")
-        times = list[Any]()
+        self.lasting = list[Any]()
         for i, k in enumerate(follows):
             whole = {**self.given, **self.q}[self.phases[k]["duration"]]
-            times.append(lengths.get(i, whole - sum(times[self.first[k] : i])))
+            self.lasting.append(self.lengths.get(i, whole - sum(self.lasting[self.first[k] : i])))
 
-        flown, before = [self.steered(i, z) for i, z in enumerate(self.z)], [ca.SX(0, 1), *self.z[:-1]]
-        starts, residual, asked = self.conditions(ends, flown, before)
-        self.residual, self.asked = (
-            self.program([y, *self.z], residual, True),
-            self.program([y, *self.z], asked + times),
-        )
-        self.times = [self.program([y], [own], True) for own in times]
-        self.starts = [self.program([y, z], [own], True) for z, own in zip(before, starts, strict=True)]
-        self.signed, along = [own["signed"] for own in flown], [*zip(self.z, flown, strict=True)]
-        self.rates = [self.program([z], [own["rates"]], True) for z, own in along]
+        self.flown, before = [self.steered(i, z) for i, z in enumerate(self.z)], [ca.SX(0, 1), *self.z[:-1]]
+        self.J = self.traced("objective", len(self.phases) - 1, self.z[-1], {}, self.q)[0]
+        self.begins = [
+            ca.vertcat(*self.traced(f"links {k - 1}" if k else "start", max(k - 1, 0), before[i], {}, self.q))
+            for k, i in enumerate(self.first)
+        ]
+        starts, residual, asked = self.conditions(before)
+        self.residual = self.program([y, *self.z], [*residual, self.J], 1 + len(self.z))
+        self.asked = self.program([y, *self.z], [*asked, *self.lasting])
+        self.times = [self.program([y], [own], 1) for own in self.lasting]
+        self.starts = [self.program([y, z], [own], 2) for z, own in zip(before, starts, strict=True)]
+        self.signed, along = [own["signed"] for own in self.flown], [*zip(self.z, self.flown, strict=True)]
+        self.rates = [self.program([z], [own["rates"]], 1) for z, own in along]
         self.limits, self.signs = (  # with their derivatives by time behind them
             [self.program([y, z], own[what] + [ca.jtimes(v, z, own["rates"]) for v in own[what]]) for z, own in along]
             for what in ("limits", "signs")
         )
 
-    def program(self, groups: list[Any], outputs: list[Any], slopes: bool = False) -> Program:
+    def program(self, groups: list[Any], outputs: list[Any], slopes: int = 0) -> Program:
         """Expressions as a program."""
         return Program(self.numbers, groups, outputs, slopes)
 
@@ -215,15 +218,13 @@ class Equations:
               for j, s in enumerate(phase["states"]) if s["name"] in held),
         ]  # fmt: skip
 
-    def conditions(self, ends: list[Any], flown: list[Any], before: list[Any]) -> tuple[list[Any], ...]:
-        """Where arcs begin, what vanishes, with J behind it, and what has to be positive beside it."""
-        L = J = self.traced("objective", len(self.phases) - 1, self.z[-1], {}, self.q)[0]
-        starts, F, asked = [*before], list[Any](), list[Any]()
+    def conditions(self, before: list[Any]) -> tuple[list[Any], list[Any], list[Any]]:
+        """Where arcs begin, what vanishes, and what has to be positive beside it."""
+        L, starts, F, asked = self.J, [*before], list[Any](), list[Any]()
         for k, i in enumerate(self.first):
-            begins = self.traced(f"links {k - 1}" if k else "start", max(k - 1, 0), before[i], {}, self.q)
-            begins = ca.vertcat(*begins, *(self.q[name] for name in self.stay[k]))
+            begins = ca.vertcat(self.begins[k], *(self.q[name] for name in self.stay[k]))
             starts[i], L = ca.vertcat(begins, self.lam[k]), L + ca.dot(self.lam[k], begins)
-            for multiplier, value, c, side in ends[k]:
+            for multiplier, value, c, side in self.ends[k]:
                 L, held = L + multiplier * value, side in ("lower", "upper")
                 demand((c["lower"] is c["upper"] is None) == (side is None), f"{c['name']} is no such condition")
                 asked += self.room(value, {**c, side: None}, {})
@@ -235,15 +236,16 @@ class Equations:
         for f in self.free:
             name, q, side = f["name"], self.q[f["name"]], self.on["free"].get(f["name"])
             lasting = [i for i, p in zip(self.last, self.phases, strict=True) if p["duration"] == name]
-            slope = ca.gradient(L, q) + sum(flown[i]["H"] for i in lasting)
+            slope = ca.gradient(L, q) + sum(self.flown[i]["H"] for i in lasting)
             asked += [*self.room(q, {**f, side: None}, {}), *([slope if side == "lower" else -slope] if side else [])]
             F.append(q - self.limit(f[side], {}) if side else slope)
         for i, arc in enumerate(self.arcs):
             if name := arc["switched"]:
                 (c,) = (c for c in self.phases[arc["phase"]]["controls"] if c["names"] == [name])
                 inside, bound = arc["regimes"][name] == "interior", self.arcs[i + 1]["regimes"][name]
-                F.append(flown[i]["u"][name] - self.limit(c[bound], {}) if inside else flown[i]["pulls"][name])
-        return starts, [*F, J], asked
+                own = self.flown[i]
+                F.append(own["u"][name] - self.limit(c[bound], {}) if inside else own["pulls"][name])
+        return starts, F, asked
 
     def steered(self, i: int, z: Any) -> dict[str, Any]:
         """Of an arc: z', the u that minimises H, dH/du, H, limits, and signs by which that is the only minimum."""
@@ -261,7 +263,7 @@ class Equations:
             return ca.substitute(into, *(ca.vertcat(*own) for own in zip(*pairs, strict=True))) if pairs else into
 
         with simplified(True):  # to see what is 0
-            curved = self.curved(H, u, scalars, directions)
+            curved, factors = self.curved(H, u, scalars, directions)
         for c in directions:  # a scalar that multiplies it does not turn it
             g = put(ca.gradient(H, ca.vertcat(*(u[name] for name in c["names"]))), dict.fromkeys(scalars, 1))
             found |= zip(c["names"], ca.vertsplit(-g / ca.sqrt(ca.dot(g, g))), strict=True)
@@ -279,22 +281,24 @@ class Equations:
         adjoint = -ca.gradient(put(H, held), z)[:half]  # a bound that holds a control moves with what it is
         return {
             "rates": put(ca.vertcat(f, ca.SX.zeros(half - n), adjoint), found), "u": found, "pulls": pulls,
-            "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": put(H, found),
+            "factors": factors, "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": put(H, found),
         }  # fmt: skip
 
-    def curved(self, H: Any, u: dict[str, Any], scalars: dict[str, Any], directions: list[Any]) -> dict[str, Any]:
-        """d2H/du2 of scalars, of which the minimum of H is that of each control by itself, directions first."""
+    def curved(self, H: Any, u: dict[str, Any], scalars: dict[str, Any], directions: list[Any]) -> tuple[Any, set[str]]:
+        """d2H/du2 of scalars, if the minimum of H is that of each control by itself; and which multiply directions."""
         controls, names, form = ca.vertcat(*u.values()), [*u], ca.hessian(H, ca.vertcat(*u.values()))[0]
         demand(not ca.depends_on(form, controls), "H has no formula for its minimum")
         pairs = [(names[a], names[b]) for a, b in zip(*form.sparsity().get_triplet(), strict=True)]
+        factors = set[str]()
         for c in directions:
-            factors = {b for a, b in pairs if a in c["names"]}
-            demand(factors <= {*scalars} and len(factors) < 2, "H has no formula for its minimum")
-            for s in factors:
+            own = {b for a, b in pairs if a in c["names"]}
+            demand(own <= {*scalars} and len(own) < 2, "H has no formula for its minimum")
+            factors |= own
+            for s in own:
                 rest = ca.substitute(ca.gradient(H, ca.vertcat(*(u[name] for name in c["names"]))), u[s], 0)
                 demand(rest.is_zero(), "a direction is multiplied and is not")
                 _, least = self.numbers[self.limit(scalars[s]["lower"], {}).element_hash()]
                 demand(bool(least >= 0), "a factor of a direction may be negative")
         twice = [(a, b) for a, b in pairs if a in scalars and b in scalars]
         demand(all(a == b for a, b in twice), "H has no formula for its minimum")
-        return {a: form[names.index(a), names.index(a)] for a, _ in twice}
+        return {a: form[names.index(a), names.index(a)] for a, _ in twice}, factors

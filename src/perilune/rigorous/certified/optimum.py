@@ -1,0 +1,174 @@
+"""The second variation of a certificate's extremal: by a solution of Riccati's equation, it is positive.
+
+On each arc time is s = t / T; lengths of arcs and free parameters p that are on no bound are constant states of every
+phase, xi = (x, p). With H = T lambda . f at the u that minimises it, W = Lambda X^-1 of the tangents (X, Lambda) of
+xi' = H_lambda, lambda' = -H_xi, which begin anew with (1, W) at each step, W being replaced there by a larger one. With
+K = (lambda . l + nu . psi)_vv at the start and at links, where xi = l(v) and psi(v) = 0 behind a phase,
+
+    -dx' W dx <= min over dv of |dx - l_v dv|^2_M + dv' (K - W_before) dv + R |psi_v dv|^2,
+
+and (J + nu . psi)_vv - W + R psi_v' psi_v > 0 at the last end: the second variation is no less than that on the kernel
+of psi_v. M are weights that the certificate states; R does not matter but for how little it costs.
+"""
+
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+from flint import arb, arb_mat
+
+from perilune.rigorous.certified.equations import Equations, Failed, demand
+from perilune.rigorous.certified.steps import horner, over, step
+
+DEEPEST, PENALTY = 12, 2.0**40  # halvings of a step; R, times M of what a condition weighs
+
+
+def identity(size: int) -> Any:
+    """The unit matrix."""
+    return arb_mat([[int(a == b) for b in range(size)] for a in range(size)]) if size else arb_mat(0, 0)
+
+
+def diagonal(weights: list[Any]) -> Any:
+    """A diagonal matrix."""
+    return arb_mat([[w if a == b else arb(0) for b in range(len(weights))] for a, w in enumerate(weights)])
+
+
+def positive(form: Any) -> bool:
+    """Whether every symmetric matrix in these balls is positive definite: pivots of its elimination."""
+    rows = form.tolist()
+    for k in range(len(rows)):
+        if not rows[k][k] > 0:
+            return False
+        for i in range(k + 1, len(rows)):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return True
+
+
+def above(W: Any, weights: list[Any]) -> Any:
+    """An exact symmetric matrix no less than W: what they differ by is diagonally dominant, in units of one size."""
+    size, found, units = W.nrows(), ((W.mid() + W.mid().transpose()) * arb(0.5)).mid(), [1 / w.sqrt() for w in weights]
+    gap = found - W
+    for i in range(size):
+        most = sum(((gap[i, j].abs_upper() + gap[j, i].abs_upper()) * units[j] for j in range(size)), arb(0)) / units[i]
+        found[i, i] = (found[i, i] + most).upper()
+    return found
+
+
+def regular(c: list[Any], size: int, length: Any) -> bool:
+    """Whether X, of which these are the polynomials, is regular all along a step: |E|^k 1 < 1 with X C = 1 + E."""
+    C = arb_mat(size, size, [horner(own, length / 2) for own in c]).mid().inv().mid()
+    E = arb_mat(size, size, [over(own, arb(0).union(length)) for own in c]) * C - identity(size)
+    sizes, sums = [[e.abs_upper() for e in row] for row in E.tolist()], [arb(1)] * size
+    for _ in range(size):
+        sums = [sum((e * s for e, s in zip(row, sums, strict=True)), arb(0)) for row in sizes]
+        if all(s < 1 for s in sums):
+            return True
+    return False
+
+
+class SecondVariation:
+    """The second variation of what `Equations` state."""
+
+    def __init__(self, equations: Equations, weights: list[list[float]]) -> None:
+        self.equations, self.weights = equations, [[arb(w) for w in own] for own in weights]
+        demand(all(w > 0 and w.is_finite() for own in self.weights for w in own), "a weight is none")
+        demand(len(weights) == len(equations.phases), "there are not as many weights as phases")
+        free = [q for name, q in equations.q.items() if name not in equations.on["free"]]
+        self.p = ca.vertcat(*free, *equations.lengths.values())
+        self.rates = [self.program_of(i) for i in range(len(equations.arcs))]
+        before, groups = self.p, [equations.y, *equations.z]
+        self.junctions = list[Any]()
+        for k in range(len(equations.phases) + 1):
+            psi = [(nu, value) for nu, value, _, side in equations.ends[k - 1] if side != "inside"] if k else []
+            if k < len(equations.phases):
+                begins = equations.begins[k]
+                L, follows = ca.dot(equations.lam[k][: begins.numel()], begins), ca.vertcat(begins, self.p)
+            else:
+                L, follows = equations.J, ca.SX(0, 1)
+            L, values = L + sum(nu * value for nu, value in psi), ca.vertcat(*(value for _, value in psi))
+            form = ca.hessian(L, before)[0]
+            slopes = [
+                ca.jacobian(own, before) if own.numel() else ca.SX(0, before.numel()) for own in (follows, values)
+            ]
+            self.junctions.append([equations.program(groups, [own]) for own in (*slopes, form)])
+            if k < len(equations.phases):
+                z, states = equations.z[equations.last[k]], len(equations.phases[k]["states"])
+                before = ca.vertcat(z[:states], self.p)
+
+    def program_of(self, i: int) -> Any:
+        """The canonical equations of an arc for (x, p, lambda of both)."""
+        equations, k = self.equations, self.equations.arcs[i]["phase"]
+        z, own, T, n, stay = (
+            equations.z[i], equations.flown[i], equations.lasting[i], len(equations.phases[k]["states"]),
+            equations.stay[k],
+        )  # fmt: skip
+        half, size = z.numel() // 2, n + self.p.numel()
+        by_p = -ca.gradient(T, self.p) * own["H"]
+        for j, name in enumerate(stay):  # lambda' of a parameter that acts is -H_q
+            by_p += ca.gradient(equations.q[name], self.p) * own["rates"][half + n + j] * T
+        rates = ca.vertcat(T * own["rates"][:n], ca.SX.zeros(self.p.numel()), T * own["rates"][half : half + n], by_p)
+        zeta = ca.SX.sym("zeta", 2 * size)
+        constants = ca.vertcat(*(equations.q[name] for name in stay))
+        rates = ca.substitute(rates, z, ca.vertcat(zeta[:n], constants, zeta[size : size + n], ca.SX.zeros(len(stay))))
+        rates = ca.substitute(rates, self.p, zeta[n:size])
+        return equations.program([zeta, equations.y], [rates], 1)
+
+    def demand_order(self) -> None:
+        """Switches are jumps of one scalar each in which H is affine, and nothing makes a direction vanish from H."""
+        arcs = self.equations.arcs
+        for i, arc in enumerate(arcs):
+            for name in self.equations.flown[i]["factors"]:
+                (c,) = (c for c in self.equations.phases[arc["phase"]]["controls"] if c["names"] == [name])
+                held = arc["regimes"][name] != "interior" and self.equations.limit(c[arc["regimes"][name]], {})
+                seen = held is not False and self.equations.numbers[held.element_hash()][1] > 0
+                demand(bool(seen), "nothing may multiply a direction for a while")
+            if name := arc["switched"]:
+                a, b = arc["regimes"], arcs[i + 1]["regimes"]
+                demand([own for own in a if a[own] != b[own]] == [name], f"{name} does not switch alone")
+                affine = f"{name} twice" not in [*self.equations.signed[i], *self.equations.signed[i + 1]]
+                demand(affine and "interior" not in (a[name], b[name]), f"H is not affine in {name}, which switches")
+
+    def check(self, grid: list[list[Any]], nodes: list[Any], y: list[Any]) -> None:
+        """See that it is positive, for the flight that has these enclosures at the times of the grid."""
+        self.demand_order()
+        program, ends, W = self.equations.program, [own[-1] for own in nodes], None
+        (p,) = [program([self.equations.y], [self.p])(y)]
+        for k, (slopes, conditions, form) in enumerate(self.junctions):
+            G, psi, C = (own.matrix(y, *ends) for own in (slopes, conditions, form))
+            C = C if W is None else C - W
+            for row in psi.tolist():
+                weight = sum((v * v / w for v, w in zip(row, self.weights[k - 1], strict=True)), arb(0))
+                C = C + arb_mat([[a * b * (PENALTY / weight) for b in row] for a in row])
+            if k == len(self.equations.phases):
+                demand(positive(C), "the second variation is not seen to be positive")
+                return
+            M = diagonal(self.weights[k])
+            core = G.transpose() * M * G + C
+            demand(positive(core), "weights do not outweigh the curvature of a start")
+            W = above((M * G * core.inv() * G.transpose() * M if core.nrows() else 0 * M) - M, self.weights[k])
+            for i, arc in enumerate(self.equations.arcs):
+                if arc["phase"] == k:
+                    (T,) = self.equations.times[i](y)
+                    for z, (a, b) in zip(nodes[i], pairwise([*grid[i], T]), strict=False):
+                        n, half = W.nrows() - len(p), len(z) // 2
+                        zeta = [*z[:n], *p, *z[half : half + n], *([arb(0)] * len(p))]
+                        _, W = self.carried(i, zeta, W, (b - a) / T, y, self.weights[k])
+
+    def carried(
+        self, i: int, z: list[Any], W: Any, length: Any, y: list[Any], weights: list[Any], depth: int = 0
+    ) -> Any:
+        """Where a step ends z, and no less than W there; halved where X is not seen to be regular."""
+        size = W.nrows()
+        try:
+            end, V, c = step(self.rates[i], z, arb_mat(identity(size).tolist() + W.tolist()), length, y)
+            seen = regular(c[2 * size : 2 * size + size * size], size, length)
+        except (Failed, ZeroDivisionError):
+            seen, end, V = False, z, W
+        if seen:
+            rows = V.tolist()
+            return end, above(arb_mat(rows[size:]) * arb_mat(rows[:size]).inv(), weights)
+        demand(depth < DEEPEST, f"no solution of Riccati's equation is seen on arc {i + 1}")
+        for _ in range(2):
+            z, W = self.carried(i, z, W, length / 2, y, weights, depth + 1)
+        return z, W

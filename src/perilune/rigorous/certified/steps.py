@@ -1,0 +1,67 @@
+"""Steps of a flight in balls: Taylor polynomials by Picard's iteration in power series, with their remainder."""
+
+from typing import Any
+
+from flint import arb, arb_mat, arb_series, ctx
+
+from perilune.rigorous.certified.equations import Program, demand
+
+ORDER, WIDER = 34, 2.0**-20  # of the series; of what encloses a step
+
+
+def horner(c: list[Any], t: Any) -> Any:
+    """A polynomial, lowest order first."""
+    total = c[-1]
+    for own in c[-2::-1]:
+        total = total * t + own
+    return total
+
+
+def over(c: list[Any], t: Any) -> Any:
+    """A polynomial over an interval, by its slope there; its last coefficient is a ball that holds the remainder."""
+    slope = horner([k * own for k, own in enumerate(c[:-1])][1:], t)
+    return horner(c[:-1], t.mid()) + slope * (t - t.mid()) + c[-1] * t ** (len(c) - 1)
+
+
+def listed(series: Any, count: int) -> list[Any]:
+    """Coefficients of a series that is known far enough, or of a constant."""
+    if not isinstance(series, arb_series):
+        return [arb(series), *[arb(0)] * (count - 1)]
+    demand(series.prec >= count, "a series is shorter than its use")  # it has cut something off
+    return [*(c := series.coeffs()[:count]), *[arb(0)] * (count - len(c))]
+
+
+def coefficients(rates: Program, z: list[Any], V: Any, orders: int, *others: Any) -> list[list[Any]]:
+    """The Taylor coefficients of z with z' = rates(z, others), and of the entries of the tangents V if it has any."""
+    found, size = [[v] for v in z], len(z)
+    for k in range(orders):
+        ctx.cap = k + 1
+        moved = rates([arb_series(own, k + 1) for own in found], *others)
+        found = [[*own, listed(rate, k + 1)[k] / (k + 1)] for own, rate in zip(found, moved, strict=True)]
+    if not V.ncols():
+        return found
+    ctx.cap = orders
+    series = [arb_series(own[:orders], orders) for own in found]
+    slopes = [listed(d, orders) for d in rates.slopes[0](series, *others)]
+    A, T = [arb_mat(size, size, [*own]) for own in zip(*slopes, strict=True)], [V]
+    for k in range(orders):
+        T.append(sum((A[j] * T[k - j] for j in range(k + 1)), arb_mat(size, V.ncols())) * (1 / arb(k + 1)))
+    return found + [[*own] for own in zip(*(t.entries() for t in T), strict=True)]
+
+
+def step(rates: Program, z: list[Any], V: Any, length: Any, *others: Any) -> tuple[list[Any], Any, list[list[Any]]]:
+    """z and V behind a step, and all their polynomials: what moves within `whole` of `ranges` cannot leave it."""
+    n, size, span = ORDER, len(z), arb(0).union(length)
+    c = coefficients(rates, z, V, n - 1, *others)
+    ranges = [horner(own, span) for own in c]
+    sizes = [float(own.abs_upper()) for own in ranges]
+    sizes[size:] = [max(sizes[size:], default=0.0)] * (len(c) - size)
+    whole = [own + arb(0, WIDER * wide + 1e-60) for own, wide in zip(ranges, sizes, strict=True)]
+    last = [own[n] for own in coefficients(rates, whole[:size], arb_mat(size, V.ncols(), whole[size:]), n, *others)]
+    held = (
+        w.contains_interior(r + top * arb(0).union(length**n)) for w, r, top in zip(whole, ranges, last, strict=True)
+    )
+    demand(all(held), "a step is not enclosed")
+    c = [[*own, top] for own, top in zip(c, last, strict=True)]
+    end = [horner(own, length) for own in c]
+    return end[:size], arb_mat(size, V.ncols(), end[size:]), c
