@@ -39,6 +39,8 @@ ROLES = ("x", "u", "p", "t", "first", "last")
 # (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands
 # being indices before it; ("table", operand, digest of the table).
 Instruction = tuple[Any, ...]
+_Placed = tuple[Instruction, list[int], int]  # an operation, where its operands lie, and where its value goes
+_Step = tuple[int, Any, int, int, int, int]  # the same of one namespace: number of operands, function, places
 
 
 class NotAFormula(Exception):
@@ -254,17 +256,17 @@ class Expression:
     def __call__(self, *arguments: Any) -> Any:
         """The values, computed with the maths namespace that is the last argument."""
         *records, m = arguments
-        inputs, constants, place, outputs = self._plan
+        inputs, constants, operations, outputs, size = self._plan
         values = [getattr(records[k], name) if name else records[k] for k, name in inputs]
         values += constants
-        push = values.append
-        for arity, function, i, j, k in self._bound(m, place):
+        values += [None] * (size - len(values))
+        for arity, function, i, j, k, at in self._bound(m, operations):
             if arity == 2:
-                push(function(values[i], values[j]))
+                values[at] = function(values[i], values[j])
             elif arity == 1:
-                push(function(values[i]))
+                values[at] = function(values[i])
             else:
-                push(function(values[i], values[j], values[k]))
+                values[at] = function(values[i], values[j], values[k])
         if self.scalar:
             return values[outputs[0]]
         return [values[k] for k in outputs]
@@ -296,31 +298,46 @@ class Expression:
         return {name: getattr(self, name) for name in ("tape", "roles", "scalar", "origin")}
 
     @cached_property
-    def _plan(self) -> tuple[list[tuple[int, str]], list[float], list[tuple[Instruction, list[int]]], list[int]]:
-        """Inputs and constants first, then the operations on them by where their operands will lie."""
+    def _plan(self) -> tuple[list[tuple[int, str]], list[float], list[_Placed], list[int], int]:
+        """Inputs and constants first, then the operations on them; where each value lies; how many places there are.
+
+        A value takes the place of one that nothing needs any more. Of long arrays all that were ever made would be more
+        than a cache holds, and each would have to be asked of the system anew, which takes longer than to fill it.
+        """
         operations = self.tape.instructions
         inputs = [k for k, op in enumerate(operations) if op[0] in ROLES]
         constants = [k for k, op in enumerate(operations) if op[0] == "const"]
         rest = [k for k, op in enumerate(operations) if operands(op)]
-        place = {number: k for k, number in enumerate([*inputs, *constants, *rest])}
+        place = {number: k for k, number in enumerate([*inputs, *constants])}
+        last = {i: k for k in rest for i in operands(operations[k])}
+        last |= dict.fromkeys(self.tape.outputs, len(operations))
+        size, idle, placed = len(place), list[int](), list[_Placed]()
+        for k in rest:
+            at = [place[i] for i in operands(operations[k])]
+            idle += {place[i] for i in operands(operations[k]) if last[i] == k}
+            if not idle:
+                idle, size = [size], size + 1
+            place[k] = idle.pop()
+            placed.append((operations[k], at, place[k]))
         return (
             [(self.roles.index(operations[k][0]), operations[k][1]) for k in inputs],
             [float(operations[k][1]) for k in constants],
-            [(operations[k], [place[i] for i in operands(operations[k])]) for k in rest],
+            placed,
             [place[k] for k in self.tape.outputs],
+            size,
         )
 
     @cached_property
-    def _steps(self) -> dict[int, tuple[Any, list[tuple[int, Any, int, int, int]]]]:
+    def _steps(self) -> dict[int, tuple[Any, list[_Step]]]:
         return {}
 
-    def _bound(
-        self, m: Any, operations: Sequence[tuple[Instruction, list[int]]]
-    ) -> list[tuple[int, Any, int, int, int]]:
+    def _bound(self, m: Any, operations: Sequence[_Placed]) -> list[_Step]:
         """The operations with the functions of one namespace; the few namespaces that there are stay."""
         found = self._steps.get(id(m))
         if found is None or found[0] is not m:
-            steps = [(len(at), self._meaning(op, m), at[0], at[min(1, len(at) - 1)], at[-1]) for op, at in operations]
+            steps = [
+                (len(of), self._meaning(op, m), of[0], of[min(1, len(of) - 1)], of[-1], at) for op, of, at in operations
+            ]
             if len(self._steps) > 8:
                 self._steps.clear()
             found = self._steps[id(m)] = (m, steps)
