@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -268,6 +269,7 @@ def _printed_start(sign: float) -> tuple[Matrix, Matrix]:
     return x, known
 
 
+@cache  # flown from under either sign, and looked at again by each report
 def manoeuvre_state(row: GridPoint) -> Vector:
     """State in the paper's coordinates and units at a grid point, on the descending pass."""
     stated = site_free("descending").with_given(
