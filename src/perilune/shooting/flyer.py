@@ -21,7 +21,9 @@ from perilune.shooting import newton
 from perilune.shooting.plan import Plan, plan
 from perilune.words.types import Batch, Matrix, Vector
 
-_FEW = 32  # lanes, whose arrays are kept: to bind new ones takes as long as to fly so many
+# Lanes, and numbers of their rows, whose arrays are kept: to bind new ones takes as long as to fly so many of a large
+# system, and longer than to fly hundreds of a small one.
+_FEW, _SMALL = 32, 8192
 _FINER, _OF_COLUMNS = 1e-2, 1e-7  # of what is asked; the least tolerance of columns
 _STEPS_OF_COLUMNS = 400  # at most: at that tolerance a flight to the ground takes 50 to 150
 
@@ -172,7 +174,8 @@ class Fleet:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self._idle = [list[FewLanes]() for _ in range(_FEW + 1)]  # a list's pop and append are atomic
+        self._few = max(_FEW, _SMALL // plan.columns.width)
+        self._idle = [list[FewLanes]() for _ in range(self._few + 1)]  # a list's pop and append are atomic
 
     @cached_property
     def code(self) -> Code:
@@ -186,7 +189,7 @@ class Fleet:
     def fly(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
         """Rows of an evaluation; arguments as for `Flight`."""
         arguments, lanes = (Y, choice, p, accuracy, inverse), len(Y)
-        if not 0 < lanes <= _FEW:
+        if not 0 < lanes <= self._few:
             return self.bind(*arguments)()
         try:
             few = self._idle[lanes].pop()
